@@ -1,4 +1,4 @@
-"""Commands to what does not answer: the clients wait for as long as they are told, and no longer."""
+"""Commands without an answer: the clients wait for their time-out and no longer."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from softfinger.server.wire.envelope import Declined, parse
 
 WAIT_S = 0.05
 ASKED = 5
-"""Times: libzmq takes the first request before it has met the peer, and has nowhere to put one after it has."""
+"""Number of requests: libzmq accepts the first one before it has met the peer, and cannot queue one afterwards."""
 
 
 @pytest.fixture(params=["nobody", "publisher", "silent router"])
 def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """An address where no command is answered."""
+    """Return an address where no command is answered."""
     address = f"ipc://{tmp_path}/socket"
     kinds = {"publisher": zmq.XPUB, "silent router": zmq.ROUTER}
     if request.param not in kinds:
@@ -45,7 +45,7 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
 
 
 def test_a_command_without_an_answer_ends(endpoint: str) -> None:
-    """Also where libzmq has hung up on the peer, as it does on the telemetry's address."""
+    """Also if libzmq has disconnected from the peer, as it does at the telemetry's address."""
     with Control(endpoint, WAIT_S) as control:
         for _ in range(ASKED):
             with pytest.raises(NoAnswer, match=r"no answer to get_state from .* within 0\.05 s"):
@@ -53,10 +53,8 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
             time.sleep(WAIT_S)
 
 
-def test_who_would_wait_for_a_compiler_asks_first_whether_anybody_answers(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A scene takes minutes to compile; that there is no daemon is said after the time of a short request."""
+def test_a_command_that_may_compile_first_checks_for_a_daemon(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene takes minutes to compile, but the lack of a daemon is reported after the time-out of a short request."""
 
     async def ask() -> None:
         async with AsyncControl(endpoint) as control:
@@ -71,7 +69,7 @@ def test_who_would_wait_for_a_compiler_asks_first_whether_anybody_answers(
 
 
 def in_a_fork(act: Callable[[], object]) -> bool:
-    """Whether an act of a process that is forked off does what it has to, within 20 s."""
+    """Return True if `act` succeeds in a forked process within 20 s."""
     child = os.fork()
     if child == 0:
         try:
@@ -83,8 +81,8 @@ def in_a_fork(act: Callable[[], object]) -> bool:
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_clients_go_on_in_a_process_that_is_forked_off(tmp_path: Path) -> None:
-    """Made and used before the fork: commands, both ways, and telemetry; closed there, they go on in the first one."""
+def test_clients_continue_in_a_forked_process(tmp_path: Path) -> None:
+    """Clients created and used before a fork work in the child; closed there, they still work in the parent."""
     commands, telemetry = f"ipc://{tmp_path}/commands", f"ipc://{tmp_path}/telemetry"
     event = msgpack.packb({"schema": 1, "kind": "mark", "name": "mark", "tick": 1, "timestamp": 1.0})
     over = threading.Event()
@@ -128,7 +126,7 @@ def test_clients_go_on_in_a_process_that_is_forked_off(tmp_path: Path) -> None:
 
 
 def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
-    """libzmq hangs up at any moment after `connect`: between a look whether it takes a request and the request, too."""
+    """libzmq may disconnect at any moment after `connect`, also between polling and sending."""
     with zmq.Context() as context, context.socket(zmq.PUB) as peer:
         peer.linger = 0
         peer.bind(f"ipc://{tmp_path}/socket")
@@ -140,7 +138,6 @@ def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
 
 
 def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
-    """The same, and the loop goes on meanwhile."""
 
     async def ask() -> None:
         async with AsyncControl(endpoint, WAIT_S) as control:
@@ -152,8 +149,8 @@ def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
     asyncio.run(ask())
 
 
-def test_more_requests_than_libzmq_keeps_end_each(tmp_path: Path) -> None:
-    """It keeps a thousand for a peer that is not there."""
+def test_more_requests_than_the_queue_of_libzmq_all_end(tmp_path: Path) -> None:
+    """libzmq queues a thousand for a missing peer."""
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
         for _ in range(1100):
             with pytest.raises(NoAnswer):
@@ -161,8 +158,8 @@ def test_more_requests_than_libzmq_keeps_end_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("client", [Control, AsyncControl])
-def test_a_request_says_until_when_it_counts(client: type, tmp_path: Path) -> None:
-    """The daemon does nothing that its client has given up; what has no end, or another machine's, it does."""
+def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
+    """The daemon declines an expired request, but not one without expiry or from another boot of a machine."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as peer:
         peer.linger, peer.rcvtimeo = 0, 10_000
         peer.bind(f"ipc://{tmp_path}/socket")
@@ -187,8 +184,7 @@ def test_a_request_says_until_when_it_counts(client: type, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("wait_s", [math.inf, 3e6, 1e300])
-def test_a_wait_may_be_as_long_as_one_likes(wait_s: float, tmp_path: Path) -> None:
-    """Answered at once, by a server that takes what a client says."""
+def test_a_time_out_may_be_arbitrarily_long(wait_s: float, tmp_path: Path) -> None:
     with zmq.Context() as context, context.socket(zmq.ROUTER) as peer, ThreadPoolExecutor() as pool:
         peer.linger, peer.rcvtimeo = 0, 10_000
         peer.bind(f"ipc://{tmp_path}/socket")
@@ -213,8 +209,8 @@ def test_a_wait_may_be_as_long_as_one_likes(wait_s: float, tmp_path: Path) -> No
         assert samples.receive(-1.0) is None
 
 
-def test_what_cannot_be_sent_is_said(tmp_path: Path) -> None:
-    """One sentence each; numbers of numpy are numbers."""
+def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
+    """Each error is one sentence; numbers of NumPy are valid."""
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
         for what, says in (
             ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon takes at most 262144"),

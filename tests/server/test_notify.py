@@ -1,4 +1,4 @@
-"""What systemd is told, on a real datagram socket: by the daemon as a process, and by one whose device hangs."""
+"""Notifications to systemd on a datagram socket, from a daemon process and from one whose device hangs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ pytestmark = pytest.mark.real_time
 
 WATCHDOG_S = 0.4
 QUIET_S = 4 * WATCHDOG_S
-"""Long enough that systemd would have ended a daemon which says nothing."""
+"""Time without a message after which systemd would have killed a daemon."""
 WAIT_S = 300.0
 """A cold start compiles first."""
 
 
 class Manager:
-    """systemd's end of NOTIFY_SOCKET."""
+    """Server side of NOTIFY_SOCKET."""
 
     def __init__(self, address: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -38,7 +38,7 @@ class Manager:
         self.environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
 
     def told(self, seconds: float) -> list[str]:
-        """The lines of the next message, none if none comes in time."""
+        """Return the lines of the next message, or none after the time-out."""
         self._socket.settimeout(seconds)
         try:
             return self._socket.recv(4096).decode().splitlines()
@@ -46,7 +46,7 @@ class Manager:
             return []
 
     def until(self, line: str, before: Callable[[], None] = lambda: None) -> list[str]:
-        """Every line up to one that is expected; `before` is called first."""
+        """Call `before`; return every line up to the expected one."""
         before()
         seen: list[str] = []
         end = time.monotonic() + WAIT_S
@@ -56,7 +56,7 @@ class Manager:
         return seen
 
     def falls_silent(self) -> bool:
-        """Whether nothing more is told for so long that systemd would act; what was under way is passed over."""
+        """Return True once no message arrives for so long that systemd would act; earlier messages are skipped."""
         end = time.monotonic() + WAIT_S
         while self.told(QUIET_S):
             if time.monotonic() > end:
@@ -69,19 +69,19 @@ class Manager:
 
 REST = pytest.mark.exhaustive
 ABSTRACT = pytest.mark.parametrize("manager", ["abstract", pytest.param("path", marks=REST)], indirect=True)
-"""By an abstract name; elsewhere on a path, as for the system's services. What is told is the same."""
+"""One test uses an abstract name, the others a path as for system services; the messages are equal."""
 
 
 @pytest.fixture(params=["path", pytest.param("abstract", marks=REST)])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
-    """A service manager that listens."""
+    """Service manager that receives the messages."""
     one = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
     yield one
     one.close()
 
 
-def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_path: Path) -> None:
-    """READY comes with ticks, the sign of life goes, stops and comes back with them; STOPPING at the end."""
+def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
+    """READY arrives with ticks; WATCHDOG stops and resumes with them; STOPPING arrives at the end."""
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
     said = tmp_path / "stderr"
@@ -97,7 +97,7 @@ def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_pa
         process.send_signal(signal.SIGCONT)
         manager.until("WATCHDOG=1")
         last = manager.until("STOPPING=1", process.terminate)
-        assert "WATCHDOG_USEC=0" in last  # a closing that takes its time is not taken for a servo that hangs
+        assert "WATCHDOG_USEC=0" in last  # a slow shutdown is not mistaken for a hung servo
         assert process.wait(60) == 0, said.read_text()
     finally:
         process.kill()
@@ -105,8 +105,8 @@ def test_a_daemon_is_ready_with_ticks_and_alive_by_them(manager: Manager, tmp_pa
 
 
 @ABSTRACT
-def test_a_device_that_hangs_ends_the_sign_of_life(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The process lives and this thread with it, and says nothing: only ticks count."""
+def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process and its notifying thread are alive, but only ticks count."""
     load = registry.load
     monkeypatch.setattr(registry, "load", lambda name: faulty_device if name == "faulty" else load(name))
     for name, value in manager.environment.items():
@@ -129,16 +129,15 @@ def test_a_device_that_hangs_ends_the_sign_of_life(manager: Manager, monkeypatch
     manager.until("STOPPING=1")
 
 
-def test_a_watchdog_for_another_process_is_none() -> None:
-    """WATCHDOG_PID of another process, or no watchdog at all: a state once a second, as for `systemctl status`."""
+def test_a_watchdog_for_another_process_is_ignored() -> None:
+    """With WATCHDOG_PID of another process, or without a watchdog, the interval is infinite."""
     assert _watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
     assert _watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
     for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}):
         assert _watchdog_s(environment) == float("inf")
 
 
-def test_a_manager_that_has_gone_ends_nothing(manager: Manager, tmp_path: Path) -> None:
-    """The daemon runs to its last tick although nobody hears it."""
+def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: Path) -> None:
     environment = os.environ | manager.environment | {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--duration", "0.5"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]

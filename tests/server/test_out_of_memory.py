@@ -1,8 +1,8 @@
-"""A process beside the daemon that gets no more memory, or ends while the daemon has no more file descriptors: the
-daemon holds its force, and the process is started again.
+"""A process of the daemon without memory, or one that ends while the daemon has no file descriptors, is restarted, and
+the daemon's force continues.
 
-The limit of memory is what the process has at that moment, so the next page that it asks the system for is refused. A
-recording and a black box are written by threads of the daemon, which has its own row of the fault model.
+The memory limit is the current size, so the next page requested from the system is refused. Recordings and black boxes
+are written by threads of the daemon, which has its own row in the fault model.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from softfinger.tools.bench.soak import connect_to_page
 pytestmark = pytest.mark.real_time
 
 STALLED = 30
-"""Subscribers that read nothing: for each the publisher keeps 64 bytes of a message, and the message for all."""
+"""Subscribers that do not read: for each the publisher stores 64 bytes of a message, and the message once."""
 
 
 def take_memory(pid: int) -> None:
-    """Let a process have what it has, and no byte more."""
+    """Limit a process to its current memory."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
     most = pages * resource.getpagesize()
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
 
 
 def look_on(address: str, closing: ExitStack) -> None:
-    """One more browser that takes what the page sends; refused where the page has just ended."""
+    """Open another browser that reads the page; ignore a refusal by a page that has just ended."""
     with suppress(OSError, WebSocketException):
         closing.enter_context(connect_to_page(address))
 
@@ -61,14 +61,14 @@ def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int
 
 @contextmanager
 def felt(board: Board) -> Iterator[Callable[[], float]]:
-    """The least force that the board is given from here on, N."""
+    """Return a function that returns the smallest force (N) sent to the board from here on."""
     first = len(board.sent)
     yield lambda: min(frame[2] for frame in board.sent[first:]) * 1e-3
 
 
 def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
-    """Subscribers that read nothing make it ask for more: it ends, which is an event, and another takes its place. The
-    board has a force all the while, and the recording every tick."""
+    """Subscribers that do not read make it allocate: it ends with an event and is restarted. The board always has a
+    force, and the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process), felt(board) as least:
         publisher = process_of(process, "telemetry process")
@@ -83,7 +83,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
         process_of(process, "telemetry process", other=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
-            assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event waits for a second
+            assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event is delayed by 1 s
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
@@ -94,8 +94,8 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
-    """Browsers that come make it ask for more: it ends, and another takes its place at the same address. The board has
-    a force all the while, and the recording every tick."""
+    """New browsers make it allocate: it ends and is restarted at the same address. The board always has a force, and
+    the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process), felt(board) as least:
         assert process.stderr is not None
@@ -116,7 +116,7 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
 
 
 def line_with(words: str, lines: IO[str]) -> str:
-    """Return the next line with these words; none before it tells again that a process cannot be started."""
+    """Return the next line with these words; no earlier line may report again that a process cannot be started."""
     for line in lines:
         if words in line:
             return line
@@ -125,15 +125,15 @@ def line_with(words: str, lines: IO[str]) -> str:
 
 
 def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_path: Path) -> None:
-    """Publisher and page are restarted when descriptors are available again. Until then the run continues with its
-    force. A page that a signal ends is not restarted."""
+    """Publisher and page are restarted when descriptors are available again, and the run continues with its force until
+    then. A page that a signal ends is not restarted."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process), felt(board) as least:
         assert process.stderr is not None
         hard = resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[1]
         for kind in ("telemetry process", "page"):
             before = process_of(process, kind)
-            resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # what is open stays open
+            resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # open files are not affected
             os.kill(before, signal.SIGKILL)
             line_with(f"the {kind} cannot be started: [Errno 24]", process.stderr)
             first = len(board.sent)
@@ -143,12 +143,12 @@ def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_pa
             page = process_of(process, kind, other=before)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             tick = next(iter(telemetry)).tick
-            assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event waits for a second
+            assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event is delayed by 1 s
         os.kill(page, signal.SIGTERM)
         assert "the page has ended" in line_with("to see it again: ", process.stderr)
         assert least() > 0.0
         said = end(process)
         assert board.force == ZERO
-    assert said.count("cannot be started") == 0  # told once each
+    assert said.count("cannot be started") == 0  # logged once each
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and {"publisher", "page"} <= {name for name, _ in events}

@@ -1,4 +1,4 @@
-"""Parameters set while a scene is rendered, without a loop: what each is, and what would be another model."""
+"""Parameters set during rendering, without a loop: their effect, and changes that need another model."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, Repla
 pytestmark = pytest.mark.plain
 
 RAMP_TICKS = 510
-"""After so many the guard of the rig `replay` gives the whole force."""
+"""After this many ticks the guard of the rig `replay` transmits the full force."""
 ROUNDING = 1e-12
-"""Relative: a force is the result of some ten operations on numbers of one size."""
+"""Relative; a force is the result of about ten operations on numbers of similar size."""
 STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 NORMAL = "object.0.material.normal"
 
 
 def soft_scene() -> Scene:
-    """f = K d (delta / d)^p, and a fingertip whose patch grows with it: a = c (f / 1 N)^gamma."""
+    """Return a scene with f = K d (delta / d)^p and a fingertip whose patch has radius a = c (f / 1 N)^gamma."""
     described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
     described["fingertip"]["patch"] = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
     return build(Scene, described, "soft")
@@ -38,14 +38,14 @@ def soft_scene() -> Scene:
 
 @pytest.fixture
 def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
-    """What the servo, which does not run, was given."""
+    """Return the list of tunings passed to the servo, which does not run."""
     given: list[Tuning] = []
     monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
     return given
 
 
 class Absent(Device):
-    """Nothing is read of it, nor written to it, for no loop runs."""
+    """Device without reads and writes, because no loop runs."""
 
     info = DeviceInfo("absent", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
@@ -61,7 +61,7 @@ class Absent(Device):
 
 @pytest.fixture
 def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
-    """Renderings without a device."""
+    """Return a function that makes renderings without a device."""
     made: list[Rendering] = []
     monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (Absent(),))
 
@@ -75,7 +75,7 @@ def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], 
 
 
 def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
-    """The record of a fingertip pressed so deep, once the guard has faded the force in."""
+    """Return the record of a fingertip pressed to a depth, after the guard's ramp."""
     pose = [0.0, 0.0, 0.01 - depth_m, 1.0, 0.0, 0.0, 0.0]
     return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
 
@@ -83,7 +83,7 @@ def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
     tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
 ) -> None:
-    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the numbers of the moment."""
+    """Forces and radii follow f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the current numbers."""
     rendering = rendering_of(soft_scene())
     for changes, force, radius in (
         ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
@@ -106,10 +106,10 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
         ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: use set_scene"),
     ],
 )
-def test_another_model_is_refused_whole(
+def test_a_refused_change_changes_nothing(
     changes: dict[str, Any], words: str, tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
 ) -> None:
-    """What is out of its range, or would need another loop, changes nothing, nor does what was asked for beside it."""
+    """A value out of range, or one that needs another loop, also discards the other values of the request."""
     rendering = rendering_of(soft_scene())
     before = rendering.scene
     with pytest.raises(ConfigError) as refused:
@@ -121,9 +121,9 @@ def test_another_model_is_refused_whole(
 def test_a_change_waits_for_a_replacement_and_no_longer(
     tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While the loop is handed over nothing is changed, and that is said; behind it the change is made."""
+    """While a loop is being replaced a change is refused with an error; afterwards it succeeds."""
     monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
-    assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's way to zero
+    assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's ramp to zero
     rendering = rendering_of(pressed_scene())
     held, go_on = threading.Event(), threading.Event()
 

@@ -1,4 +1,4 @@
-"""The passivity observer against work summed up independently, and the controller against what it must burn."""
+"""Passivity observer against independently computed work, and controller against the energy it must dissipate."""
 
 from itertools import pairwise
 
@@ -26,14 +26,14 @@ pytestmark = pytest.mark.plain
 
 T = 0.001
 SLOW_HZ = 250.0
-"""Rate of a whole recording: the sum is over ticks, however long."""
+"""Rate for a whole recording: the energy is a sum over ticks of any length."""
 PUSH = (0.0, 0.0, 2.0)
 NONE = (0.0, 0.0, 0.0)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 def by(*way):
-    """A motion without a turn."""
+    """Return a motion without rotation."""
     return Motion(Pose(NONE, LEVEL), Pose(way, LEVEL), None)
 
 
@@ -47,8 +47,8 @@ def column(records, name, size=1):
 
 
 def work_a_tick(records, turns=1.0):
-    """Work (n - 1,) J of the hand against the wrench of each tick until the next, rotation vectors by scipy; of
-    `turns` 0 against the force alone."""
+    """Return the work (n - 1,) J of the hand against the wrench of each tick until the next; `turns` 0 omits the
+    torque. Rotation vectors are computed by SciPy."""
     turned = Rotation.from_quat(column(records, "probe.orientation", 4), scalar_first=True)
     turn = (turned[1:] * turned[:-1].inv()).as_rotvec()
     way = np.diff(column(records, "probe.position", 3), axis=0)
@@ -60,8 +60,7 @@ def work_a_tick(records, turns=1.0):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", ["observe", "control"])
 def test_energy_is_the_work_against_the_commanded_wrench(mode):
-    """Over a recording, energy changes by minus the held force times the motion and minus the held torque times the
-    turn; debts alone outlive a touch."""
+    """Energy changes by minus force times motion and minus torque times rotation; only a deficit outlasts a touch."""
     scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=schema.Passivity(mode=mode))
     tuning = make_tuning(scene, load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), SLOW_HZ), SLOW_HZ)
@@ -75,19 +74,19 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
         expected.append(work)
     # Thousands of additions of terms around 1e-5 J.
     np.testing.assert_allclose(column(records, "passivity.energy"), expected, rtol=0, atol=1e-15)
-    assert max(expected) > 1e-4  # the press alone takes f^2 / 2K = 0.5 mJ
+    assert max(expected) > 1e-4  # the press takes f^2 / 2K = 0.5 mJ
     if mode == "observe":
         assert not column(records, "passivity.damping").any()
 
 
 def test_a_scene_without_the_table_has_no_observer():
-    """Without [passivity] energy stays 0, and the force is left alone to the bit."""
+    """Energy is 0 and the force is unchanged bit for bit."""
     assert make_tuning(load_scene("paper-plane"), load_rig("replay").guard).passivity is None
     assert keep_passive(None, NO_ENERGY, holding(PUSH), by(1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
 
 
-def test_a_debt_is_burnt_in_one_tick_at_the_same_speed():
-    """The damper's force over a motion like the last one does exactly the work that was owed."""
+def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
+    """The damper's force over a motion equal to the last one does exactly the missing work."""
     moved, owed = (0.0, 3e-5, 4e-5), 2e-7
     energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), holding(), by(*moved), float(ROLLING), NONE, T)
     assert energy.work == -owed
@@ -96,8 +95,8 @@ def test_a_debt_is_burnt_in_one_tick_at_the_same_speed():
     assert energy.damping == pytest.approx(owed * T / np.dot(moved, moved), rel=1e-14)
 
 
-def test_damping_is_bounded_however_slow_the_hand():
-    """A hand at rest, or nearly, meets at most the largest damping, and no number overflows."""
+def test_damping_is_bounded_for_a_slow_hand():
+    """At or near rest the damping is at most the largest one, and no number overflows."""
     for step in (0.0, 1e-300, 1e-160, 1e-9):
         energy, force = keep_passive(
             Passivity(20.0), Energy(-1.0, 0.0), holding(), by(step, 0.0, 0.0), float(ROLLING), PUSH, T
@@ -106,9 +105,9 @@ def test_damping_is_bounded_however_slow_the_hand():
         assert force == (-20.0 / T * step, 0.0, 2.0)
 
 
-def test_a_torsional_spring_that_is_sampled_makes_what_its_steps_do():
-    """Turned to A and back in n steps each way, a spring of k gives k A^2 / n: the integral of tau d theta for a
-    staircase. Half way it holds k A^2 (1 - 1/n) / 2."""
+def test_energy_of_a_sampled_torsional_spring():
+    """Turned to A and back in n steps each, a spring k generates k A^2 / n, the integral of tau d theta of a staircase.
+    At A it has stored k A^2 (1 - 1/n) / 2."""
     k, largest, n = 0.05, 0.3, 200
     axis = np.array([0.6, 0.0, 0.8])
     angles = largest / n * np.concatenate((np.arange(n + 1), np.arange(n)[::-1]))
@@ -118,24 +117,24 @@ def test_a_torsional_spring_that_is_sampled_makes_what_its_steps_do():
         held = holding(torque=tuple(-k * before * axis))
         energy, _ = keep_passive(Passivity(0.0), energy, held, Motion(*poses, None), float(ROLLING), NONE, T)
         works.append(energy.work)
-    # Four hundred additions of terms around 1e-5 J, of angles with rounding of 1e-16 / 1e-3.
+    # Four hundred additions of terms around 1e-5 J, with angles rounded by 1e-16 / 1e-3.
     assert works[n - 1] == pytest.approx(0.5 * k * largest**2 * (1.0 - 1.0 / n), rel=1e-11)
     assert works[-1] == pytest.approx(-k * largest**2 / n, rel=1e-9)
 
 
-def test_a_turn_on_a_tool_is_the_same_work_at_either_end():
-    """A handle that turns on the spot: the force on it does none, whatever the tip does; its torque does all."""
+def test_work_of_a_rotating_tool_is_equal_at_both_ends():
+    """If the handle turns on the spot, the force does no work although the tip moves, and the torque does all of it."""
     tool = make_tool((0.03, 0.0, -0.1), LEVEL)
     poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
     motion = Motion(*(tip_of(tool, pose) for pose in poses), tool)
     held = holding((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
-    assert work_on_hand(held, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # roundings of 0.1 m
+    assert work_on_hand(held, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
     assert work_on_hand(held, Motion(motion.now, motion.now, tool)) == 0.0
 
 
 def cycle(fingertip, height, n, turns=1.0, **tables):
-    """Records, and energy (J) of a way in contact with friction that holds: pushed 1 mm aside, tilted by 0.18 rad
-    about the axis across, pushed back, tilted back, each in n even steps."""
+    """Return the records and the energy (J) of a closed path in contact with sticking friction. The hand moves 1 mm
+    sideways, tilts by 0.18 rad about the transverse axis, moves back and tilts back, each in n equal steps."""
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 5.0, "kinetic": 5.0}}
     table = {"fingertip": fingertip, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}} | tables
     table |= {
@@ -155,9 +154,9 @@ def cycle(fingertip, height, n, turns=1.0, **tables):
     return records, energy[-1] - energy[49]
 
 
-def test_without_rolling_a_drag_and_a_tilt_give_what_the_torque_does():
-    """The torque r K x acts, and a turn winds nothing: once round it does K r x theta, 1.8 mJ, which the springs never
-    held; and the sampled spring its K x^2 / n. Of this the force alone says the second part only."""
+def test_without_rolling_a_cycle_generates_the_work_of_the_torque():
+    """The torque r K x acts, but rotation loads no spring: one cycle generates K r x theta = 1.8 mJ, which no spring
+    stored, and K x^2 / n of the sampled spring. The force accounts only for the second part."""
     n = 100
     records, energy = cycle({"radius_m": 0.01}, 0.009, n)
     assert energy == pytest.approx(-(1000.0 * 0.01 * 0.001 * 0.18 + 1000.0 * 0.001**2 / n), rel=1e-9)
@@ -165,24 +164,25 @@ def test_without_rolling_a_drag_and_a_tilt_give_what_the_torque_does():
     assert -np.sum(force * way) == pytest.approx(-1000.0 * 0.001**2 / n, rel=1e-9)
 
 
-def test_a_torque_that_the_hand_is_not_given_does_no_work():
-    """The same with a device that displays forces alone: what its wrist senses turns against nothing."""
+def test_a_torque_that_is_not_displayed_does_no_work():
+    """With a device that displays only forces, the measured rotation does no work."""
     _, energy = cycle({"radius_m": 0.01}, 0.009, 100, turns=0.0)
     assert energy == pytest.approx(-1000.0 * 0.001**2 / 100, rel=1e-9)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
-def test_with_rolling_the_same_way_gives_what_sampling_does(fingertip):
-    """A ball and an ellipsoid: what once round gives falls with the step, and is a hundredth of the torque's share."""
+def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
+    """For a ball and an ellipsoid the energy of a cycle falls with the step size, to a hundredth of the torque's
+    share."""
     height = 0.009 if "radius_m" in fingertip else 0.011
     (_, coarse), (_, fine) = (cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
-    assert coarse / fine == pytest.approx(2.0, rel=0.01)  # of the first order in the step
+    assert coarse / fine == pytest.approx(2.0, rel=0.01)  # first order in the step
     assert -1e-4 < coarse < 0.0
 
 
-def test_what_a_stiffness_that_rises_in_contact_puts_in_is_seen():
-    """Pressed at k, released at 2 k: the hand is given k d^2 / 2 more than it put in, and that is owed."""
+def test_energy_of_a_stiffness_that_rises_in_contact():
+    """Pressed at k and released at 2 k, the spring returns k d^2 / 2 more than it received; energy has that deficit."""
     scenes = [
         msgspec.structs.replace(
             load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": k}),
@@ -199,13 +199,13 @@ def test_what_a_stiffness_that_rises_in_contact_puts_in_is_seen():
     memory = packed(start)
     for tuning, way, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
         tick_many(packed(tuning), memory, np.ascontiguousarray(way), np.full(len(way), T), T, 0, rows)
-    energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # a step before it lets go
-    # Sampling adds K d^2 / 2n on each way.
+    energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # one step before release
+    # Sampling adds K d^2 / 2n in each direction.
     assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)
 
 
 def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
-    """In free space energy above zero is dropped; a debt stays and is still damped."""
+    """In free space a positive energy is reset; a negative one remains and is still damped."""
     for before, after in ((0.5, 0.0), (-0.5, -0.5)):
         energy, _ = keep_passive(
             Passivity(20.0), Energy(before, 0.0), holding(), by(1e-5, 0.0, 0.0), float(FREE), PUSH, T
@@ -214,14 +214,13 @@ def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
         assert (energy.damping > 0.0) == (after < 0.0)
 
 
-def test_no_time_no_damping():
-    """A tick of no length has no speed to damp."""
+def test_a_tick_of_no_length_has_no_damping():
     owed = Energy(-1.0, 0.0)
     assert keep_passive(Passivity(20.0), owed, holding(), by(1e-5, 0.0, 0.0), float(ROLLING), PUSH, 0.0) == (owed, PUSH)
 
 
-def test_largest_damping_is_for_control_only():
-    """Observing takes no damping; control without one takes the default."""
+def test_largest_damping_is_only_for_control():
+    """`observe` refuses a damping; `control` has a default."""
     guard = load_rig("replay").guard
     material = {"stiffness_n_per_m": 1000.0}
     table = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane", "material": material}]}
@@ -232,19 +231,19 @@ def test_largest_damping_is_for_control_only():
         assert make_tuning(scene, guard).passivity == Passivity(damping)
 
 
-def test_the_guard_stands_after_the_controller():
-    """A damper of any size ends in the guard's clamp and slew limit: what it adds is guarded like every other force."""
+def test_the_guard_limits_the_force_of_the_controller():
+    """The damper's force passes through the guard's force and slew limits like every other force."""
     scene = msgspec.structs.replace(
         load_scene("paper-plane"), passivity=schema.Passivity(mode="control", damping_max_ns_per_m=1000.0)
     )
     guard = schema.Guard(force_max_n=3.0, force_slew_n_per_s=1000.0, ramp_s=0.01)
     poses = np.zeros((400, 7))
     poses[:, 3] = 1.0
-    # Torn out and pushed in again, so that more is given than was taken, at up to 0.75 m/s.
+    # Fast release and press at up to 0.75 m/s return more energy than was stored.
     poses[:, 2] = 0.009 + 0.003 * np.sin(0.25 * np.arange(400))
     records = simulate(make_tuning(scene, guard), poses, 1000.0)
     damper = column(records, "passivity.damping") * np.gradient(poses[:, 2]) / T
     force = column(records, "force", 3)
     assert np.abs(damper).max() > 10.0  # N: far beyond both limits
-    assert np.linalg.norm(force, axis=1).max() <= 3.0 * (1 + 1e-12)  # roundings of a norm
+    assert np.linalg.norm(force, axis=1).max() <= 3.0 * (1 + 1e-12)  # rounding of a norm
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 1.0 * (1 + 1e-9)

@@ -76,7 +76,7 @@ def child_of(parent: int, word: bytes) -> int:
     while time.monotonic() < until:
         for children in Path(f"/proc/{parent}/task").glob("*/children"):
             for child in children.read_text().split():
-                with contextlib.suppress(OSError):  # it has ended meanwhile
+                with contextlib.suppress(OSError):  # it has ended
                     if word in Path(f"/proc/{child}/cmdline").read_bytes():
                         return int(child)
         time.sleep(0.01)
@@ -84,7 +84,7 @@ def child_of(parent: int, word: bytes) -> int:
 
 
 def after(program: Program, words: str) -> str:
-    """Return the word behind `words` in the stderr of a program, on the same line or the next."""
+    """Return the word after `words` in the stderr of a program, on the same line or the next."""
     assert program.stderr is not None
     for line in program.stderr:
         if words in line:
@@ -109,7 +109,7 @@ def peers() -> Iterator[Peers]:
                 ("metrics", "metrics on "),
             ):
                 addresses[name] = after(daemon, words)
-            after(daemon, "real time: ")  # it is compiled, and ticks
+            after(daemon, "real time: ")  # it is compiled and ticks
             words = ["forward", "--from", addresses["telemetry"], "--commands-from", addresses["commands"]]
             with socket.create_server(("127.0.0.1", 0)) as unused:
                 addresses["forwarded telemetry"] = f"tcp://127.0.0.1:{unused.getsockname()[1]}"
@@ -157,7 +157,7 @@ def greeted(address: str, kind: bytes) -> socket.socket:
 
 
 def browser(address: str) -> ClientConnection:
-    """Open the page's WebSocket as the page's own script does."""
+    """Open the page's WebSocket like its script."""
     where = urlsplit(address)
     return connect(
         f"ws://127.0.0.1:{where.port}{where.path}", origin=Origin(f"http://127.0.0.1:{where.port}"), compression=None,
@@ -167,7 +167,7 @@ def browser(address: str) -> ClientConnection:
 
 def refused(peer: socket.socket) -> None:
     """Wait until the server has closed a connection; TimeoutError if it does not."""
-    with contextlib.suppress(ConnectionError):  # with bytes that it has not read
+    with contextlib.suppress(ConnectionError):  # connections with unread bytes are reset
         while peer.recv(1 << 16):
             pass
 
@@ -184,7 +184,8 @@ def too_large(name: str, address: str) -> None:
 
 
 def one_byte_too_large(name: str, address: str) -> None:
-    """Send a frame of the largest size in docs/protocol.md, which is read, and one with a byte more, which is not."""
+    """Send a frame of the largest size in docs/protocol.md, which is accepted, and one a byte longer, which is
+    refused."""
     most = 512 if name.endswith("telemetry") else 262144
     with greeted(address, ZMTP[name]) as peer:
         peer.sendall(frame(bytes(most)))
@@ -202,12 +203,12 @@ def malformed(name: str, address: str) -> None:
     for begin in (dialled, *([lambda address: greeted(address, ZMTP[name])] if name in ZMTP else [])):
         with begin(address) as peer:
             with contextlib.suppress(ConnectionError):
-                peer.sendall(b"\x06" + chance.randbytes(100_000) + b"\r\n\r\n")  # no flags of ZMTP begin so
+                peer.sendall(b"\x06" + chance.randbytes(100_000) + b"\r\n\r\n")  # not a valid start of a ZMTP frame
             refused(peer)
 
 
 def slow(name: str, address: str) -> None:
-    """Send a byte every 0.1 s: each is in time, the whole request is not."""
+    """Send a byte every 0.1 s: each byte is in time, but the whole request is not."""
     said = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
     with dialled(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)
@@ -263,7 +264,7 @@ def unharmed(peers: Peers, name: str) -> Iterator[None]:
     [(name, attack) for name in OWNERS for attack in ATTACKS if name in ZMTP or attack != "one byte too large"],
 )
 def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
-    """Each attack at each socket ends with a connection that the server closes, and costs no memory."""
+    """The server closes the attacking connection and allocates no memory for it."""
     with unharmed(peers, name):
         ATTACKS[attack](name, peers.addresses[name])
 
@@ -273,7 +274,7 @@ def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) ->
     ids=["2 s", "10 s"],
 )  # fmt: skip
 def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
-    """All at the same time. Each socket serves another peer during the attack."""
+    """All attacks run simultaneously; each socket serves another peer during the attack."""
     with ThreadPoolExecutor() as threads, contextlib.ExitStack() as owners:
         for name in names:
             owners.enter_context(unharmed(peers, name))
@@ -286,10 +287,11 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
                          ids=["one frame", "fragments", "a byte too many"])  # fmt: skip
 def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Peers) -> None:
-    """In one frame or in fragments, whose sizes add up: the close code says so, and the payload is never in memory."""
+    """For one frame and for fragments, whose sizes add up, the close code is MESSAGE_TOO_BIG and no payload is
+    stored."""
     with unharmed(peers, "page"), browser(peers.addresses["page"]) as large:
         large.recv(timeout=CUT_S)
-        with contextlib.suppress(ConnectionClosed):  # at the first fragment too many
+        with contextlib.suppress(ConnectionClosed):  # at the first excessive fragment
             large.send(message)
         with contextlib.suppress(ConnectionClosed):
             while large.recv(timeout=CUT_S):
@@ -308,12 +310,12 @@ def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
         assert refused_browser(address) == CloseCode.TRY_AGAIN_LATER
         first.close()
         until = time.monotonic() + CUT_S
-        while refused_browser(address) is not None:  # until the page has taken note of it
+        while refused_browser(address) is not None:  # until the page has noticed
             assert time.monotonic() < until, "none is accepted after one has closed"
 
 
 def refused_browser(address: str) -> int | None:
-    """Return the code with which the page closes one browser more; None if it is accepted."""
+    """Return the code with which the page closes another browser, or None if it is accepted."""
     with browser(address) as late, contextlib.suppress(ConnectionClosed):
         late.recv(timeout=CUT_S)
         return None
@@ -333,22 +335,22 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
 
 
 @pytest.mark.parametrize("name", ["telemetry", "forwarded telemetry"])
-def test_ends_of_subscriptions_that_never_were_count_nothing(name: str, peers: Peers) -> None:
-    """Fifty ends, of the empty topic and of one that others read, leave `health.subscribers` unchanged."""
+def test_ends_of_missing_subscriptions_are_not_counted(name: str, peers: Peers) -> None:
+    """Fifty ends, of the empty topic and of one with other subscribers, leave `health.subscribers` unchanged."""
     with Subscription(peers.addresses["telemetry"], ("health",)) as reader:
-        assert reader.receive(CUT_S) is not None  # its own connection is counted by the next
+        assert reader.receive(CUT_S) is not None  # the next one counts this connection
         before = reader.receive(CUT_S)
         assert before is not None and before.data.subscribers >= 2  # this one and the gateway
         with greeted(peers.addresses[name], b"SUB") as peer:
             peer.sendall((frame(b"\0") + frame(b"\0health")) * 50 + frame(b"\1contact"))
-            assert peer.recv(1000)  # a tick, so all frames before were read
+            assert peer.recv(1000)  # a tick, so all earlier frames were read
             counted = [reader.receive(CUT_S) for _ in range(2)]
         more = before.data.subscribers + (name == "telemetry")
         assert [each.data.subscribers for each in counted if each is not None][-1] == more
 
 
 def test_subscribers_are_the_connections_that_subscribe() -> None:
-    """Up to four peers subscribe, unsubscribe and close at random; those with a subscription are counted throughout."""
+    """Up to four peers subscribe, unsubscribe and close at random; the count is correct throughout."""
     chance, asked = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:

@@ -1,4 +1,4 @@
-"""NUMBA_DISABLE_JIT=1 serves `Engine`; a servo loop needs machine code."""
+"""NUMBA_DISABLE_JIT=1 works for `Engine`, but a servo loop needs machine code."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import subprocess
 import sys
 
 
-def test_a_daemon_without_machine_code_is_refused_by_a_line() -> None:
-    """`softfinger run` says what is set and what to do, with the exit code of a real-time setting."""
+def test_a_daemon_without_machine_code_is_refused_in_one_line() -> None:
+    """The error of `softfinger run` names the variable, and its exit code is that of real-time settings."""
     done = subprocess.run(
         [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},

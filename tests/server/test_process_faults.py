@@ -1,4 +1,4 @@
-"""What a machine does to a daemon's processes: they sleep, their clock is set, their network is lost."""
+"""Faults of the machine during a run: processes sleep, clocks are set, the network is lost."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ pytestmark = pytest.mark.real_time
 Note = Callable[[str, object], None]
 CLOCK = Path(__file__).parents[1] / "stubs" / "clock.c"
 SLEPT_S = 0.6
-"""Longer than a loop may stand still, a quarter of a second, and shorter than this rig waits for its board."""
+"""Longer than the 0.25 s after which a loop counts as stalled, shorter than this rig waits for its board."""
 RAMP_TICKS = 500
-"""Of the rig."""
+"""Ramp of the rig."""
 
 
 def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
-    """Ticks of a recording in their order, and names and times of its events in the order of the file."""
+    """Return the ticks of a recording and the names and times of its events, in file order."""
     parts = list(read_contents(path))
     ticks = [int(row) for part in parts if isinstance(part, Ticks) for row in part.records()[:, AT.tick]]
     return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
 
 
 def end(process: subprocess.Popen[str]) -> str:
-    """End a daemon in order; what it has said."""
+    """Stop a daemon by SIGINT; return its stderr."""
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=END_S)[1]
     assert process.returncode == 0, said
@@ -51,7 +51,7 @@ def end(process: subprocess.Popen[str]) -> str:
 
 
 def publisher_of(pid: int) -> int:
-    """Return the daemon's child that sends telemetry."""
+    """Return the daemon's child process that sends telemetry."""
     (found,) = [
         each for each in children(pid) if b"publishing\0telemetry" in Path(f"/proc/{each}/cmdline").read_bytes()
     ]
@@ -59,16 +59,15 @@ def publisher_of(pid: int) -> int:
 
 
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
-    """All of them stopped outright for longer than a loop may stand still, as with a machine that is suspended: the
-    board has no new force meanwhile, it begins at zero after that, and fades in; no tick of the recording is missing,
-    and the run goes on."""
+    """As in a suspended machine, all processes stop for longer than the limit of a stall. The board receives no force
+    in that time; then the force ramps from zero, the recording lacks no tick, and the run continues."""
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         everyone = [*children(process.pid), process.pid]
         for each in everyone:
             os.kill(each, signal.SIGSTOP)
         until(lambda: all(state(each) == "T" for each in everyone), END_S, "the stop")
-        time.sleep(0.05)  # what was under way to the board has arrived
+        time.sleep(0.05)  # frames in transit have arrived
         count = len(board.sent)
         time.sleep(SLEPT_S)
         assert len(board.sent) == count
@@ -78,7 +77,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         before, forces = board.sent[count - 1][2], [frame[2] for frame in board.sent[count:]]
         first = next(place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS)
         assert first <= 1, "more than the tick that was under way had a force"
-        # Without a wall the hand comes 4 mm deep, and overshoots to twice that at most: of 8 N this is a fiftieth.
+        # Without a wall the hand gets 4 mm deep, and overshoots to at most twice that, a fiftieth of 8 N.
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
         end(process)
     ticks, events = read(recording)
@@ -89,8 +88,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
 
 
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
-    """Stopped for a second: the board is given forces on and on, the recording has every tick, and a subscriber hears
-    of new ticks once it goes on."""
+    """While it is stopped the board receives forces and the recording every tick; a subscriber then gets new ticks."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         publisher = publisher_of(process.pid)
@@ -112,8 +110,8 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
 
 
 def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
-    """The environment of a program whose clocks are ours (tests/stubs/clock.c), and what sets them: seconds that the
-    time of day is ahead, seconds that the machine has been suspended."""
+    """Return the environment of a program with clocks from tests/stubs/clock.c, and a function that sets them. The
+    function takes the seconds by which the time of day is ahead, and the seconds of suspension."""
     library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
     file.write_bytes(bytes(16))
 
@@ -129,14 +127,14 @@ def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
 def test_a_machine_that_was_suspended_wakes_with_zero_force(
     slept_s: int, tmp_path: Path, record_property: Note
 ) -> None:
-    """Monotonic time stands still meanwhile, and so do its deadlines: the loop sees no gap, and yet the force of before
-    is not carried over. It begins at zero in the tick that wakes, and fades in; no tick of the recording is missing."""
+    """Monotonic time and deadlines stop during a suspension, so the loop has no gap, but the previous force is not
+    resumed: it ramps from zero in the tick that wakes. The recording lacks no tick."""
     recording = tmp_path / "slept.mcap"
     environment, put = clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
-        time.sleep(RAMP_TICKS / 1000.0)  # the ramp of the start is over
+        time.sleep(RAMP_TICKS / 1000.0)  # the initial ramp is over
         count = len(board.sent)
-        before = max(frame[2] for frame in board.sent[count - RAMP_TICKS : count])  # some fade in after a stall
+        before = max(frame[2] for frame in board.sent[count - RAMP_TICKS : count])  # some are in a ramp after a stall
         put(0, slept_s)
         until(lambda: len(board.sent) > count + RAMP_TICKS // 5, END_S, "forces after it")
         forces = [frame[2] for frame in board.sent[count:]]
@@ -147,7 +145,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
     rows = [row for part in read_contents(recording) if isinstance(part, Ticks) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
-    assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a second counts, however long it was
+    assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a suspension counts as one second
     seen = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
     record_property(SEEN, seen | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
@@ -156,8 +154,8 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
-    """The time of day of every process of a daemon is set an hour back, or forth, while it presses: every frame has a
-    force, and what is recorded before, at and after it stays in the order of its times, ticks and events alike."""
+    """The clock of all processes is set by an hour while the device presses. Every frame has a force, and recorded
+    times remain sorted, for ticks and for events."""
     recording = tmp_path / "set.mcap"
     environment, put = clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
@@ -179,7 +177,7 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
         part.event["label"]: part.event for part in parts if isinstance(part, Event) and part.event["name"] == "mark"
     }
     for mark in marks.values():
-        # An event is told within a few ticks; what is asked for is that no hour lies between.
+        # An event arrives within a few ticks; the limit excludes an hour between them.
         assert abs(mark["timestamp"] - times[mark["tick"]]) < 5.0
     assert marks["before"]["timestamp"] < marks["after"]["timestamp"]
     seen = {"driver": "serial", "fault": f"the clock is set by {jump_s} s", "ticks": None, "event": "none"}
@@ -222,7 +220,7 @@ print(json.dumps({"whole": whole, "lost": sum(lost), "heard": after >= back, "st
 
 
 def has_network() -> bool:
-    """Whether this process may make a network of its own."""
+    """Return True if this process may create a network namespace."""
     words = ["unshare", "--net", "ip", "link", "set", "lo", "up"]
     tools = shutil.which("unshare") and shutil.which("ip")
     return bool(tools) and subprocess.run(words, capture_output=True, check=False).returncode == 0
@@ -230,8 +228,8 @@ def has_network() -> bool:
 
 @pytest.mark.exhaustive
 def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
-    """The link of a network of the daemon's own goes down for a thousand ticks: no tick is missed by what takes them in
-    the daemon, which stays armed, and a subscriber hears of new ones once the link is back."""
+    """The link in a network namespace is down for a thousand ticks: sinks in the daemon miss no tick, it remains armed,
+    and a subscriber gets new ticks once the link is up."""
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]

@@ -1,5 +1,4 @@
-"""Progress on a real pseudo terminal: it keeps clear of the log, and leaves nothing behind; its words say what is
-waited for."""
+"""Progress display on a pseudo terminal: separate from the log, removed at the end, with the reason for a wait."""
 
 from __future__ import annotations
 
@@ -49,11 +48,11 @@ print("result")
 """
 
 
-@pytest.mark.real_time  # what a reader that is held up gets in one piece with its end was never on the screen
+@pytest.mark.real_time  # a delayed reader may receive the progress line together with its removal
 @pytest.mark.parametrize("columns", [80, *(pytest.param(width, marks=pytest.mark.exhaustive) for width in (40, 132))])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
-    """After every piece of output, each line of the screen is a log's or the progress line; at the end there is none,
-    and the log is whole."""
+    """Each screen line belongs either to the log or to the progress, which is removed at the end. The log is
+    complete."""
     screen, shown = Screen(columns), set()
     with on_terminal([sys.executable, "-c", LOGGING], 24, columns) as (process, pieces):
         for piece in pieces:
@@ -71,8 +70,8 @@ def test_log_and_progress_never_share_a_line(columns: int) -> None:
     assert screen.lines[-2:] == ["result", ""]
 
 
-def test_run_counts_in_a_line_of_its_own() -> None:
-    """The daemon on a terminal: the count goes on, in one line below the log, which is not touched."""
+def test_run_counts_in_a_separate_line() -> None:
+    """The count of a daemon on a terminal increases in one line below the log."""
     screen, counts = Screen(80), []
     with on_terminal([*RUN, "--duration", "2"]) as (process, pieces):
         for piece in pieces:
@@ -90,7 +89,7 @@ def test_run_counts_in_a_line_of_its_own() -> None:
 
 
 def test_interrupted_run_leaves_a_clean_line() -> None:
-    """Ctrl-C at the terminal: the progress line goes, the log's last line says that the force is zero."""
+    """After Ctrl-C the progress line is removed, and the last log line reports zero force."""
     screen = Screen(80)
     with on_terminal(RUN) as (process, pieces):
         for piece in pieces:
@@ -102,7 +101,7 @@ def test_interrupted_run_leaves_a_clean_line() -> None:
 
 
 class Looking(Folder):
-    """A folder of kept kernels that notes what a user would read while one is loaded."""
+    """Folder of cached kernels that stores the progress text while a kernel is loaded."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -114,8 +113,7 @@ class Looking(Folder):
 
 
 def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
-    """While a kernel is compiled the line says so, and shows no share of work that is not begun; while a kept one is
-    loaded it says that; before and after it is the work's."""
+    """While a kernel is compiled or loaded the text shows that instead of a share of the work."""
     while_compiled: list[str] = []
 
     class Look(event.Listener):  # type: ignore[misc]
@@ -129,7 +127,7 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
         return 2.0 * number
 
     folder = Looking(tmp_path / "kernels")
-    for _ in range(2):  # the second finds what the first has kept
+    for _ in range(2):  # the second one finds the cached kernel
         kernel: Any = numba.njit(**OPTIONS)(doubled)
         kernel._cache = KernelCache(doubled, folder)
         assert progress_text("simulating", 3, 10) == "simulating 30%" and progress_text("simulating") == "simulating"
@@ -142,12 +140,12 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
     assert progress_text("simulating", 3, 10) == "simulating 30%"
 
 
-def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
-    """`ctl set_scene` waits for a daemon that compiles, and says so, until the answer comes."""
+def test_ctl_shows_that_the_daemon_compiles(tmp_path: Path) -> None:
+    """`ctl set_scene` shows that it waits for a daemon that may compile, until the answer arrives."""
     endpoint = f"ipc://{tmp_path}/commands"
     with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
         daemon.linger = 0
-        daemon.rcvtimeo = 60_000  # ms: what ctl asks first is up to it
+        daemon.rcvtimeo = 60_000  # ms: ctl chooses its first requests
         daemon.bind(endpoint)
         words = ["ctl", "set_scene", "scene=sphere", "--endpoint", endpoint]
         asking = Program(
@@ -166,7 +164,7 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
                 "set_scene": scene,
             }
             said, asked = "", ""
-            while asked != "set_scene":  # whose address this is, is asked first
+            while asked != "set_scene":  # ctl first requests the owner of this address
                 sender, *_, request = daemon.recv_multipart()
                 command = msgpack.unpackb(request)
                 asked = command["method"]
@@ -178,7 +176,7 @@ def test_ctl_says_that_the_daemon_compiles(tmp_path: Path) -> None:
 
 
 def test_kernels_are_counted_towards_those_of_the_scene() -> None:
-    """A callee is compiled within its caller and counts by itself; beyond the expected number no share is shown."""
+    """A callee compiles within its caller and has its own count; beyond the expected number there is no total."""
     counted, started = CompileProgress(), []
     counted.expect(2)
     counted.on_first = lambda: started.append(str(counted))
@@ -198,7 +196,8 @@ def test_kernels_are_counted_towards_those_of_the_scene() -> None:
 
 
 def test_the_first_compilation_names_the_command_that_compiles_ahead(caplog: pytest.LogCaptureFixture) -> None:
-    """It is logged once, when a kernel is compiled: not for a cached scene, and not after the scene is compiled."""
+    """The message is logged once, when a kernel is compiled: not for a cached scene, and not after the scene is
+    compiled."""
     with caplog.at_level("INFO"):
         with name_warmup("mine.toml"), COMPILE_PROGRESS.loading():
             pass

@@ -1,4 +1,4 @@
-"""The prompt of an experiment on a real daemon: shown to who asks, answered once, refused with one clear error."""
+"""Prompt of an experiment on a daemon: shown on request, answered once, refused with one error."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 
 
 def test_a_question_is_shown_and_answered_once(client: Client) -> None:
-    """Whoever comes later finds it by `get_prompt`; both steps are events, and a second answer is refused."""
+    """Later clients find the question with `get_prompt`. Both steps are events, and a second answer is refused."""
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     told: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
@@ -57,8 +57,8 @@ def test_a_question_is_shown_and_answered_once(client: Client) -> None:
     assert told[-1]["what"] == {"prompt": asked.number, "value": "second"}
 
 
-def test_an_answer_to_an_earlier_question_is_none(client: Client) -> None:
-    """As of a page that is a moment late."""
+def test_an_answer_to_an_earlier_question_is_refused(client: Client) -> None:
+    """A page that is late may send one."""
     before = client.set_prompt(choices=("a", "b")).number
     client.set_prompt(choices=("a", "b"))
     with pytest.raises(CommandRefused, match="answer the one that is shown"):
@@ -68,16 +68,17 @@ def test_an_answer_to_an_earlier_question_is_none(client: Client) -> None:
 @pytest.mark.parametrize(
     "value", ["neither", "", 1.0, True, None, ["first"], {"first": 1}, "x" * 100_000, float("nan")]
 )
-def test_what_is_no_choice_is_refused(client: Client, value: Any) -> None:
-    """Whatever a program sends in a page's name: it is refused, and the question stays open."""
+def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -> None:
+    """The question remains open."""
     asked = client.set_prompt(choices=("first", "second"))
     with pytest.raises(CommandRefused, match="bad_params"):
         client.ask("answer", {"value": value, "prompt": asked.number})
     assert client.get_prompt().open
 
 
-def test_a_text_is_taken_and_not_published(client: Client) -> None:
-    """At most as long as asked for, and not blank; recordings contain events, and a text may be personal."""
+def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
+    """Its length is limited and it may not be blank. It is not in the event, because recordings contain events and a
+    text may be personal."""
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     told: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
@@ -98,8 +99,8 @@ def test_a_text_is_taken_and_not_published(client: Client) -> None:
 
 
 @pytest.mark.parametrize("value", [0.5, 7.01, float("nan"), float("inf"), -float("inf"), "3", True])
-def test_what_is_no_number_of_the_range_is_refused(client: Client, value: Any) -> None:
-    """The ends belong to it."""
+def test_a_number_outside_the_range_is_refused(client: Client, value: Any) -> None:
+    """The range includes its ends."""
     client.set_prompt(number=(1.0, 7.0))
     with pytest.raises(CommandRefused, match="bad_params"):
         client.ask("answer", {"value": value})
@@ -123,8 +124,8 @@ def test_what_is_no_number_of_the_range_is_refused(client: Client, value: Any) -
         ({"html": "<script>"}, "html"),
     ],
 )
-def test_what_is_no_prompt_is_refused(client: Client, asked: dict[str, Any], said: str) -> None:
-    """The one of before stays."""
+def test_an_invalid_prompt_is_refused(client: Client, asked: dict[str, Any], said: str) -> None:
+    """The previous prompt remains."""
     before = client.get_prompt()
     with pytest.raises(CommandRefused, match=said):
         client.ask("set_prompt", asked)

@@ -1,4 +1,4 @@
-"""docs/protocol.md and the reference of telemetry against the code and against messages as they arrive."""
+"""docs/protocol.md and the reference of telemetry against the code and against received messages."""
 
 import inspect
 import re
@@ -74,7 +74,7 @@ def cells(line):
 
 
 def rows_below(text, heading):
-    """Rows of each table of a section, by the head of the table."""
+    """Return the rows of each table of a section by the header of the table."""
     tables, head = {}, None
     for line in text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0].splitlines():
         if not line.startswith("|"):
@@ -88,11 +88,12 @@ def rows_below(text, heading):
 
 
 def doc_tables():
-    """Types by key as the reference has them, for `contact`, `event`, `event guard`, ...: a tick has the record's."""
+    """Return the types by key for `contact`, `event`, `event guard`, ... in the reference; ticks have the record's
+    keys."""
     found = {}
     for topic in re.findall(r"^## `(\w+)`$", TELEMETRY, re.MULTILINE):
         below = rows_below(TELEMETRY, f"## `{topic}`")
-        found[topic] = {} if topic == "state" else {"`schema`": "int"}  # as the head of the page says
+        found[topic] = {} if topic == "state" else {"`schema`": "int"}  # defined at the top of the page
         found[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
         for kinds, key, kind, _ in below.pop(KINDS, []):
             for each in kinds.split(", "):
@@ -109,7 +110,7 @@ def test_tables_list_the_keys_of_the_code():
 
 
 def flatten(message, maps=(), prefix=""):
-    """Values by dotted key; those of `maps` hold what a client gave, and stay whole."""
+    """Return values by dotted key; the values of `maps` come from a client and are not flattened."""
     flat = {}
     for key, value in message.items():
         if isinstance(value, dict) and f"{prefix}{key}" not in maps:
@@ -131,7 +132,7 @@ def type_name(value):
 
 
 def real_messages():
-    """At least one message of each table, as a plain subscriber receives it, with the table's name."""
+    """Return at least one message per table, as a plain subscriber receives it, with the table's name."""
     records = synthetic(1500)
     put(records[10:], "contact.mode", 1)
     put(records[10:11], "contact.cause", CAUSE_NAMES.index("touch"))
@@ -171,7 +172,7 @@ def real_messages():
 
 @pytest.mark.real_time
 def test_real_messages_have_the_documented_keys_and_types():
-    """Every message has exactly the keys of its tables, each with a value of the type written there."""
+    """Every message has exactly the keys of its tables, with values of the documented types."""
     tables = doc_tables()
     seen = set()
     for title, message in real_messages():
@@ -182,34 +183,33 @@ def test_real_messages_have_the_documented_keys_and_types():
     assert seen >= set(CODE_TABLES) - {"event"}
 
 
-def test_lists_and_numbers_in_the_text_are_the_codes():
-    """Schema, backlog and bounds of peers are those of the code."""
+def test_numbers_in_the_text_equal_those_of_the_code():
+    """Checks the schema, the backlog and the bounds of peers."""
     assert f"`schema` is {SCHEMA}." in DOC
     assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{CAPACITY_TICKS} ticks behind" in DOC
     assert f"some {WAKE_INTERVAL_MS} ms of their tick" in DOC
     assert f"newest {CAPACITY_TICKS} rows are there" in DOC and f"| 1 | layout, {memory.LAYOUT}: another" in DOC
     assert f"{BACKLOG} messages are kept" in DOC and f"where none has come for {QUIET_S:g} s" in DOC
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in DOC
-    assert f"There are some {FILES_MAX - 26} connections" in DOC  # the others are the publisher's own files
+    assert f"There are some {FILES_MAX - 26} connections" in DOC  # less files of the publisher itself
     assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in DOC
     assert f"ends within {LINGER_S:g} s" in DOC and f"once in {LOG_PERIOD_S:g} s" in DOC
 
 
-def test_bounds_of_requests_are_the_codes():
-    """Sizes, numbers and rates in the text are those of the code."""
+def test_bounds_of_requests_equal_those_of_the_code():
+    """Checks sizes, counts and rates."""
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
-    page = " ".join(DOC.split())  # wherever its lines break
+    page = " ".join(DOC.split())  # independent of line breaks
     assert f"may ask {BURST} times in {BURST_S:g} s" in page and f"{WAITING_MAX} wait, and more are dropped" in page
     assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in page
 
 
-def test_speeds_of_a_led_hand_are_the_codes():
-    """As the text on `hand` has them."""
+def test_speeds_of_a_controlled_hand_equal_those_of_the_code():
     assert f"at {SPEED_MAX_M_PER_S:g} m/s and {TURN_MAX_RAD_PER_S:g} rad/s at most" in DOC
 
 
 def test_schema_of_the_commands_has_every_method():
-    """As data: each method with the keys that its parameters may have."""
+    """The schema contains each method with the possible keys of its parameters."""
     listed = commands.schema()["methods"]
     assert list(listed) == list(commands.METHODS)
     drive = listed["drive"]["params"]["$defs"]["Drive"]
@@ -218,7 +218,7 @@ def test_schema_of_the_commands_has_every_method():
 
 
 def test_both_clients_have_every_method():
-    """That of asyncio with the same signature, to be awaited."""
+    """The methods of the asyncio client are coroutines with the same signatures."""
     for name in commands.METHODS:
         one, other = getattr(Control, name), getattr(AsyncControl, name)
         assert inspect.signature(one) == inspect.signature(other) and inspect.iscoroutinefunction(other), name
@@ -226,7 +226,7 @@ def test_both_clients_have_every_method():
 
 @pytest.mark.real_time
 def test_command_program_on_the_page_runs():
-    """The program that commands, with the endpoint put in, changes a parameter of a real daemon."""
+    """The documented command program changes a parameter of a daemon."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -239,7 +239,7 @@ def test_command_program_on_the_page_runs():
 
 
 def test_wire_schema_holds_every_table():
-    """The schema that the program prints lists the same messages and keys."""
+    """The printed schema has the same messages and keys."""
     schema = wire_schema()
     assert schema["schema"] == SCHEMA
     listed = {name.replace(" of kind", ""): [key["name"] for key in keys] for name, keys in schema["messages"].items()}
@@ -248,13 +248,13 @@ def test_wire_schema_holds_every_table():
 
 @pytest.mark.real_time
 def test_program_on_the_page_runs():
-    """The program that subscribes, with the endpoint put in, receives ticks from a real publisher and ends."""
+    """The documented subscriber receives consecutive ticks from a publisher and ends."""
     program = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)[0]
     assert "tcp://127.0.0.1:5555" in program
     stop = threading.Event()
 
     def publish(publisher):
-        # Until the program has what it wants: when it connects is up to the machine.
+        # Until the program has its ticks, because the machine determines when it connects.
         first = 0
         while not stop.wait(0.01):
             publisher.publish(synthetic(50, first_tick=first))
@@ -280,8 +280,8 @@ def test_program_on_the_page_runs():
     assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
 
 
-def test_no_topic_begins_another():
-    """ZeroMQ filters by prefix, so a topic that begins another would bring both."""
+def test_no_topic_is_a_prefix_of_another():
+    """ZeroMQ filters by prefix, so such a topic would deliver both."""
     assert not [
         (a, b) for a in (*TOPICS, *SCENE_TOPICS) for b in (*TOPICS, *SCENE_TOPICS) if a != b and b.startswith(a)
     ]

@@ -1,4 +1,4 @@
-"""The publisher: its messages against an encoder of the tests, late subscribers, and a held interpreter lock."""
+"""Publisher: messages against a reference encoder, late subscribers, a blocked interpreter lock, restarts."""
 
 import dataclasses
 import os
@@ -40,7 +40,7 @@ FINGERS = ("index", "thumb")
 
 @pytest.fixture
 def sockets():
-    """A maker of plain subscribers."""
+    """Return a function that creates plain subscribers."""
     with zmq.Context() as context:
         made = []
 
@@ -59,7 +59,7 @@ def sockets():
 
 
 def until_event(socket, name):
-    """Frames of all messages up to the event of that name, which is left out."""
+    """Return the frames of all messages before the event of that name."""
     found = []
     while True:
         frames = socket.recv_multipart()
@@ -69,7 +69,7 @@ def until_event(socket, name):
 
 
 def same(a, b):
-    """Equal in value and in type, at every depth; nan is nan."""
+    """Return True if values and types are equal at every depth, with nan equal to nan."""
     if type(a) is not type(b):
         return False
     if isinstance(a, dict):
@@ -86,7 +86,7 @@ def with_every_set_of_patches(records):
 
 
 def odd(records):
-    """Numbers that have tripped an encoder: no numbers, and the ends of what an integer and a float can be."""
+    """Insert values that have broken an encoder: nan, infinities, and the limits of integers and floats."""
     put(records[1:2], "buttons", np.nan)
     put(records[2:3], "buttons", -np.inf)
     put(records[3:4], "buttons", 2.0**53)
@@ -99,7 +99,8 @@ def odd(records):
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_messages_equal_those_of_the_encoder(sockets, every):
-    """Of one finger and of two: every key, value and type, for every set of patches and for odd numbers."""
+    """For one finger and for two, every key, value and type is equal, for every set of patches and for unusual
+    numbers."""
     rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
     other = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
     with (
@@ -123,8 +124,8 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
             assert same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
 
 
-def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
-    """One tick in 40 at 8 kHz; another name, however long, from the message after it was given."""
+def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
+    """At 8 kHz every 40th tick is sent; a new name of any length applies from the next message on."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         socket = sockets(publisher.endpoint, b"state", b"event")
         join(publisher, socket)
@@ -139,8 +140,9 @@ def test_state_keeps_its_rate_and_says_the_scenes_name(sockets):
             assert {state["active_field"] for state in states} == {name}
 
 
-def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
-    """Without another message being sent; and again for a topic that is asked for later, or anew. No event comes."""
+def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
+    """It needs no further message to be sent, and also works for a topic that is subscribed later or again. Events are
+    not repeated."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         early = sockets(publisher.endpoint, b"event")
         join(publisher, early)
@@ -168,19 +170,19 @@ def test_a_late_subscriber_gets_schema_and_last_state_at_once(sockets):
             assert later.recv_multipart()[0] == b"health"
             later.unsubscribe(b"health")
         publisher.event("test", "after")
-        # Who has subscribed to all of it is sent it once more, and nothing else.
+        # A subscriber to all topics receives them once more, and nothing else.
         again = [topic for topic, _ in until_event(socket, "after")]
         assert sorted(again) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
-def test_the_schema_comes_where_nothing_else_has(sockets):
-    """To the first subscriber of a publisher that has sent nothing."""
+def test_the_schema_is_sent_before_any_other_message(sockets):
+    """The first subscriber of a publisher that has sent nothing gets it."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         assert sockets(publisher.endpoint, b"schema").recv_multipart()[0] == b"schema"
 
 
-def test_while_ticks_come_nobody_is_sent_one_twice(sockets):
-    """However many subscribe meanwhile: each of 2000 ticks once, in order, to who was there before."""
+def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
+    """An early subscriber gets each of 2000 ticks once and in order while others subscribe."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         socket = sockets(publisher.endpoint, b"contact", b"event")
         join(publisher, socket)
@@ -195,7 +197,7 @@ def test_while_ticks_come_nobody_is_sent_one_twice(sockets):
 
 
 def test_plotjugglers_rules_hold_for_every_topic(sockets):
-    """Each message of each topic; and the checker finds what breaks each rule."""
+    """Every message of every topic satisfies them, and the checker finds a violation of each rule."""
     with Publisher("tcp://127.0.0.1:*", fingers=FINGERS) as publisher:
         publisher.set_state_info(StateInfo(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
@@ -229,8 +231,8 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
     assert prefix_complaints(["event", "events"]) == [("event", "events")]
 
 
-def test_hapticores_client_reads_state_and_commands(sockets):
-    """Into a record of exactly its keys, of the types it documents, on its clock, while its heartbeats are answered."""
+def test_the_client_of_hapticore_reads_state_and_commands(sockets):
+    """The state has exactly the keys and types of its record and the client's clock; heartbeats are answered."""
     before = time.monotonic()
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
@@ -274,8 +276,8 @@ with Daemon(rig, load_scene("paper-plane")) as daemon:
 """
 
 
-def test_a_thread_that_keeps_the_interpreter_does_not_hold_up_ticks(sockets):
-    """While one thread of the daemon holds the interpreter lock for 0.9 s, ticks and states go on arriving."""
+def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
+    """While a thread of the daemon holds the interpreter lock for 0.9 s, ticks and states still arrive."""
     with Program([sys.executable, "-c", HELD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             socket = sockets(process.stdout.readline().strip(), b"contact", b"state")
@@ -295,13 +297,13 @@ def test_a_thread_that_keeps_the_interpreter_does_not_hold_up_ticks(sockets):
             process.kill()
     begun, ended = map(float, told[0].split())
     held = [topic for topic, at in times if begun < at < ended]
-    # 900 and 180 were sent; a machine that stands still for a while delivers fewer within that time
+    # 900 and 180 were sent; a machine that stalls delivers fewer within that time
     assert held.count(b"contact") > 100 and held.count(b"state") > 20
 
 
 def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
-    """Subscriber and client connect anew by themselves, it is told and counted, and neither a recording nor a reader
-    of the ticks in memory has a gap."""
+    """Subscribers and clients reconnect, the restart is an event and is counted, and neither a recording nor a reader
+    of shared memory has a gap."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
@@ -318,7 +320,7 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
                 os.kill(publisher.pids["telemetry"], signal.SIGKILL)
                 while not (publisher.restarts == killed and publisher.subscribers == 1):
                     rows.append(local.take(1.0).copy())
-                    while socket.poll(0):  # one that does not read does not subscribe anew either
+                    while socket.poll(0):  # a subscriber that does not read does not resubscribe either
                         found.append(socket.recv_multipart())
                 assert control.mark("again").tick > 0
             named, restarts = set(), 0
@@ -338,7 +340,7 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
 
 
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
-    """It is not tried again and again where nobody has ever heard of it."""
+    """A publisher that has never run is not restarted."""
     monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -349,20 +351,20 @@ def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
 
 @entry
 def write_numbered(broadcast, row, count):
-    """Write rows whose every column is their number."""
+    """Write rows in which every column is the row number."""
     for number in range(count):
         for i in range(row.shape[1]):
             row[0, i] = number
         write_row(broadcast, row, 0)
 
 
-def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
-    """Two million rows through 16 slots past two readers: each row read is whole and newer than the one before, and
-    with those counted as lost they are all."""
+def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
+    """Two readers of two million rows in 16 slots: each row is complete and newer than the previous one, and read and
+    lost rows add up to all."""
     count = 2_000_000
     broadcast = make_broadcast(16, 24)
     places = [make_read_position(broadcast) for _ in range(2)]
-    write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before it is raced
+    write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before the race
     out = np.empty((8, 24))
     for place in places:
         assert read_rows(broadcast, place, out) == 0
@@ -379,11 +381,11 @@ def test_readers_of_a_broadcast_see_no_torn_row_and_count_what_they_miss():
             taken[i] += n
     writer.join()
     assert [taken[i] + int(place.lost[0]) for i, place in enumerate(places)] == [count, count]
-    assert all(place.lost[0] > 0 for place in places)  # they were overtaken: the test was one
+    assert all(place.lost[0] > 0 for place in places)  # the writer did overtake the readers
 
 
 def test_a_publisher_that_is_stuck_in_one_step_ends():
-    """The system ends it after STUCK_S of CPU time, however long it would take."""
+    """The system kills it after STUCK_S of CPU time."""
     program = "from softfinger.server.publishing.process import limit_step\nlimit_step()\nwhile True: pass"
     done = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
     assert done.returncode == -signal.SIGPROF

@@ -1,4 +1,4 @@
-"""The fixtures for tests of other projects: in a pytest of its own, as it finds them installed."""
+"""Fixtures for tests of other projects, in a separate pytest that finds them installed."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ def test_is_not_commanded(softfinger_daemon):
 
 def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
-    with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands go to a socket in it
+    with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands use a socket in it
         environment = os.environ | {"XDG_RUNTIME_DIR": runtime}
         return subprocess.run(
             words, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
         )
 
 
-def test_it_costs_others_nothing() -> None:
-    """Loaded, as by every pytest beside the package, it has imported neither a compiler nor numpy."""
+def test_the_plugin_imports_no_large_modules() -> None:
+    """Every pytest in the environment loads the plugin, so it imports neither a compiler nor NumPy."""
     done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.exhaustive  # four daemons; `make test` has the fixture's passes and failures below
 def test_the_example_project_passes(tmp_path: Path) -> None:
-    """All of its tests, in a folder of their own with nothing of this project's configuration."""
+    """All of its tests pass in a separate folder without this project's configuration."""
     project = tmp_path / "project"
     shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
     done = pytest_in(project)
@@ -66,8 +66,8 @@ def test_the_example_project_passes(tmp_path: Path) -> None:
     assert "4 passed" in done.stdout
 
 
-def test_a_daemon_that_fails_fails_the_test_and_says_why(tmp_path: Path) -> None:
-    """One that never gets ready, one that dies meanwhile, and one of a test that fails: its log is in the report."""
+def test_a_failed_daemon_fails_the_test_with_its_log(tmp_path: Path) -> None:
+    """Covers a daemon that never gets ready, one that dies, and one whose test fails."""
     (tmp_path / "test_bad.py").write_text(DIES)
     done = pytest_in(tmp_path)
     assert done.returncode == 1

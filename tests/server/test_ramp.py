@@ -1,4 +1,4 @@
-"""Parameters on their way: what is ramped, that it arrives to the bit, and what the hand feels of it."""
+"""Parameter ramps: ramped values, exact final values, and the resulting force."""
 
 import numpy as np
 import pytest
@@ -20,9 +20,9 @@ from softfinger.server.loop.tuning import make_tuning
 
 TICKS = 100
 DEPTH_M = 0.01 - 0.009
-"""Of the faulty device, to the bit."""
+"""Depth of the faulty device, exact to the bit."""
 MATERIAL = "object.table.material"
-ROUNDING = 1e-9  # of forces around 1 N that differ by 5 mN a tick
+ROUNDING = 1e-9  # of forces around 1 N that change by 5 mN per tick
 
 
 def scene(**changes):
@@ -34,7 +34,7 @@ def way_from(tree, ticks=TICKS):
 
 
 def gone(way, tree, ticks):
-    """The tree after so many ticks on the way."""
+    """Return the tree after so many ticks of the ramp."""
     for _ in range(ticks):
         if way.ticks_left[0] > 0:
             ramp.advance(way)
@@ -42,8 +42,8 @@ def gone(way, tree, ticks):
 
 
 @pytest.mark.plain
-def test_all_that_acts_on_the_force_is_on_its_way_together():
-    """Half way each is half way; at the end it is the other scene to the bit, and nothing goes on."""
+def test_all_values_that_affect_the_force_are_ramped_together():
+    """In the middle of a ramp each value is in the middle; at the end all are equal to the new scene bit for bit."""
     old = build_scene(scene())
     new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
     way = way_from(old)
@@ -56,8 +56,8 @@ def test_all_that_acts_on_the_force_is_on_its_way_together():
 
 
 @pytest.mark.plain
-def test_what_says_where_and_what_is_allowed_is_there_at_once():
-    """An object's place and a guard's limits do not wait, nor does such a change begin a ramp anew."""
+def test_positions_and_limits_change_immediately():
+    """An object's position and a guard's limits are not ramped, and changing them does not restart a ramp."""
     guard = load_rig("replay").guard
     old = make_tuning(scene(), guard)
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
@@ -75,8 +75,8 @@ def test_what_says_where_and_what_is_allowed_is_there_at_once():
 
 
 @pytest.mark.plain
-def test_an_array_is_another_at_once():
-    """What a law of another package owns is reached by its address, of which there is no half way."""
+def test_an_array_changes_immediately():
+    """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
     way = way_from(old)
     ramp.set_target(way, flatten(new))
@@ -85,8 +85,9 @@ def test_an_array_is_another_at_once():
 
 
 @pytest.mark.plain
-def test_a_power_law_changes_its_force_evenly_at_every_depth():
-    """Both numbers of K d (delta / d)^p on their way, the force at no depth leaves what it is at both ends."""
+def test_a_power_law_ramps_its_force_linearly_at_every_depth():
+    """While coefficient and exponent of K d (delta / d)^p change, a force that is equal at both ends remains
+    constant."""
     ends = [
         model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
@@ -96,18 +97,18 @@ def test_a_power_law_changes_its_force_evenly_at_every_depth():
     ramp.set_target(way, flatten(new))
     for _ in range(TICKS):
         law = gone(way, old, 1).material.normal
-        assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # a power a tick
+        assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
 
 
 @entry
 def stiffness_of(like, values, index):
-    """Of one of many objects, with its friction."""
+    """Return stiffness and static friction of one of many objects."""
     body = object_at(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
 
-def test_many_objects_are_ramped_as_well():
-    """Stiffness and friction of one of nine go to half, the others stay, and so does what was given."""
+def test_many_objects_are_ramped():
+    """Stiffness and friction of one of nine objects change; the other objects and the input do not."""
 
     def tiles(softer):
         rubber = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.8, "kinetic": 0.1}}
@@ -130,8 +131,8 @@ def test_many_objects_are_ramped_as_well():
 
 
 @pytest.mark.plain
-def test_no_ticks_are_at_once():
-    """With a ramp of 0 s the next tick has what was set."""
+def test_a_ramp_without_ticks_is_immediate():
+    """With a ramp of 0 s the next tick has the new value."""
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     way = way_from(old, 0)
     ramp.set_target(way, flatten(new))
@@ -139,9 +140,9 @@ def test_no_ticks_are_at_once():
 
 
 @pytest.mark.real_time
-def test_a_stiffness_that_changes_in_contact_is_no_step_of_the_force():
-    """Halved, then four times that: no tick has more than its share of the whole change, the force arrives exactly, and
-    a change on the way goes on from where it is."""
+def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
+    """The stiffness is halved, then quadrupled: no tick exceeds its share of the change, the final force is exact, and
+    a change during a ramp starts at the current value."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
     servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
@@ -161,11 +162,11 @@ def test_a_stiffness_that_changes_in_contact_is_no_step_of_the_force():
     normal, felt = records[:, AT.contact_normal_force], records[:, AT.force + 2]
     assert (normal[50:] == felt[50:]).all()
     assert normal[199] == 1000.0 * DEPTH_M and normal[changed[1] - 1] == 500.0 * DEPTH_M
-    assert normal[-1] == pytest.approx(1000.0 * DEPTH_M, rel=1e-15)  # once more the product of two numbers
+    assert normal[-1] == pytest.approx(1000.0 * DEPTH_M, rel=1e-15)  # again a product of two numbers
     halved, raised = slice(199, changed[1]), slice(changed[1] - 1, changed[2])
     assert np.abs(np.diff(normal[halved])).max() <= 0.5 / TICKS * (1.0 + ROUNDING)
     assert np.abs(np.diff(normal[raised])).max() <= 1.5 / TICKS * (1.0 + ROUNDING)
     turned = int(normal.argmax())
-    assert turned >= changed[2] - 1 and 0.5 < normal[turned] < 2.0  # it was on its way
+    assert turned >= changed[2] - 1 and 0.5 < normal[turned] < 2.0  # it was in a ramp
     assert np.abs(np.diff(normal[turned:])).max() <= abs(normal[turned] - 1.0) / TICKS * (1.0 + ROUNDING)
     assert np.count_nonzero(np.diff(normal[halved])) == TICKS

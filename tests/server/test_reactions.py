@@ -1,4 +1,5 @@
-"""Energy of contacts with bodies that move: of the relative motion, and none for the hands in a closed cycle."""
+"""Energy of contacts with moving bodies: it depends on the relative motion, and a closed cycle returns none to the
+hands."""
 
 from __future__ import annotations
 
@@ -50,14 +51,14 @@ RISE = 0.05
 
 
 def smooth(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.float64]:
-    """From 0 to 1 without a jump of the acceleration."""
+    """Return a transition from 0 to 1 with continuous acceleration."""
     u = np.clip((ticks - first) / length, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
 
-def test_lowering_is_no_energy_of_the_contact_and_a_closed_cycle_gives_none(tmp_path: Path) -> None:
-    """A box is taken, lifted, lowered and let go. The energy that is observed stays what pressing has stored while the
-    hands are given the box's weight times the way; over all the hands have given, and no contact has made anything."""
+def test_lowering_a_box_and_a_closed_cycle_generate_no_contact_energy(tmp_path: Path) -> None:
+    """A box is gripped, lifted, lowered and released. The observed energy remains at that of the grip, while the hands
+    do the work of the weight. Over the cycle the hands have lost energy, and no contact has generated any."""
     (tmp_path / "box.xml").write_text(BOX)
     scene = load_scene(SCENE | {"world": {"model": str(tmp_path / "box.xml"), "material": MATERIAL}})
     ticks = np.arange(1200)
@@ -71,7 +72,7 @@ def test_lowering_is_no_energy_of_the_contact_and_a_closed_cycle_gives_none(tmp_
     by_hands = -np.einsum("tfi,tfi->tf", force[:-1], np.diff(poses[:, :, :3], axis=0)).cumsum(axis=0)
     weight = 0.5 * MASS * 9.81 * RISE
     lifted, lowered = by_hands[550] - by_hands[150], by_hands[950] - by_hands[550]
-    np.testing.assert_allclose(lifted, weight, rtol=0.05)  # and what the dampers took
+    np.testing.assert_allclose(lifted, weight, rtol=0.05)  # plus the work of the dampers
     np.testing.assert_allclose(lowered, -weight, rtol=0.05)
     assert np.ptp(observed[150:950], axis=0).max() < 0.05 * weight  # the sag is 0.4 mJ, the dampers take 0.5 mJ
     assert observed.min() > -1e-9

@@ -1,4 +1,4 @@
-"""Real-time settings, asked of the real kernel in processes of their own, with and without privilege."""
+"""Real-time settings, read back from the kernel in separate processes, with and without privilege."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, ref
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(sys.platform != "linux", reason="Linux calls")]
 
-# Runs in a child: lowers what argv[1] says, then makes the settings in a thread and tells what the kernel shows.
+# Runs in a child: reduces privileges as argv[1] specifies, applies the settings in a thread and prints the kernel's
+# values.
 CHILD = """
 import ctypes, json, mmap, os, resource, sys, threading
 from softfinger.config.errors import RealtimeError
@@ -115,10 +116,8 @@ def child(
     keep: tuple[int, ...] = (),
     limits: dict[str, int] | None = None,
 ) -> dict[str, Any]:
-    """What the settings did in a fresh process.
-
-    `limits` are lowered first; then `drop` gives up root, except for the capabilities in `keep`.
-    """
+    """Return the effect of the settings in a new process. `limits` are lowered first; then `drop` gives up root, except
+    for the capabilities in `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
     wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
     done = subprocess.run(
@@ -131,7 +130,7 @@ def child(
 
 
 def capable(*bits: int) -> bool:
-    """Whether this process has the capabilities of these numbers."""
+    """Return True if this process has these capabilities."""
     if sys.platform != "linux":
         return False
     with open("/proc/self/status", encoding="ascii") as file:
@@ -148,8 +147,8 @@ raises_limits = pytest.mark.skipif(
 )
 
 
-def test_off_touches_nothing() -> None:
-    """Mode off reports one line and leaves scheduler, slack, memory, processor and files as they were."""
+def test_off_changes_nothing() -> None:
+    """Mode off reports one line and does not change scheduler, slack, memory, processor and files."""
     told = child("off", cpu=0)
     assert [s["name"] for s in told["settings"]] == ["off"]
     assert told["by_name"]["off"]["ok"]
@@ -158,7 +157,7 @@ def test_off_touches_nothing() -> None:
 
 @privileged
 def test_everything_is_granted_to_root() -> None:
-    """Root gets every setting, in the calling thread alone, and the kernel shows each of them."""
+    """Root gets every setting, only in the calling thread, and the kernel confirms each."""
     cpu = max(os.sched_getaffinity(0))
     told = child(priority=71, cpu=cpu)
     refused = {s["name"] for s in told["settings"] if not s["ok"]}
@@ -168,7 +167,7 @@ def test_everything_is_granted_to_root() -> None:
     ]  # fmt: skip
     during = told["during"]
     assert (during["policy"], during["priority"], during["cpus"]) == (os.SCHED_FIFO, 71, [cpu])
-    # The kernel keeps no slack for SCHED_FIFO threads (0), older ones keep what was asked (1).
+    # Newer kernels have no slack for SCHED_FIFO threads (0), older ones use the requested one (1).
     assert during["slack"] in (0, 1)
     assert during["locked"] > 10_000
     assert during["held"] == (0 if refused else 1)
@@ -178,8 +177,8 @@ def test_everything_is_granted_to_root() -> None:
 
 @privileged
 @pytest.mark.parametrize("drop", [False, True])
-def test_undo_gives_everything_back(drop: bool) -> None:
-    """After undo, called twice, the thread and the process are as before."""
+def test_undo_restores_everything(drop: bool) -> None:
+    """After two calls of undo, thread and process are in their initial state."""
     told = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
     assert told["by_name"]["sched_fifo"]["ok"]
     assert told["during"] != told["before"]
@@ -187,17 +186,17 @@ def test_undo_gives_everything_back(drop: bool) -> None:
 
 
 @privileged
-def test_what_a_tick_may_touch_is_brought_in_and_the_rest_locked_on_touch() -> None:
-    """Small areas mapped before and the thread's own stack are there at their first use; a large one, and one that is
-    mapped later, is locked, but not brought in whole."""
+def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
+    """Small areas mapped before and the thread's stack cause no page fault. A large area, and one mapped later, is
+    locked but not loaded entirely."""
     told, free = child(), child("off")
-    # 2 MB are 512 pages; huge pages may make that few, hence the comparison with the same child unlocked.
+    # 2 MB are 512 pages, fewer with huge pages, hence the comparison with an unlocked child.
     assert told["early_faults"] == 0 < free["early_faults"]
     assert told["stack_faults"] == 0 < free["stack_faults"]
     assert told["during"]["locked"] > 64 * 1024
     assert told["large_faults"] > 0
     assert told["late_locked"] == 64 * 1024
-    # A few pages of the interpreter's own may come in meanwhile.
+    # Some pages of the interpreter may be loaded in between.
     assert told["late_resident"] < 4 * 1024
     assert told["late_faults"] > 0
 
@@ -222,8 +221,8 @@ print(after < before / 4, code() > after)
 
 
 @privileged
-def test_the_compiler_is_not_kept_in_memory() -> None:
-    """Its code is let go of when memory is locked, and is there again when it is called."""
+def test_the_compiler_is_not_locked_in_memory() -> None:
+    """Its code is released when memory is locked, and is loaded again when it is called."""
     done = subprocess.run([sys.executable, "-c", COMPILER], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout == "True True\n", done.stderr
 
@@ -241,7 +240,7 @@ with open(os.fsencode(sys.argv[1]) + bytes([47, 255]), "wb+") as file:
 
 
 def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
-    """Not all bytes are UTF-8: every setting is made all the same."""
+    """File names need not be valid UTF-8."""
     words = [sys.executable, "-c", MAPPED, str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert "mlockall" in done.stdout, done.stderr
@@ -249,7 +248,8 @@ def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
 
 @raises_limits
 def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
-    """Without privilege and under a limit that suffices now, what comes later is left alone: it could not be mapped."""
+    """Without privilege, under a limit that is sufficient now, later pages are not locked, because they could not be
+    mapped."""
     told = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
     assert told["by_name"]["mlockall"]["ok"]
     assert "later is not" in told["by_name"]["mlockall"]["detail"]
@@ -259,7 +259,7 @@ def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
 
 @raises_limits
 def test_limits_grant_without_root() -> None:
-    """An ordinary user with rtprio 50 gets priority 50, and is told the limit when asking for 80."""
+    """A user with rtprio 50 gets priority 50; the refusal of 80 contains the limit."""
     limits = {"RLIMIT_RTPRIO": 50, "RLIMIT_MEMLOCK": -1}
     granted = child(priority=50, drop=True, limits=limits)
     assert granted["by_name"]["sched_fifo"]["ok"]
@@ -270,8 +270,8 @@ def test_limits_grant_without_root() -> None:
     assert "priority is 50" in refused["advice"]
 
 
-def test_refusals_tell_why_and_what_to_do() -> None:
-    """Without privilege each refusal carries the system's reason and the ways to lift it; the rest is set."""
+def test_refusals_have_reason_and_remedy() -> None:
+    """Without privilege each refusal contains the system's reason and the remedies; the other settings are applied."""
     told = child(drop=True, limits=UNPRIVILEGED)
     by_name = told["by_name"]
     fifo, memory = by_name["sched_fifo"], by_name["mlockall"]
@@ -294,15 +294,15 @@ def test_refusals_tell_why_and_what_to_do() -> None:
     assert told["after"] == told["before"]
 
 
-def test_no_lock_at_all_is_told_apart() -> None:
-    """A limit of zero is refused as not permitted, not as too large."""
+def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
+    """It is not reported as too large."""
     memory = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
     assert not memory["ok"]
     assert "EPERM" in memory["detail"]
 
 
-def test_require_refuses_to_start_and_leaves_nothing_behind() -> None:
-    """Mode require raises one error with everything refused, and gives back what had been granted."""
+def test_require_refuses_to_start_and_restores_everything() -> None:
+    """Mode require raises one error that lists all refusals, and undoes the granted settings."""
     told = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
     for name in REQUIRED:
         assert f"\n  {name}: " in told["error"]
@@ -313,16 +313,16 @@ def test_require_refuses_to_start_and_leaves_nothing_behind() -> None:
 
 
 @privileged
-def test_require_is_content_with_what_is_required() -> None:
-    """Mode require starts without the latency device, which an ordinary user may not open."""
+def test_require_starts_without_optional_settings() -> None:
+    """Mode require starts without the latency device, which users may not open."""
     told = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
     assert "error" not in told
     assert [s["name"] for s in told["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
     assert told["by_name"]["cpu_dma_latency"]["ok"] == told["latency_device"]
 
 
-def test_processor_that_is_not_there() -> None:
-    """A processor this machine does not have is refused with the ones it has."""
+def test_a_missing_processor_is_refused() -> None:
+    """The advice lists the available processors."""
     setting = child(cpu=1023)["by_name"]["affinity"]
     assert not setting["ok"]
     assert "1023" in setting["detail"]
@@ -330,7 +330,7 @@ def test_processor_that_is_not_there() -> None:
 
 
 def test_other_systems_are_refused_by_name() -> None:
-    """On a system without these calls every setting is refused with that reason."""
+    """On other systems every setting is refused with that reason."""
     settings = refused_elsewhere("darwin", cpu=0)
     assert [s.name for s in settings] == ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"]
     assert not any(s.ok for s in settings)
@@ -339,7 +339,7 @@ def test_other_systems_are_refused_by_name() -> None:
 
 
 def test_off_in_this_process() -> None:
-    """Mode off needs no system call at all, so it works in any process."""
+    """Mode off makes no system call, so it works in any process."""
     applied = apply("off", 80, 0)
     applied.undo()
     assert [s.ok for s in applied.settings] == [True]

@@ -1,4 +1,4 @@
-"""`record --poses`: what a daemon sensed, written from the wire, is what `replay` plays."""
+"""`record --poses`: poses written from telemetry equal those that `replay` plays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RATE_HZ = 1000.0
 
 
 def follow(daemon: Daemon, path: Path) -> RecordingStats:
-    """Run a daemon to its end, and record it as another program does."""
+    """Run a daemon to its end and record it as another program would."""
     done: list[RecordingStats] = []
 
     def take() -> None:
@@ -52,7 +52,7 @@ def follow(daemon: Daemon, path: Path) -> RecordingStats:
 
 
 def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
-    """Run the daemon on a shipped recording, record it, and give back what the device played."""
+    """Record a daemon that plays a shipped recording; return the statistics and the played poses."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
     changes |= {"device.recording": "tap", "device.loop": False}
     with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
@@ -62,7 +62,7 @@ def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStat
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
 def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
-    """What the daemon played comes back from its recording to the bit, tick by tick, also where 1/rate is not exact."""
+    """Replayed poses equal the played ones bit for bit in every tick, also if 1/rate is not exact."""
     file = tmp_path / "again.csv"
     kept, played = recorded_daemon(file, rate_hz)
     assert kept.end_reason == "the server stopped"
@@ -70,13 +70,13 @@ def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) 
     assert kept.poses > len(played) - 500, "the recorder was too late for most of it"
     again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
     assert len(again) == kept.poses
-    # the last sample is read once more when the recording has come to its end
+    # after the end of the recording its last sample is read again
     expected = played[np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)]
     assert again.tobytes() == expected.tobytes()
 
 
 def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
-    """An MCAP recording keeps whole ticks; replayed, its poses are those of the ticks within the clock's rounding."""
+    """An MCAP recording has complete ticks, and its poses can be loaded."""
     file = tmp_path / "again.mcap"
     kept, played = recorded_daemon(file)
     records = read_results(file)
@@ -90,8 +90,8 @@ def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
-    """A hand on an omega.6 is recorded twice at once, as poses and as whole ticks; each pose that was sensed comes back
-    from a replay of the poses in the tick that it belongs to, to the bit."""
+    """Poses and complete ticks of a hand on an omega.6 are recorded. A replay of the poses has each sensed pose in its
+    tick, bit for bit."""
     stub.update(**PRESSING)
     file = tmp_path / "hand.csv"
     with (
@@ -103,7 +103,7 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
     assert kept.lost == 0 and kept.poses > 1000
     sensed = sensed[(sensed[:, AT.tick] >= kept.first_tick) & (sensed[:, AT.tick] <= kept.last_tick)]
     again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
-    # A deadline that the loop missed is in the time step of the next pose.
+    # The time step of a pose includes deadlines missed before it.
     periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
     at = np.cumsum(periods) - periods[0] + len(again) - 1 - (np.sum(periods) - periods[0])
     pose = slice(AT.probe_position, AT.probe_position + 7)
@@ -112,7 +112,7 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
 
 
 def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
-    """Record what a publisher sends, followed by the event that the server stopped."""
+    """Record a publisher's records, followed by the event that the server stopped."""
     file = tmp_path / "poses.csv"
     with (
         Publisher("tcp://127.0.0.1:*", every=every) as publisher,
@@ -125,7 +125,7 @@ def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: An
 
 
 def moving(count: int) -> np.ndarray:
-    """Records at 1 kHz whose first coordinate says which tick they are."""
+    """Return records at 1 kHz whose first coordinate is the tick number."""
     records = synthetic(count)
     put(records, "dt", 0.001)
     put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
@@ -133,20 +133,20 @@ def moving(count: int) -> np.ndarray:
     return records
 
 
-def test_gaps_are_told_and_keep_their_time(tmp_path: Path) -> None:
-    """Ticks that did not arrive are counted, the longest gap is named, and the rows behind it are not moved up."""
+def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
+    """Missing ticks are counted, the longest gap is reported, and later rows keep their times."""
     kept, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
     assert (kept.poses, kept.lost, kept.gap_count, kept.worst) == (396, 4, 2, (49, 3))
     assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in kept.gaps()
     poses = load_poses(file)
-    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # whole milliseconds, both
+    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # both in whole milliseconds
 
 
 def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
-    """A tick whose step is three periods long, after missed deadlines, comes three periods after the one before."""
+    """A tick with a time step of three periods, after missed deadlines, is three periods after the previous one."""
     records = moving(250)
     put(records[100:101], "dt", 0.003)
-    put(records[0:1], "dt", 0.002)  # late when the recording begins: not the period
+    put(records[0:1], "dt", 0.002)  # late when the recording starts: not the period
     _, file = published(tmp_path, records)
     t = load_poses(file).t
     steps = np.diff(t)
@@ -155,28 +155,28 @@ def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
 
 
 def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
-    """Thinned telemetry makes a thinner recording of the same time, and nothing is called lost."""
+    """Thinned telemetry gives a thinner recording of the same duration without losses."""
     kept, file = published(tmp_path, moving(501), every=5)
     assert (kept.poses, kept.lost, kept.every) == (101, 0, 5)
     np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
 
 
 def test_duration_ends_the_recording(tmp_path: Path) -> None:
-    """So many seconds of ticks are written, whatever the publisher goes on to send."""
+    """The recording contains the requested duration even if the publisher continues."""
     kept, file = published(tmp_path, moving(400), duration_s=0.3)
     assert kept.end_reason == "0.3 s are over"
     assert len(load_poses(file).t) == 300
 
 
 def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
-    """Ticks that go back belong to another run: the file ends before them."""
+    """Decreasing tick numbers belong to another run, so the file ends before them."""
     kept, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
     assert kept.end_reason == "the server started again"
     assert len(load_poses(file).t) == 100
 
 
-def test_what_is_no_pose_is_left_out(tmp_path: Path) -> None:
-    """A device that senses nan for a tick leaves a hole, told, in a file that replay can play."""
+def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
+    """A tick with NaN is left out with a report, and the file can be replayed."""
     records = moving(100)
     put(records[30:31], "probe.position", np.nan)
     kept, file = published(tmp_path, records)
@@ -185,8 +185,8 @@ def test_what_is_no_pose_is_left_out(tmp_path: Path) -> None:
     assert len(load_poses(file).t) == 99
 
 
-def test_bad_files_and_silence_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A foreign ending, a folder that is not there and a server that is not there each give their error."""
+def test_bad_files_and_a_missing_server_raise_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong ending, a missing folder and a missing server each raise a specific error."""
     with pytest.raises(ConfigError, match=r"poses\.txt: poses are recorded as \.csv or \.mcap"):
         cli_record(tmp_path / "poses.txt")
     with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
@@ -203,8 +203,8 @@ def cli_record(path: Path) -> None:
         record(wire, {"": path})
 
 
-def test_the_verb_says_what_it_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The command line records a publisher for a while and says ticks, time and losses in one line."""
+def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The command line records for 0.5 s and reports ticks, duration and losses in one line."""
     file = tmp_path / "poses.csv"
     stop = threading.Event()
     with Publisher("tcp://127.0.0.1:*") as publisher:
@@ -231,7 +231,7 @@ def test_the_verb_says_what_it_kept(tmp_path: Path, caplog: pytest.LogCaptureFix
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("dt", [0.0, -0.001, 1e300, np.inf, np.nan])
 def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None:
-    """A time step that no loop has ends the recording with one error that shows it, and not with a traceback."""
+    """An impossible time step ends the recording with one error that contains it."""
     records = synthetic(300)
     put(records, "dt", dt)
     with pytest.raises(ProtocolError, match=r"tick \d+ has dt = "):

@@ -1,4 +1,4 @@
-"""A shipped recording over a mesh full of bumps, by the command line: no force comes of itself."""
+"""A shipped recording over a bumpy mesh, by the command line: every change of the force has a cause."""
 
 import subprocess
 import sys
@@ -16,7 +16,7 @@ STIFFNESS = 1000.0
 BALL, BUMPS = 0.15, 0.003
 DEEPER, WIDER = 0.002, 2.0
 ROUNDING = 1e-9
-pytestmark = pytest.mark.exhaustive  # half a minute of compiling; tests/proxy has meshes with bumps tick by tick
+pytestmark = pytest.mark.exhaustive  # half a minute of compiling; tests/proxy has bumpy meshes tick by tick
 SCENE = f"""
 [fingertip]
 radius_m = {R}
@@ -38,7 +38,8 @@ torsion = {{ stiffness_nm_per_rad = 0.05, friction_length_m = 0.004 }}
 
 @pytest.fixture(scope="module")
 def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
-    """Fields of all ticks: press, roll, spin and drag, twice as wide and 2 mm deeper, over 82 000 triangles."""
+    """Return the fields of all ticks: press, roll, spin and drag, twice as wide and 2 mm deeper, over 82 000
+    triangles."""
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = meshes.bumpy_sphere(64, BALL, height=BUMPS, waves=80.0)
     up = np.array([0.6, 0.48, 0.64])  # where the bumps are high: they are 0 on the axes
@@ -61,12 +62,12 @@ def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
 
 
 def step(values: Array) -> Array:
-    """How far a field (n, k) goes in each tick."""
+    """Return the change of a field (n, k) in each tick."""
     return np.linalg.norm(np.diff(values, axis=0), axis=1)
 
 
 def tangential(visited: dict[str, Array]) -> Array:
-    """Force (n, 3) N of friction, of all patches."""
+    """Return the friction force (n, 3) N of all patches."""
     total = np.zeros_like(visited["force"])
     for patch in range(3):
         force, normal = visited[f"contacts{patch}.force"], visited[f"contacts{patch}.normal"]
@@ -74,8 +75,8 @@ def tangential(visited: dict[str, Array]) -> Array:
     return total
 
 
-def test_it_goes_over_bumps_as_a_hand_does(visited: dict[str, Array]) -> None:
-    """A few millimetres deep; stuck, sliding and free; held by one, two and three triangles: all of it is looked at."""
+def test_the_recording_covers_all_kinds_of_contact(visited: dict[str, Array]) -> None:
+    """It is a few millimetres deep, sticks, slides and is free, and touches up to three triangles at once."""
     depth = np.linalg.norm(visited["proxy.position"] - visited["probe.position"], axis=1)
     assert 2e-3 < depth.max() < 6e-3
     assert set(visited["contact.mode"].astype(int)) == {0, 1, 2}
@@ -83,24 +84,26 @@ def test_it_goes_over_bumps_as_a_hand_does(visited: dict[str, Array]) -> None:
     assert len(np.unique(visited["contact.normal"].round(6), axis=0)) > 1000
 
 
-def test_all_is_finite_and_no_search_was_cut_short(visited: dict[str, Array]) -> None:
-    """No NaN, and no tick that had to leave triangles unasked."""
+def test_all_is_finite_and_no_search_was_truncated(visited: dict[str, Array]) -> None:
+    """There is no NaN, and no tick omitted triangles."""
     assert all(np.isfinite(values).all() for values in visited.values())
     assert not visited["contact.budget"].any()
 
 
-def test_no_force_jumps_by_more_than_depth_and_slip_explain(visited: dict[str, Array]) -> None:
-    """What presses is K times the way from the probe to the proxy without friction. That is not recorded, but goes no
-    farther in a tick than the probe and the proxy that is, unless something is lost: |dF| <= K (|dx| + |dy|), and what
-    friction changed beside. Friction's spring is wound by the same ways, and by r d(theta) where the fingertip rolls,
-    and unwound by depth times the turn of the normal where it is led; where it slips, the proxy goes with it as far as
-    a groove lets it, and friction that has just let go falls from one cone to the other."""
+def test_force_steps_are_explained_by_depth_and_slip(visited: dict[str, Array]) -> None:
+    """The change of the force per tick is bounded by the motion.
+
+    The pressing force is K times the distance from the probe to the frictionless proxy. That proxy is not recorded, but
+    moves no farther per tick than the probe and the recorded proxy: |dF| <= K (|dx| + |dy|) plus the change of the
+    friction. The friction spring is loaded by the same displacements and by r d(theta) of rolling, and changes by depth
+    times the rotation of the normal. When sticking ends, friction falls from the static to the kinetic cone.
+    """
     probe, proxy = step(visited["probe.position"]), step(visited["proxy.position"])
-    rolled = 2.0 * R * step(visited["probe.orientation"])  # a quaternion goes half the angle
+    rolled = 2.0 * R * step(visited["probe.orientation"])  # a quaternion changes by half the angle
     farther = visited["contact.normal_force"][:-1] * step(visited["contact.normal"])
     let_go = (visited["contact.cause"][:-1] != 0.0) & (visited["contact.mode"][:-1] == SLIDING)
     falls = (FRICTION["static"] - FRICTION["kinetic"]) * visited["contact.normal_force"][:-1] * let_go
     friction = step(tangential(visited))
-    assert step(visited["force"]).max() > 0.1  # a slip begins: there is something to explain
+    assert step(visited["force"]).max() > 0.1  # a slip starts, so there are large steps
     assert (step(visited["force"]) <= STIFFNESS * (probe + proxy) + friction + ROUNDING).all()
     assert (friction <= STIFFNESS * (probe + proxy + rolled) + farther + falls + ROUNDING).all()

@@ -1,4 +1,4 @@
-"""Another scene or rig in a running daemon: from zero force, without an end of the process."""
+"""Replacing scene or rig in a running daemon: the force starts at zero, and the process continues."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ FORCE = slice(AT.force, AT.force + 3)
 TIMES = 20
 SLEW = 200.0
 WAIT_S = 120.0
-"""A generous bound: a compile, on a machine that does much else."""
+"""Generous limit: a compilation on a busy machine."""
 
 
 class Kept:
-    """A sink that keeps tick, timestamp, misses and force of every record."""
+    """Sink that stores tick, timestamp, misses and force of every record."""
 
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
@@ -51,7 +51,7 @@ class Kept:
         return np.concatenate(self.rows)
 
     def pressed(self) -> bool:
-        """Whether the last force seen is one that the hand feels."""
+        """Return True if the last force is large enough to feel."""
         return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
 
 
@@ -72,8 +72,8 @@ def left_open() -> tuple[int, int]:
 
 @pytest.mark.parametrize("rig_name", ["replay", "simulated"])
 def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
-    """Twenty times, the hand pressed each time: no force changes faster than the slew limit, the last of each loop is
-    zero, ticks and times go on, and nothing is left of the loops before."""
+    """Twenty scenes are replaced while the hand presses. The force never exceeds the slew limit, each loop ends at
+    zero, ticks and times continue, and nothing of earlier loops remains."""
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
     rig, kept, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
@@ -88,9 +88,9 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
             if time_number == 1:  # both are compiled
                 open_before = left_open()
             assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
-        # Fewer is nothing left, too: a file of kept kernels may have been open when they were counted first.
+        # Fewer are fine too: a file of cached kernels may have been open during the first count.
         assert all(now <= before for now, before in zip(left_open(), open_before, strict=True))
-        assert not running.wait(0.0)  # it goes on
+        assert not running.wait(0.0)  # it continues
         assert len(running.servo.records._rings) == 1
         gc.collect()
         assert sum(loop() is not None for loop in loops) == 0
@@ -105,15 +105,15 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
     assert not rows[[number - 1 for number in begun], 3:].any()
     largest = rig.guard.force_max_n / (MAX_OFF_S * rig.servo.rate_hz)
-    for forces in (rows[:, 3:], written[:-2, :3]):  # but the last zeros, of a stop in contact
+    for forces in (rows[:, 3:], written[:-2, :3]):  # except the last zeros, of a stop in contact
         steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
         assert steps.max() <= largest * (1.0 + 1e-9)  # rounding of the sum that makes a step
         assert np.linalg.norm(forces, axis=1).max() > 0.2
 
 
-def test_a_rig_that_asks_for_more_than_the_device_displays_gets_no_more():
-    """A guard of 40 N, the most of any rig, in the place of one of 0.2 N, while the hand presses: what it is given then
-    is what its device displays, 0.3 N, to the bit of a scaled vector, and never more."""
+def test_a_new_rig_cannot_exceed_the_force_of_the_device():
+    """A guard of 40 N, the maximum of all rigs, replaces one of 0.2 N while the hand presses. The force then equals the
+    0.3 N of the device up to rounding, and never exceeds it."""
     most, device = 0.3, {"device.force_max_n": 0.3}
     kept, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
     with Daemon(rig, load_scene("paper-plane"), sinks=[kept.sink]) as running:
@@ -130,8 +130,9 @@ def test_a_rig_that_asks_for_more_than_the_device_displays_gets_no_more():
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
 
 
-def test_a_stiff_scene_exchanged_in_contact_fades_in_as_any_other():
-    """A wall of 1 MN/m asks for many times the limit in its first tick: it gets a share that grows with the ramp."""
+def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
+    """A wall of 1 MN/m requires many times the limit in its first tick; the force is a share that grows with the
+    ramp."""
     rig, kept = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with Daemon(rig, load_scene("frictionless-plane"), sinks=[kept.sink]) as running:
@@ -144,11 +145,11 @@ def test_a_stiff_scene_exchanged_in_contact_fades_in_as_any_other():
     forces = np.linalg.norm(kept.all[begun : begun + 500, 3:], axis=1)
     limits = rig.guard.force_max_n * np.arange(1, 501) / (rig.guard.ramp_s * rig.servo.rate_hz)
     assert (forces <= limits * (1.0 + 1e-9)).all()  # rounding of the sum of shares
-    assert (forces[:20] > 0.9 * limits[:20]).all()  # the hand is still there
+    assert (forces[:20] > 0.9 * limits[:20]).all()  # the hand has not moved away yet
 
 
-def test_subscribers_stay_and_are_told():
-    """One subscriber hears of the replacement, with the first tick of what is new, and gets every tick."""
+def test_subscribers_stay_connected_and_get_an_event():
+    """The event contains the first tick of the new scene, and no tick is lost."""
     rig, (first, second) = load_rig("replay", QUIET), scenes()
     with Daemon(rig, first) as running, zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 60_000
@@ -173,8 +174,8 @@ def test_subscribers_stay_and_are_told():
 
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
-    """Options that no driver knows, another endpoint, a driver that is not there, a scene that cannot be made: each is
-    refused, and the old loop runs on with its force."""
+    """Unknown options, another endpoint, a missing driver and a scene that fails are refused, and the old loop
+    continues with its force."""
     rig, kept, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
@@ -198,7 +199,7 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
 
 
 class Driver:
-    """Opens devices that press for ever, and keeps them; `refuses` from one on."""
+    """Opens and stores devices that press permanently; raises from device number `refuses` on."""
 
     Options = Options
 
@@ -221,7 +222,7 @@ def driver(monkeypatch):
 
 
 def faulty_rig(**changes):
-    # A slew limit below the force of this device: a step to or from zero in one tick would be above it.
+    # Slew limit below the force of this device: a step to or from zero in one tick would exceed it.
     return load_rig("replay", QUIET | {"device.driver": "faulty", "guard.force_slew_n_per_s": SLEW} | changes)
 
 
@@ -230,8 +231,8 @@ def acts(device: FaultyDevice) -> list[str]:
 
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
-    """The old one is stopped by the servo's thread and closed; the new one is armed there before its first read; the
-    rate may change with it, and no tick is lost or counted twice."""
+    """The servo thread stops and closes the old device, and arms the new one before its first read. The rate may
+    change, and no tick is lost or counted twice."""
     kept, (first, second) = Kept(), scenes()
     with Daemon(faulty_rig(), first, sinks=[kept.sink]) as running:
         running.start()
@@ -248,15 +249,15 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
     assert acts(old) == ["arm", "stop", "close", "stop"] and acts(new)[:2] == ["arm", "stop"]
     assert new.acts[0][2] == 0
     for device, rate in ((old, 1000.0), (new, 4000.0)):
-        rises = np.diff(np.linalg.norm(device.wrenches[:, :3], axis=1))  # a fall may be faster: MAX_OFF_S
+        rises = np.diff(np.linalg.norm(device.wrenches[:, :3], axis=1))  # falls may be faster: MAX_OFF_S
         assert rises.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
     assert kept.all[:, 0].tolist() == list(range(running.servo.ticks))
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
-    """With arming by command. Another scene on the same device has the force and the zero of before; on another device
-    nothing presses until somebody arms, and it is where it says. Another rate alone opens the device anew."""
+    """With arming by command, another scene on the same device keeps force and offset. A new device is not armed and
+    has no offset. A change of only the rate also reopens the device."""
     newest, (first, second) = [], scenes()
     rig = faulty_rig(**{"guard.arm": "command"})
     with Daemon(
@@ -298,7 +299,7 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
-    """The old one is closed by then: the error is that of opening, for who asked and for who waits."""
+    """The old one is closed by then; `replace` and `wait` both raise the error of opening."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -311,8 +312,9 @@ def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
     assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
 
 
-def test_a_stop_meanwhile_arms_nothing_and_leaves_nothing_open(driver):
-    """Asked to stop while the next device is being opened: it is closed without a force, and nobody waits for ever."""
+def test_a_stop_during_a_replacement_arms_nothing(driver):
+    """If the daemon stops while the next device is being opened, that device is closed without being armed, and `wait`
+    returns."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -330,8 +332,8 @@ def test_a_stop_meanwhile_arms_nothing_and_leaves_nothing_open(driver):
     assert "close" in acts(driver.devices[0])
 
 
-def test_a_pause_meanwhile_ends_the_run(driver):
-    """Ctrl-Z while a loop is handed over finds nobody to take the force off: the servo is stopped, at zero."""
+def test_a_pause_during_a_replacement_ends_the_run(driver):
+    """While a loop is replaced, Ctrl-Z cannot ramp the force down, so the servo stops at zero."""
     first, _ = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -342,8 +344,8 @@ def test_a_pause_meanwhile_ends_the_run(driver):
     assert not driver.devices[0].wrenches[-1].any()
 
 
-def test_nothing_is_replaced_where_nothing_runs(driver):
-    """Before the start and after the end it is an error, not a wait."""
+def test_replacing_requires_a_running_daemon(driver):
+    """Before the start and after the end it raises an error and does not wait."""
     first, second = scenes()
     with Daemon(faulty_rig(), first, 50) as running:
         with pytest.raises(SafetyStop, match="does not run"):
@@ -354,10 +356,10 @@ def test_nothing_is_replaced_where_nothing_runs(driver):
             running.replace(second)
 
 
-def test_the_number_of_ticks_counts_over_all_loops(driver):
-    """A run of so many ticks ends after them, however often its scene was exchanged."""
+def test_the_number_of_ticks_is_counted_over_all_loops(driver):
+    """A run with a limit of ticks ends after them even if its scene was replaced."""
     kept, (first, second) = Kept(), scenes()
-    rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow: a busy machine keeps up too
+    rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow, so that a busy machine can follow
     with Daemon(rig, first, 1_000, sinks=[kept.sink]) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 20)
@@ -368,7 +370,8 @@ def test_the_number_of_ticks_counts_over_all_loops(driver):
 
 
 def test_two_pauses_are_one_pause(driver):
-    """A second Ctrl-Z before the first has stopped the process: no force until both are over, then it fades in anew."""
+    """After a second Ctrl-Z before the process has stopped, there is no force until both pauses are over; then it
+    ramps."""
     first, _ = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -387,8 +390,8 @@ def test_two_pauses_are_one_pause(driver):
         assert running.wait(60.0)
 
 
-def test_a_device_that_refuses_to_be_armed_is_told_to_who_asked(driver):
-    """The next device is open, and refuses its force: the error is the device's, and both are closed."""
+def test_a_device_that_refuses_arming_raises_its_error(driver):
+    """`replace` and `wait` raise the error of the new device, and both devices are closed."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()

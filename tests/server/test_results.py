@@ -1,4 +1,4 @@
-"""Results files: three formats that lose no bit, and a stream that survives being cut off."""
+"""Results files: three exact formats, and a stream that can be read after a crash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from softfinger.server.recording.results import SUFFIXES, McapResults, read_resu
 
 
 def some_records(count: int, seed: int = 11) -> np.ndarray:
-    """Random bit patterns of every size of number; whole numbers where the table says so."""
+    """Return random bit patterns of all magnitudes; integers where the table requires them."""
     rng = np.random.default_rng(seed)
     records = rng.standard_normal((count, RECORD_SIZE)) * 10.0 ** rng.integers(-300, 300, (count, RECORD_SIZE))
     for field in FIELDS:
@@ -33,7 +33,7 @@ def some_records(count: int, seed: int = 11) -> np.ndarray:
 @pytest.mark.parametrize("ending", SUFFIXES)
 @pytest.mark.parametrize("count", [1, 2500])
 def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
-    """What is read is what was written, bit for bit, and a second writing gives the same numbers."""
+    """Records are equal bit for bit, and no other file remains."""
     path = tmp_path / f"out{ending.upper()}"
     records = some_records(count)
     write_results(path, records)
@@ -43,20 +43,19 @@ def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
-    """A run of no ticks leaves a readable file."""
+    """A run without ticks gives a readable file."""
     write_results(tmp_path / f"o{ending}", some_records(0))
     assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
 
 
 def test_csv_header_names_every_component(tmp_path: Path) -> None:
-    """The first line is the record table's columns."""
     write_results(tmp_path / "o.csv", some_records(2))
     assert (tmp_path / "o.csv").read_text().splitlines()[0] == ",".join(columns())
 
 
 @pytest.mark.parametrize("count", [1, 7, 1100])
 def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
-    """Each cell is the number as JSON has it, without `.0`: one that varies, stays, is whole now and then, or -0."""
+    """Each cell is the number as in JSON without `.0`: varying, constant, sometimes an integer, or -0."""
     records = some_records(count)
     records[np.isinf(records) | np.isnan(records)] = 0.0
     records[:, 10] = 0.1
@@ -69,8 +68,8 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2500])
-def test_npz_is_what_numpy_writes(tmp_path: Path, count: int) -> None:
-    """To the byte, before they are compressed: numpy.savez of the records and of each field."""
+def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
+    """Before compression all arrays are equal, byte for byte, to those of numpy.savez."""
     records = some_records(count)
     write_results(tmp_path / "o.npz", records)
     arrays = {f.name: records[:, f.at] if f.size == 1 else records[:, f.at : f.at + f.size] for f in FIELDS}
@@ -81,7 +80,7 @@ def test_npz_is_what_numpy_writes(tmp_path: Path, count: int) -> None:
 
 
 def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
-    """Varying numbers shrink little, and compression takes most of the time; buttons change in the last row only."""
+    """Varying numbers shrink little and take most of the time to compress; buttons change in the last row only."""
     records = np.zeros((2500, RECORD_SIZE))
     records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
     write_results(tmp_path / "o.npz", records)
@@ -91,7 +90,7 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
 
 
 def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
-    """Each field is an array under its telemetry name, beside the whole record."""
+    """Each field is an array under its telemetry name, in addition to the complete record."""
     records = some_records(5)
     write_results(tmp_path / "o.npz", records)
     with np.load(tmp_path / "o.npz") as archive:
@@ -102,8 +101,8 @@ def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
             assert archive[field.name].tobytes() == np.ascontiguousarray(wanted).tobytes()
 
 
-def test_mcap_is_read_by_the_library_alone(tmp_path: Path) -> None:
-    """mcap's indexed reader and its protobuf decoder find topic, times, and the nested names of the table."""
+def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
+    """mcap's indexed reader and protobuf decoder return topic, times, and the nested names of the table."""
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -133,7 +132,7 @@ def test_mcap_is_read_by_the_library_alone(tmp_path: Path) -> None:
 
 
 def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A writer that never comes to its end leaves all but its last chunk readable."""
+    """A file that is not closed is readable except for its last chunk."""
     records = some_records(3000)
     path = tmp_path / "live.mcap"
     stream = McapResults(path)
@@ -151,7 +150,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:
-    """Unknown endings, wrong shapes, missing folders and broken counts are errors, and leave no file."""
+    """Unknown endings, wrong shapes, missing folders and NaN in an integer field raise errors and leave no file."""
     records = some_records(3)
     for name in ("o.txt", "o"):
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
@@ -173,7 +172,7 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", SUFFIXES)
 def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
-    """A file of something else is an error that names it."""
+    """The error contains the name of the file."""
     path = tmp_path / f"other{ending}"
     path.write_bytes(b"timestamp,tick\n1,2\n")
     with pytest.raises(RecordingError, match=path.name):
@@ -181,7 +180,7 @@ def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:
-    """A device without room gives an error, not a silent loss, as soon as it is written to and again at the end."""
+    """A full device raises an error on opening, on writing and on closing."""
     with pytest.raises(RecordingError, match="No space left"):
         McapResults("/dev/full")
     stream = McapResults(tmp_path / "o.mcap")
@@ -195,8 +194,8 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     stream.close()
 
 
-def test_link_keeps_pointing_at_its_file(tmp_path: Path) -> None:
-    """Writing through a symbolic link replaces the file behind it, not the link."""
+def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:
+    """Writing through a symbolic link replaces its target, not the link."""
     (tmp_path / "real.csv").write_text("old")
     (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
     write_results(tmp_path / "link.csv", some_records(2))

@@ -1,4 +1,4 @@
-"""The ring: a million records through it, none torn, none lost, none out of order; a control without it tears."""
+"""Ring buffer: many records between two threads, none torn, lost or out of order; without it records are torn."""
 
 import threading
 
@@ -14,7 +14,7 @@ WIDTH = 16
 
 @entry
 def push_numbered(ring, record, first, last):
-    """Push records whose every column is their number; spins while the ring is full, so none may be lost."""
+    """Push records in which every column is the record number; retries while the ring is full, so none is lost."""
     for number in range(first, last):
         for i in range(record.shape[0]):
             record[i] = number
@@ -24,7 +24,7 @@ def push_numbered(ring, record, first, last):
 
 @entry
 def check_numbered(records, count, expected):
-    """How many of the first `count` records are not `expected`, `expected` + 1, ... in every column."""
+    """Return how many of the first `count` records are not `expected`, `expected` + 1, ... in every column."""
     wrong = 0
     for k in range(count):
         for i in range(records.shape[1]):
@@ -36,7 +36,7 @@ def check_numbered(records, count, expected):
 
 @entry
 def write_plain(values, flag):
-    """Overwrite `values` again and again, every element with the same number, until the flag is set."""
+    """Overwrite `values` repeatedly with the same number in every element until the flag is set."""
     number = 0.0
     while load_relaxed(flag, 0) == 0:
         number += 1.0
@@ -46,12 +46,12 @@ def write_plain(values, flag):
 
 @entry
 def count_torn(values, copy, reads, flag):
-    """Copies of `values` in which not every element is the same, in `reads` reads without any lock."""
+    """Return how many of `reads` copies without a lock have unequal elements."""
     torn = 0
     for _ in range(reads):
         for i in range(values.shape[0]):
             copy[i] = values[i]
-        load_relaxed(flag, 0)  # the compiler may not keep the values in registers across this
+        load_relaxed(flag, 0)  # prevents the compiler from caching the values in registers
         for i in range(1, values.shape[0]):
             if copy[i] != copy[0]:
                 torn += 1
@@ -61,8 +61,8 @@ def count_torn(values, copy, reads, flag):
 
 
 @pytest.mark.scaled
-def test_records_arrive_whole_and_in_order(cases):
-    """Everything a fast producer pushes reaches a consumer in another thread, exactly once and unmixed."""
+def test_records_arrive_complete_and_in_order(cases):
+    """Another thread receives every record of a fast producer exactly once."""
     records = cases(300_000, 10_000_000)
     ring = make_ring(1024, WIDTH)
     push_numbered(ring, np.zeros(WIDTH), 0, 0)  # compiled before the thread starts
@@ -77,13 +77,13 @@ def test_records_arrive_whole_and_in_order(cases):
     assert (seen, wrong) == (records, 0)
 
 
-def test_control_without_ring_tears():
-    """The same two threads on plain shared memory do see torn records, so the test above can fail."""
+def test_without_the_ring_records_are_torn():
+    """The same two threads on plain shared memory do get torn records, so the test above can fail."""
     values, flag = np.zeros(64), np.zeros(1, np.int64)
     count_torn(values, np.zeros(64), 0, flag)
     write_plain(values, flag)
     torn = 0
-    for _ in range(100):  # on one busy processor the threads may not have run side by side
+    for _ in range(100):  # on one busy processor the threads may not run simultaneously
         flag[0] = 0
         writer = threading.Thread(target=write_plain, args=(values, flag))
         writer.start()
@@ -94,8 +94,8 @@ def test_control_without_ring_tears():
     assert torn > 0
 
 
-def test_full_ring_drops_the_newest_and_counts():
-    """A reader that does not come costs records, never waiting: the oldest stay, the drops are counted."""
+def test_a_full_ring_drops_new_records_and_counts_them():
+    """A missing reader loses records but never blocks: the oldest remain, and drops are counted."""
     ring = make_ring(4, 1)
     pushed = [push(ring, np.array([float(n)])) for n in range(7)]
     out = np.empty((8, 1))
@@ -106,6 +106,6 @@ def test_full_ring_drops_the_newest_and_counts():
 
 
 def test_capacity_is_a_power_of_two():
-    """Another capacity would break the slot arithmetic, so it is refused."""
+    """The slot arithmetic requires it."""
     with pytest.raises(ValueError, match="capacity = 6"):
         make_ring(6, 1)

@@ -1,4 +1,4 @@
-"""The parameter slot: ten million reads against a writer, none torn."""
+"""Sequence lock of the parameters: ten million reads against a writer, none torn."""
 
 import re
 import threading
@@ -19,7 +19,7 @@ WAIT_S = 120.0
 
 @entry
 def publish_on(slot, values, flag):
-    """Publish values of which every element is the same number, counting on, until the flag is set."""
+    """Publish increasing numbers, the same in every element, until the flag is set."""
     number = slot.values[0]
     while load_relaxed(flag, 0) == 0:
         number += 1.0
@@ -31,7 +31,7 @@ def publish_on(slot, values, flag):
 
 @entry
 def read_on(slot, values, reads, flag):
-    """`reads` refreshes; returns torn copies, copies older than the one before, and new copies accepted."""
+    """Refresh `reads` times; return the numbers of torn, of older and of accepted copies."""
     seen, torn, older, taken, last = -1, 0, 0, 0, -1.0
     for _ in range(reads):
         sequence = refresh(slot, seen, values)
@@ -50,12 +50,12 @@ def read_on(slot, values, reads, flag):
 
 
 def test_no_read_is_torn_in_ten_million():
-    """Whatever the writer does meanwhile, an accepted copy is one that was published whole, and never an older one."""
+    """Every accepted copy was published as a whole and is never older than the previous one."""
     slot, flag = make_slot(np.zeros(WIDTH)), np.ones(1, np.int64)
     publish_on(slot, np.zeros(WIDTH), flag)
     read_on(slot, np.zeros(WIDTH), 0, flag)
     torn, older, taken, until = 0, 0, 0, time.monotonic() + WAIT_S
-    while taken <= 100 and time.monotonic() < until:  # on busy processors the two may not have run side by side
+    while taken <= 100 and time.monotonic() < until:  # on busy processors the two may not run simultaneously
         flag[0] = 0
         writer = threading.Thread(target=publish_on, args=(slot, np.zeros(WIDTH), flag))
         writer.start()
@@ -66,8 +66,8 @@ def test_no_read_is_torn_in_ten_million():
     assert taken > 100
 
 
-def test_reader_keeps_what_it_has_while_a_write_is_under_way():
-    """A reader that meets an odd sequence returns at once, with the sequence it had."""
+def test_a_reader_keeps_its_copy_during_a_write():
+    """For an odd sequence, `refresh` returns the previous sequence immediately."""
     slot = make_slot(np.array([1.0]))
     values = np.zeros(1)
     seen = refresh(slot, -1, values)
@@ -77,8 +77,7 @@ def test_reader_keeps_what_it_has_while_a_write_is_under_way():
     assert refresh(slot, seen, values) == seen + 2
 
 
-def test_nothing_new_is_not_copied():
-    """Without a write in between, the second read leaves the copy alone."""
+def test_an_unchanged_value_is_not_copied():
     slot = make_slot(np.array([1.0]))
     values = np.zeros(1)
     seen = refresh(slot, -1, values)
@@ -89,7 +88,7 @@ def test_nothing_new_is_not_copied():
 
 
 def compiled(kernel, *arguments):
-    """Body of a kernel, compiled afresh and optimised."""
+    """Return the optimized body of a newly compiled kernel."""
     dispatcher = numba.njit(**OPTIONS)(kernel.py_func)
     dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
     (ir,) = dispatcher.inspect_llvm().values()
@@ -109,7 +108,7 @@ STEPS = {
 
 
 def following(body):
-    """For each of STEPS in a body, the steps that may be taken after it, along every way through its blocks."""
+    """Return, for each of STEPS in a body, the steps that can follow it on any path through its blocks."""
     label = r"[\w.$-]+"
     blocks = dict(re.findall(rf"^({label}):[^\n]*\n(.*?)(?=^{label}:|^}})", body, re.MULTILINE | re.DOTALL))
     steps, ways = {}, {}
@@ -131,13 +130,9 @@ def following(body):
     return after
 
 
-def test_compiled_code_keeps_the_order_of_the_lock():
-    """Both ends of the lock after optimisation: on x86 a missing fence shows nowhere but in the generated code, on ARM
-    its first sign would be a torn tuning.
-
-    The reader: its counter, the copy, a fence, the counter again. The writer: its counter, a fence, the copy, and the
-    counter with release.
-    """
+def test_compiled_code_has_the_order_of_the_lock():
+    """On x86 a missing fence is visible only in the generated code; on ARM it would tear tunings. Reader: counter,
+    copy, fence, counter. Writer: counter, fence, copy, counter with release."""
     slot, values = make_slot(np.zeros(WIDTH)), np.zeros(WIDTH)
     assert following(compiled(refresh, slot, 0, values)) == {
         "load acquire": {"copy", "fence acquire", "load relaxed"},

@@ -1,4 +1,4 @@
-"""Services that fail, and a clock that is set: the run goes on or ends by name."""
+"""Failing services and a clock that is set: the run continues, or ends with a specific error."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """Whatever is asked of it, the system has failed."""
+    """Object with methods that all raise OSError."""
 
     def __getattr__(self, name: str) -> Any:
         raise OSError(f"{name} is gone")
@@ -35,7 +35,8 @@ class Broken:
 
 @pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
 def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
-    """Its thread meets an error of the system: one event of its name with the error, and it can be stopped."""
+    """If its thread gets an OSError, one fault event contains the service's name and the error, and it can be
+    stopped."""
     told: list[tuple[str, str, str]] = []
     came = threading.Event()
 
@@ -65,20 +66,20 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
 
 
 def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
-    """An error of what looks after the heartbeat: the event, nobody answers any more, and the run ends."""
+    """If the heartbeat check fails, the event is sent, commands are no longer answered, and the run ends."""
     told: list[Any] = []
     ended: list[Exception] = []
     served: list[Any] = []
 
     class Failing:
-        """A force that cannot be asked for."""
+        """Force switch with a state that cannot be read."""
 
         def end_at(self, time_ns: int) -> None: ...
 
         def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
 
-    rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # which is missed at once
+    rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # missed immediately
     rendering = SimpleNamespace(rig=rig, force=Failing())
     doing = SimpleNamespace(
         replace=print, serve=served.append, fail=ended.append, event=lambda *words, **more: told.append((words, more))
@@ -94,8 +95,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
 
 @pytest.mark.parametrize("jump_s", [-3600.0, 3600.0])
 def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) -> None:
-    """Records whose timestamps jump by an hour, as of a daemon that is started anew meanwhile: every touch is told, and
-    each tick is counted in a `health`."""
+    """After timestamps jump by an hour, every touch is reported and every tick is counted in a `health` message."""
     records = np.zeros((5000, RECORD_SIZE))
     records[:, AT.tick] = np.arange(5000)
     records[:, AT.timestamp] = 1.7e9 + np.arange(5000) * 1e-3

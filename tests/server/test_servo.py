@@ -1,4 +1,4 @@
-"""The servo loop: what it may call, what it must not do, and how it ends."""
+"""Servo loop: calls, forbidden operations, faults of devices and ends."""
 
 import ctypes
 import resource
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.real_time
 
 FORCE = AT.force
 FULL_N = 1.2
-"""No less than the faulty device is given: 1 N pressed, and 0.6 times that of friction."""
+"""Upper bound of the faulty device's force: 1 N pressed, and 0.6 times that of friction."""
 
 
 def make_servo(
@@ -40,7 +40,7 @@ def make_servo(
 ) -> tuple[FaultyDevice, s.Servo]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-    if doubting:  # of a device with a clock of its own, so that no stall of the machine gives a pose time
+    if doubting:  # of a device with its own clock, so that no stall of the machine affects the time of a pose
         tuning = tuning._replace(guards=(tuning.guards[0]._replace(speed_max=10.0, turn_max=100.0, frozen=0.2005),))
     servo = s.Servo([device], tuning, rate, ticks, prepare)
     servo.compile()
@@ -48,7 +48,7 @@ def make_servo(
 
 
 def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
-    """Start, wait for the end, and take what the ring still holds."""
+    """Start, wait for the end, and return the end and the remaining records."""
     servo.start()
     ended = servo.join(30.0)
     assert ended is not None
@@ -69,7 +69,7 @@ def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     ],
 )
 def test_every_end_of_the_loop_writes_zero(fault, ending, status):
-    """However the loop ends, force was on before and the last wrench the device got is zero."""
+    """However the loop ends, it had a force before, and the last wrench of the device is zero."""
     device, servo = make_servo(Options(fault=fault, at=300), 400)
     ended, _ = finish(servo)
     assert (ended.ending, ended.status, ended.error) == (ending, status, None)
@@ -78,8 +78,9 @@ def test_every_end_of_the_loop_writes_zero(fault, ending, status):
     assert not wrenches[-1].any()
 
 
-def test_who_waits_for_ticks_of_a_loop_that_has_ended_is_told():
-    """The contract of drivers waits for ticks: of a device that is lost before, it fails at once and does not hang."""
+def test_waiting_for_ticks_of_an_ended_loop_fails():
+    """The driver contract waits for ticks; if a device is lost before, the test fails immediately instead of
+    hanging."""
     _, servo = make_servo(Options(fault="lost", at=50), None)
     servo.start()
     with pytest.raises(AssertionError, match="the loop ended after 50 ticks of 100"):
@@ -88,7 +89,6 @@ def test_who_waits_for_ticks_of_a_loop_that_has_ended_is_told():
 
 
 def test_stop_word_ends_the_loop_with_zero():
-    """A stop from another thread ends the loop in order, with zero force."""
     device, servo = make_servo(Options(), None)
     servo.start()
     run_for(servo, 300)
@@ -100,7 +100,7 @@ def test_stop_word_ends_the_loop_with_zero():
 
 
 def test_exception_in_the_servo_thread_zeroes_the_device():
-    """When the preparation of the thread fails, the device is stopped and the error is handed on."""
+    """If the preparation of the thread fails, the device is stopped and the error is returned."""
 
     def prepare():
         raise RuntimeError("refused")
@@ -113,7 +113,7 @@ def test_exception_in_the_servo_thread_zeroes_the_device():
 
 
 def test_arming_is_the_last_act_before_the_first_tick():
-    """The device is armed once, by the servo's thread, after all that is slow, and nothing is compiled after it."""
+    """The servo thread arms the device once, after all slow operations, and nothing is compiled afterwards."""
     at = []
 
     def prepare():
@@ -130,8 +130,8 @@ def test_arming_is_the_last_act_before_the_first_tick():
     assert len(s.servo_loop.signatures) == before
 
 
-def test_a_device_that_refuses_to_be_armed_ends_the_run_with_its_error():
-    """No tick is run, the device is stopped, and the error is the device's own."""
+def test_a_device_that_refuses_arming_ends_the_run_with_its_error():
+    """No tick is run, and the device is stopped."""
     device, servo = make_servo(Options(refuses_to_arm=True), 100)
     ended, records = finish(servo)
     assert ended.ending == s.CRASHED and isinstance(ended.error, DeviceError) and "force button" in str(ended.error)
@@ -139,7 +139,7 @@ def test_a_device_that_refuses_to_be_armed_ends_the_run_with_its_error():
 
 
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
-    """A stop that came while kernels were compiled leaves the device as it was."""
+    """After a stop during compilation the device is never armed."""
     device, servo = make_servo(Options(), 100)
     servo.stop()
     ended, records = finish(servo)
@@ -148,20 +148,20 @@ def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
 
 
 @pytest.mark.parametrize("ticks", [50, None])
-def test_a_device_whose_stop_fails_is_told_zero_all_the_same(ticks, caplog):
-    """The last wrench is zero, the end is waited for in vain by nobody, the settings are undone, the error is told."""
+def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
+    """The last wrench is zero, the loop ends, the settings are undone and the error is reported."""
     undone = []
     device, servo = make_servo(Options(stop_fails=True, fault="lost", at=100), ticks, lambda: lambda: undone.append(1))
     ended, _ = finish(servo)
     assert undone == [1] and not device.wrenches[-1].any() and device.wrenches[:-1].any()
-    said = str(ended.error) if ticks else caplog.text  # where the device was lost first, that is the error
+    said = str(ended.error) if ticks else caplog.text  # if the device was lost first, that is the error
     assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (shutdown.READ_FAILED, LOST))
     assert "could not be stopped" in said and "the port has gone" in said and "switch it off" in said
 
 
 @pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
-def test_unusable_pose_means_zero_force_at_once(fault):
-    """A pose that is no pose zeroes the force in its tick; afterwards the force ramps in again from nothing."""
+def test_an_unusable_pose_means_zero_force_immediately(fault):
+    """An invalid pose zeroes the force in its tick; then the force ramps up from zero."""
     device, servo = make_servo(Options(fault=fault, at=700), 900)
     _, records = finish(servo)
     wrenches = device.wrenches
@@ -173,13 +173,13 @@ def test_unusable_pose_means_zero_force_at_once(fault):
 
 
 def named(records):
-    """Names of the guard's events that the daemon publishes of these records."""
+    """Return the names of the guard events that the daemon publishes for these records."""
     return [event["name"] for event in RecordEvents(GUARD_NAMES).observe(records) if event["kind"] == "guard"]
 
 
 @pytest.mark.parametrize("jump_m", [0.05, 1.0, 20.0])
 def test_a_pose_that_jumps_is_not_rendered(jump_m):
-    """The tick of the jump has no force and its name, that of the way back too; after each the force fades in."""
+    """The ticks of the jump and of the jump back have no force and are flagged; after each the force ramps up."""
     device, servo = make_servo(
         Options(fault="jump", at=700, count=200, jump_m=jump_m, own_clock=True), 1000, doubting=True
     )
@@ -193,8 +193,8 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
     assert np.abs(records[:, AT.probe_velocity : AT.probe_velocity + 3]).max() < 0.2  # as without: 0.1 m/s at most
 
 
-def test_poses_that_jump_again_and_again_end_the_loop():
-    """Five of them are more than half a second's worth; the error says whose poses, and what to do."""
+def test_repeated_jumps_end_the_loop():
+    """The fifth jump ends the loop, like half a second of unusable poses; the error contains device and remedy."""
     device, servo = make_servo(Options(fault="jumps", at=700, count=100_000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (JUMPING, 705)
@@ -204,8 +204,9 @@ def test_poses_that_jump_again_and_again_end_the_loop():
     assert "guard.speed_max_m_per_s" in str(error)
 
 
-def test_a_pose_that_repeats_under_a_force_for_long_takes_it_off_until_it_moves():
-    """After frozen_s the force is zero and has a name; as soon as the pose is another, it fades in. No run ends."""
+def test_a_frozen_pose_removes_the_force_until_it_changes():
+    """After frozen_s under a force, the force is zero and flagged; when the pose changes, it ramps up. The run
+    continues."""
     device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
@@ -216,8 +217,8 @@ def test_a_pose_that_repeats_under_a_force_for_long_takes_it_off_until_it_moves(
 
 
 @pytest.mark.parametrize("fault", ["jump", "frozen"])
-def test_what_is_recorded_or_computed_may_jump_and_stand_still(fault):
-    """Of a device with a clock of its own no pose is doubted: no hand is on it."""
+def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
+    """A device with an internal clock has no hand on it, so its poses are not checked."""
     _, servo = make_servo(Options(fault=fault, at=600, count=300, own_clock=True), 900)
     ended, records = finish(servo)
     assert ended.ending == s.FINISHED
@@ -226,8 +227,9 @@ def test_what_is_recorded_or_computed_may_jump_and_stand_still(fault):
 
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
-def test_a_force_that_the_driver_withholds_fades_in_anew(way):
-    """While the driver commands zero the record says so; afterwards the force is the undisturbed one times the ramp."""
+def test_a_force_withheld_by_the_driver_ramps_up_again(way):
+    """While the driver commands zero, records are flagged WITHHELD; afterwards the force is the undisturbed one times
+    the ramp."""
     _, servo = make_servo(Options(own_clock=True), 900)
     undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
     device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)
@@ -237,16 +239,17 @@ def test_a_force_that_the_driver_withholds_fades_in_anew(way):
     assert withheld.nonzero()[0].tolist() == list(range(700, 720))
     assert (force[:700] == undisturbed[:700]).all()
     assert np.linalg.norm(force[699, :3]) > 0.9
-    # A read that says so leaves the first tick of the ramp to the write, which took it; a write takes nothing.
+    # If the read reports it, the write already uses the first tick of the ramp; otherwise the ramp starts one tick
+    # later.
     gain = np.full(200, 0.002) if way == "withheld_read" else np.zeros(200)
     gain[20:] = gain[0] + 0.002 * np.arange(1, 181)
     np.testing.assert_allclose(force[700:], gain[:, None] * undisturbed[700:], rtol=1e-12, atol=1e-15)  # sums of 0.002
     assert (device.wrenches[:900] == force).all()
 
 
-def test_a_write_that_is_not_taken_leaves_the_guard_where_the_hand_is():
-    """While the device keeps the force of before, the record says that one, and the next that is taken is one tick's
-    change from it, wherever the contact has gone meanwhile."""
+def test_the_slew_limit_continues_from_the_force_a_device_holds():
+    """While the device holds its previous force, the record has that force. The next accepted force differs from it by
+    at most the slew limit, wherever the contact is by then."""
     device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]
@@ -256,11 +259,11 @@ def test_a_write_that_is_not_taken_leaves_the_guard_where_the_hand_is():
     step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
     change = np.linalg.norm(np.diff(force, axis=0), axis=1)
     assert change[719] == pytest.approx(step)  # it is 8 mm deep now, and 1 N is felt
-    assert change.max() <= step * (1 + 1e-9)  # roundings of a norm
+    assert change.max() <= step * (1 + 1e-9)  # rounding of a norm
 
 
-def test_a_device_that_takes_no_force_for_ever_ends_the_loop():
-    """It keeps the force of before: for a quarter of a second, then the run ends, since the write had no answer."""
+def test_a_device_that_never_accepts_a_force_ends_the_loop():
+    """It holds its previous force for a quarter of a second; then the run ends with a time-out of the write."""
     device, servo = make_servo(Options(fault="held", at=700, count=100_000, own_clock=True), 2000)
     ended, records = finish(servo)
     assert (ended.ending, ended.status) == (WRITE_FAILED, TIMEOUT)
@@ -270,8 +273,8 @@ def test_a_device_that_takes_no_force_for_ever_ends_the_loop():
 
 
 @pytest.mark.parametrize("way", ["read", "write"])
-def test_a_status_that_no_driver_has_is_a_fault(way):
-    """A driver of another package that returns 5 is not believed to mean that all is well."""
+def test_an_unknown_status_is_a_fault(way):
+    """A driver of another package that returns 5 ends the run."""
     _, servo = make_servo(Options(fault=f"unknown_{way}", at=700), 2000)
     ended, records = finish(servo)
     assert ended.status == PROTOCOL and len(records) == 700
@@ -279,18 +282,18 @@ def test_a_status_that_no_driver_has_is_a_fault(way):
 
 @pytest.mark.parametrize("stall_us", [5_500, 60_000])
 def test_a_stall_is_no_licence_to_jump(stall_us):
-    """A hand that has moved on while the loop was held up meets the change of one tick at a time."""
+    """After a stall in which the hand moved, the force changes by at most the slew limit per tick."""
     _, servo = make_servo(Options(fault="stall_and_jump", at=700, stall_us=stall_us), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]
     assert np.linalg.norm(force[720:], axis=1).min() > 7.0  # it is 8 mm deep now
     assert int(records[702, AT.servo_guard]) & SLEW_LIMITED
     step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
-    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= step * (1 + 1e-9)  # roundings of a norm
+    assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= step * (1 + 1e-9)  # rounding of a norm
 
 
 def test_after_a_long_pause_the_force_fades_in():
-    """After 0.15 s without a tick the force is gone and comes up by the ramp; the record says `ramping`."""
+    """After 0.15 s without a tick the force starts at zero with a ramp, flagged as RAMPING."""
     _, servo = make_servo(Options(fault="stall", at=700, stall_us=150_000), 900)
     _, records = finish(servo)
     force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
@@ -300,8 +303,8 @@ def test_after_a_long_pause_the_force_fades_in():
     assert (force[701:] <= 0.002 * np.arange(1, 200) * FULL_N).all()
 
 
-def test_arming_the_guard_again_fades_in():
-    """A guard disarmed and armed by tuning gives zero at once, and the force back by the ramp."""
+def test_rearming_the_guard_ramps_the_force():
+    """Disarming the guard by tuning gives zero immediately, and arming restores the force with a ramp."""
     device, servo = make_servo(Options(), None)
     armed = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     servo.start()
@@ -328,7 +331,7 @@ def test_arming_the_guard_again_fades_in():
 
 @pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
 def test_a_pose_that_stays_unusable_is_a_fault(fault):
-    """After half a second of it the loop ends, by name, with zero force."""
+    """After half a second the loop ends as NO_POSE with zero force."""
     device, servo = make_servo(Options(fault=fault, at=700, count=100_000), 5000)
     ended, records = finish(servo)
     assert ended.ending == NO_POSE
@@ -337,7 +340,7 @@ def test_a_pose_that_stays_unusable_is_a_fault(fault):
 
 
 def test_repeated_stalls_end_the_loop():
-    """Twenty reads of 0.24 s in a row are not borne: the loop ends by name, without force."""
+    """Twenty consecutive reads of 0.24 s end the loop as STARVED, without force."""
     device, servo = make_servo(Options(fault="stall", at=300, count=20, stall_us=240_000), 5000)
     ended, records = finish(servo)
     assert ended.ending == STARVED
@@ -346,8 +349,8 @@ def test_repeated_stalls_end_the_loop():
     assert not device.wrenches[-1].any()
 
 
-def test_one_sleep_of_the_process_ends_nothing():
-    """A read that takes as long as a process that was stopped and went on is borne, once."""
+def test_a_single_suspension_of_the_process_ends_nothing():
+    """One read of 0.99 s, as in a process that was stopped and continued, is tolerated."""
     _, servo = make_servo(Options(fault="stall", at=100, stall_us=990_000), 300)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (s.FINISHED, 300)
@@ -355,15 +358,15 @@ def test_one_sleep_of_the_process_ends_nothing():
 
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
-    """After a stall the loop goes on along the same grid, one tick each, and the time step tells the truth."""
+    """After a stall the loop continues on the same grid with one tick each, and the time step includes the gap."""
     _, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
     _, records = finish(servo)
     ticks, missed, dt = (records[:, at] for at in (AT.tick, AT.servo_missed, AT.dt))
     assert ticks.tolist() == list(range(200))
-    assert missed[51] - missed[50] >= 5  # more, if the machine itself stalled in that moment
+    assert missed[51] - missed[50] >= 5  # more if the machine itself stalled at that moment
     steps = np.ones(200) if own_clock else 1.0 + np.diff(missed, prepend=0.0)
     assert dt.tolist() == (steps * 0.001).tolist()
-    # Deadlines stay on one grid: wake-up time less lateness is a multiple of the period after the first.
+    # Deadlines stay on one grid: wake-up time minus lateness is a multiple of the period after the first.
     deadline = records[:, AT.timestamp] - records[:, AT.servo_late]
     phase = (deadline - deadline[0]) / 0.001
     # A float64 of the seconds since the epoch resolves 0.24 us, twice.
@@ -372,12 +375,12 @@ def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
 
 
 def test_loop_runs_while_python_holds_the_interpreter_lock():
-    """Ticks go on while another thread sits in C code with the interpreter lock held."""
+    """Ticks continue while another thread holds the interpreter lock in C code."""
     _, servo = make_servo(Options(), None)
     servo.start()
     run_for(servo, 10)
     before = int(servo.shared.progress[0])
-    ctypes.PyDLL(None).usleep(300_000)  # PyDLL keeps the lock
+    ctypes.PyDLL(None).usleep(300_000)  # PyDLL holds the lock
     after = int(servo.shared.progress[0])
     servo.stop()
     servo.join(30.0)
@@ -386,7 +389,7 @@ def test_loop_runs_while_python_holds_the_interpreter_lock():
 
 
 def test_no_page_fault_in_the_loop():
-    """Five thousand ticks cost no more page faults than fifty do."""
+    """Five thousand ticks cause no more page faults than fifty."""
 
     def faults_of(ticks: int) -> int:
         seen = []
@@ -403,7 +406,7 @@ def test_no_page_fault_in_the_loop():
         return seen[1] - seen[0]
 
     faults_of(50)
-    # The device keeps its wrenches in fresh memory: 48 bytes a tick, a page every 85 ticks.
+    # The device stores its wrenches in new memory: 48 bytes per tick, a page every 85 ticks.
     kept_by_device = 5000 * 48 // 4096 + 1
     assert faults_of(5000) - faults_of(50) <= kept_by_device + 2
 
@@ -430,14 +433,14 @@ print(count(10), count(8000))
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
 def test_loop_never_calls_malloc(tmp_path):
-    """A shim that counts every malloc of the servo thread counts the same for ten ticks and for eight thousand."""
+    """A shim that counts every malloc of the servo thread has equal counts for ten and for eight thousand ticks."""
     few, many = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)).split())
     assert few > 0  # the shim does count: entering the loop from Python allocates
     assert many == few
 
 
 def test_parameters_change_without_stopping():
-    """A new friction coefficient takes effect at a later tick, in the loop that is already compiled."""
+    """A new friction coefficient takes effect at a later tick without compiling the loop again."""
     device, servo = make_servo(Options(), None)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     thing = tuning.scene.objects.body
@@ -453,12 +456,12 @@ def test_parameters_change_without_stopping():
     servo.close()
     tangential = np.linalg.norm(device.wrenches[:, :2], axis=1)
     assert tangential[600:changed_at].max() > 0.4
-    # The guard's slew limit takes at most a tick; 1 N pressed and mu 0.1 leave 0.1 N, to rounding.
+    # The slew limit takes at most one tick; 1 N pressed and mu 0.1 leave 0.1 N up to rounding.
     assert tangential[changed_at + 5 : -1].max() <= 0.1 * (1 + 1e-9)
 
 
 def test_other_parts_are_refused():
-    """A tuning with other parts than the compiled one would need another loop."""
+    """A tuning with other parts than the compiled one needs another loop."""
     _, servo = make_servo(Options(), 10)
     tuning = make_tuning(load_scene("frictionless-plane"), load_rig("replay").guard)
     with pytest.raises(ValueError, match="other parts"):

@@ -1,4 +1,4 @@
-"""Shutdown: each step has its turn whatever the one before did, every device its zero, and an error says what to do."""
+"""Shutdown: every step runs regardless of earlier failures, every device gets zero, and errors contain a remedy."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctype
 
 
 class Motor:
-    """What a device's C function was given; `stop` and `close` fail or hang as they are told to."""
+    """Device that records its wrenches; `stop` and `close` can fail or hang."""
 
     def __init__(self, fails: BaseException | None = None, hangs: bool = False, said: str = "") -> None:
         self.info = SimpleNamespace(name="Motor")
@@ -72,7 +72,7 @@ def device(motor: Motor) -> Device:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that hangs is given up in time for a test."""
+    """Shorten the time-out of a hanging device."""
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
@@ -83,9 +83,9 @@ def fails(error: BaseException) -> Any:
     return act
 
 
-def test_every_step_has_its_turn_and_the_first_error_comes_back(caplog: pytest.LogCaptureFixture) -> None:
-    """Of three that fail, an interrupt among them, the first is returned and the others are logged, by class where they
-    say nothing; all run in order."""
+def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptureFixture) -> None:
+    """Of three failing steps, one interrupted, the first error is returned and the others are logged, by class if they
+    have no message; all steps run in order."""
     done: list[int] = []
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
@@ -96,24 +96,24 @@ def test_every_step_has_its_turn_and_the_first_error_comes_back(caplog: pytest.L
     assert shutdown.run_all_steps(lambda: None) is None
 
 
-def test_an_error_from_before_stays_the_first(caplog: pytest.LogCaptureFixture) -> None:
-    """It is returned, and that of a step is logged in its own words."""
+def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
+    """It is returned, and the error of a step is logged."""
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
         assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
     assert "besides: gone" in caplog.text
 
 
-def test_a_stop_that_succeeds_is_followed_by_nothing() -> None:
-    """One zero, by the device's own stop."""
+def test_a_successful_stop_writes_one_zero() -> None:
     motor = Motor()
     shutdown.stop(device(motor))
     assert motor.handles == [0]
 
 
 @pytest.mark.parametrize("error", [OSError("the port has gone"), DeviceLost("it is gone"), KeyboardInterrupt()])
-def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> None:
-    """By the device's write, with its handle; the error says which device may hold a force, an error of ours stays."""
+def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> None:
+    """`stop` writes zero with the device's write function and handle. The error names the device that may hold a force;
+    an error of our own class is not replaced."""
     motor = Motor(error)
     with pytest.raises(BaseException) as caught:  # noqa: PT011
         shutdown.stop(device(motor))
@@ -126,7 +126,7 @@ def test_a_stop_that_fails_is_followed_by_a_plain_zero(error: BaseException) -> 
         assert caught.value is error
 
 
-def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
+def test_an_unconfirmed_zero_is_an_error() -> None:
     """The error names device, reason and remedy; confirmed devices raise nothing."""
 
     class Quiet(Motor):
@@ -142,7 +142,7 @@ def test_a_zero_that_is_not_confirmed_is_an_error() -> None:
         shutdown.confirm_zero([device(sound), device(dead)])
 
 
-def test_a_watcher_drops_what_waits_before_its_zero() -> None:
+def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
     """A board behind a full port reads the bytes that it already had, then three zeros."""
     far, near = os.openpty()
     tty.setraw(near)
@@ -154,20 +154,20 @@ def test_a_watcher_drops_what_waits_before_its_zero() -> None:
     got = os.read(far, 1 << 16)
     while not got.endswith(b"zero!" * 3):
         got += os.read(far, 1 << 16)
-    assert len(got) <= 4096 + 3 * 5  # what the far end had, of some 16 kB
+    assert len(got) <= 4096 + 3 * 5  # bytes already at the far end, of some 16 kB
     os.close(near)
     os.close(far)
 
 
-def test_an_error_without_words_is_told_by_its_class() -> None:
-    """`Motor could not be closed (RuntimeError)`, of a close."""
+def test_an_error_without_a_message_is_reported_by_its_class() -> None:
     with pytest.raises(DeviceError, match=r"could not be closed \(RuntimeError\)"):
         shutdown.close(device(Motor(RuntimeError())))
 
 
 @pytest.mark.usefixtures("short")
-def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture) -> None:
-    """The first error in order is raised, the others logged; what hangs gets a plain zero, what is sound none."""
+def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
+    """The first error in order is raised and the others are logged. A hanging device gets a plain zero, an intact one
+    does not."""
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not come back for 0\.2 s"):
         shutdown.stop_all([device(hangs), device(broken), device(sound)])
@@ -177,8 +177,9 @@ def test_all_are_stopped_whoever_fails_or_hangs(caplog: pytest.LogCaptureFixture
 
 
 @pytest.mark.usefixtures("short")
-def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten that hang are all given up in STOP_TIMEOUT_S, which begins once for all, and keep no process from its end."""
+def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten hanging devices are abandoned after one common STOP_TIMEOUT_S, and their threads do not keep the process
+    alive."""
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
 
@@ -197,19 +198,18 @@ def test_those_that_hang_are_waited_for_together(monkeypatch: pytest.MonkeyPatch
         motor.free.set()
 
 
-def test_one_that_takes_a_while_is_waited_for() -> None:
-    """Less than STOP_TIMEOUT_S is no failure."""
+def test_a_slow_device_is_awaited() -> None:
+    """A duration below STOP_TIMEOUT_S is not a failure."""
     assert open_devices.call_all(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
-def test_at_once_is_at_the_same_time() -> None:
-    """Each of two waits for the other: one after the other neither would come back."""
+def test_devices_are_called_simultaneously() -> None:
+    """Each call waits for the other, so sequential calls would not return."""
     both = threading.Barrier(2, timeout=1.9)
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
-def test_all_are_closed_whoever_fails(caplog: pytest.LogCaptureFixture) -> None:
-    """As stopping, in the words of closing."""
+def test_all_devices_are_closed_if_one_fails(caplog: pytest.LogCaptureFixture) -> None:
     broken, sound = Motor(OSError("no power")), Motor()
     with pytest.raises(DeviceError, match=r"could not be closed \(OSError: no power\)"):
         shutdown.close_all([device(broken), device(sound)])
@@ -217,8 +217,8 @@ def test_all_are_closed_whoever_fails(caplog: pytest.LogCaptureFixture) -> None:
     shutdown.close_all([])
 
 
-def test_what_a_signal_stops_and_closes() -> None:
-    """Every device that is open, whoever opened it; what could not be stopped is returned."""
+def test_a_signal_stops_and_closes_all_open_devices() -> None:
+    """Errors of stopping are returned."""
     error = OSError("no power")
     motors = [Motor(error), Motor()]
     open_devices.devices.update(motors)
@@ -227,8 +227,8 @@ def test_what_a_signal_stops_and_closes() -> None:
     assert [motor.closed for motor in motors] == [1, 1]
 
 
-def test_a_zero_is_written_over_whatever_was_there() -> None:
-    """All six, by the address that the loop calls."""
+def test_a_zero_overwrites_all_components() -> None:
+    """All six components are written at the address that the loop calls."""
     motor = Motor()
     io, scratch = motor.io(), np.full(6, nan)
     write_zero: Any = getattr(shutdown.write_zero, "py_func", shutdown.write_zero)
@@ -255,10 +255,10 @@ SAID = "its driver said why"
         (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
     ],
 )
-def test_a_failed_device_is_told_with_what_to_do(
+def test_a_device_failure_is_reported_with_a_remedy(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
-    """Each by its own class, with the device, the finger where there are several, and the driver's words."""
+    """Each failure has its class, the device, the finger if there are several, and the driver's reason."""
     ended = LoopEnd(ending, status)
     error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
     assert type(error) is kind
@@ -268,12 +268,13 @@ def test_a_failed_device_is_told_with_what_to_do(
 
 
 @pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
-def test_what_was_not_the_device_is_no_error_of_it(ending: int) -> None:
+def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
     assert shutdown.device_failure(device(Motor()), LoopEnd(ending, 0)) is None
 
 
-def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
-    """A scene without a force, and time lost before or in the exchange, with the deadlines counted; else None."""
+def test_a_loop_failure_is_reported_with_a_remedy() -> None:
+    """Covers a scene without a force, and time lost before or in the exchange, with missed deadlines; otherwise
+    None."""
     assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
     scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)
@@ -283,8 +284,8 @@ def test_a_loop_that_could_not_go_on_is_told_with_what_to_do() -> None:
     assert "before the servo thread was woken" in machine and "softfinger doctor" in machine
 
 
-def test_with_closes_whatever_happens() -> None:
-    """At the end of a block and when it raises, which goes through."""
+def test_with_closes_in_any_case() -> None:
+    """`close` runs at the end of the block and after an error, which propagates."""
 
     class Door(Closeable):
         closed = 0

@@ -1,4 +1,4 @@
-"""Every way that a signal can end or stop a program that holds a device: no force is left, and the end is in order."""
+"""Signals that end or stop a program with a device: no force remains, and the program ends in order."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ pytestmark = pytest.mark.real_time
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 ZERO = (0.0, 0.0, 0.0)
 FORCE_N = 0.5
-"""Less than the hand's spring pressed so deep gives, so that it is a force of contact."""
+"""Below the force of the hand's spring at this depth, so it can only be a contact force."""
 START_S = 120.0
 """A cold start compiles."""
 END_S = 20.0
-"""An end takes well below a second; a busy machine more."""
+"""An end takes far less than a second, more on a busy machine."""
 
 
 def until(met: Callable[[], bool], seconds: float, what: str) -> None:
-    """Wait for a condition; the test fails where it does not come."""
+    """Wait for a condition; fail after a time-out."""
     end = time.monotonic() + seconds
     while not met():
         assert time.monotonic() < end, f"{what}: not within {seconds} s"
@@ -49,9 +49,9 @@ def until(met: Callable[[], bool], seconds: float, what: str) -> None:
 def pressing(
     tmp_path: Path, *words: str, environment: dict[str, str] | None = None
 ) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
-    """A board whose hand presses into the plane, and the daemon of the command line that holds against it.
+    """Run a daemon with a board whose hand presses into the plane.
 
-    environment  of the daemon, beside ours
+    environment  additional variables of the daemon
     """
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
@@ -64,7 +64,7 @@ def pressing(
             stderr=subprocess.PIPE,
             text=True,
             env=os.environ | (environment or {}),
-            process_group=0,  # one without a parent in its session, as a service manager's, is not stopped by Ctrl-Z
+            process_group=0,  # without a parent in its session, as under a service manager, Ctrl-Z has no effect
         )
         timer = threading.Timer(START_S, process.kill)
         timer.start()
@@ -96,18 +96,19 @@ for number in sorted(signal.valid_signals()):
     elif os.WIFSIGNALED(status):
         print(number)
 """
-"""Small program: a fork of the process of the tests takes 40 ms."""
+"""Small program, because a fork of the test process takes 40 ms."""
 
 
 def test_every_signal_that_ends_a_process_is_handled() -> None:
-    """Asked of the system: what kills a process that has no handler is in ENDING, but for what no handler can help."""
+    """The test finds the signals that kill a process without handlers. All are in ENDING, except those that no handler
+    can help."""
     asked = subprocess.run([sys.executable, "-S", "-c", FATAL], capture_output=True, text=True, check=True)
     fatal = set(map(int, asked.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
     assert fatal - helpless == signals.ENDING
 
 
-# All have one handler, which test_every_signal_that_ends_a_process_is_handled has the list of.
+# They share a handler; test_every_signal_that_ends_a_process_is_handled checks the complete list.
 OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
 
 
@@ -125,9 +126,9 @@ def watcher_of(process: subprocess.Popen[str]) -> int:
 
 
 def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
-    """End a daemon by a signal, and send others while it closes: they change nothing."""
+    """End a daemon by a signal; other signals during its shutdown have no effect."""
     process.send_signal(number)
-    time.sleep(0.1)  # of signals that wait together Python takes the lowest number first
+    time.sleep(0.1)  # of pending signals Python takes the lowest number first
     for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
         time.sleep(0.01)
         process.send_signal(another)
@@ -147,14 +148,14 @@ def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> No
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
-    """Ctrl-Z takes the force off before the process stops; with `fg` it fades in again, and the daemon continues. Then
-    the end of its terminal ends it in order, and its watcher with it."""
+    """Ctrl-Z removes the force before the process stops. After `fg` the force ramps up and the daemon continues. A
+    hangup of its terminal then ends it in order, and its watcher with it."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         process.send_signal(signal.SIGTSTP)
         until(lambda: state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
         assert process.poll() is None, process.communicate()[1]
-        time.sleep(0.05)  # what was under way to the board has arrived
+        time.sleep(0.05)  # frames in transit have arrived
         assert board.force == ZERO
         count = len(board.sent)
         time.sleep(0.2)
@@ -163,15 +164,15 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         until(lambda: board.force[2] > FORCE_N, END_S, "the force")
         forces = [frame[2] for frame in board.sent[count:]]
         first = next(force for force in forces if force > 0)
-        assert first < 0.1 * 1e3 * FORCE_N  # a ramp's beginning
+        assert first < 0.1 * 1e3 * FORCE_N  # start of a ramp
         end_by(process, board, signal.SIGHUP)
         assert not Path(f"/proc/{watcher}").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
-    """`run --watcher`: killed outright, the daemon leaves its force, and the watcher, which survives what ends the
-    daemon, takes it off. A device that it cannot reach is refused."""
+    """A killed daemon cannot remove its force; its watcher, which ignores signals, writes zero. `run --watcher` refuses
+    a device that the watcher cannot reach."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         os.kill(watcher, signal.SIGTERM)
@@ -188,7 +189,7 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
 
 
 def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
-    """What the watcher is for: the board keeps the last force when nobody tells it otherwise."""
+    """The board holds the last force until it receives another one."""
     with pressing(tmp_path) as (board, process):
         process.kill()
         process.wait(END_S)
@@ -208,8 +209,7 @@ def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> N
     ],
 )
 def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
-    """While kernels are compiled, which takes many seconds without a cache, a signal ends any verb within a few,
-    as interrupted, by one line."""
+    """Without a cache, compilation takes many seconds. A signal then ends any verb within END_S, with one line."""
     words = {
         "run": ["run", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off"],
         "warmup": ["warmup"],
@@ -222,7 +222,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
     )
     try:
         for line in process.stderr:
-            if "compiling kernel" in line:  # said when it has taken half a second
+            if "compiling kernel" in line:  # logged after half a second
                 break
         process.send_signal(number)
         said = process.communicate(timeout=END_S)[1]
@@ -269,9 +269,9 @@ with signals.handle_signals():
 
 
 @pytest.mark.parametrize("where", ["python", "native", "callback"])
-def test_end_wherever_the_main_thread_is(where: str) -> None:
-    """In Python, in native code that takes half an hour, and in a callback out of which nothing can be raised: the
-    device is closed and the process ends, with the number in its exit code."""
+def test_a_signal_ends_the_process_wherever_the_main_thread_is(where: str) -> None:
+    """In Python, in native code that runs for half an hour, and in a callback that cannot raise, the device is closed
+    and the process ends with the number in its exit code."""
     done = subprocess.run(
         [sys.executable, "-c", STUCK, where], capture_output=True, text=True, timeout=END_S, check=False
     )
@@ -305,8 +305,8 @@ sys.exit(cli.main())
 @pytest.mark.parametrize(
     ("words", "code"), [(["scenes"], 0), (["check", "no-such.toml"], 2), (["TSTP"], 128 + signal.SIGTSTP)]
 )
-def test_a_device_that_cannot_be_stopped_is_named_and_changes_no_way_out(words: list[str], code: int) -> None:
-    """What cannot be zeroed at the very end is one line, and what the verb came to stays what it was."""
+def test_a_device_that_cannot_be_stopped_is_reported(words: list[str], code: int) -> None:
+    """One line names the device, and the exit code of the verb is unchanged."""
     done = subprocess.run(
         [sys.executable, "-c", REFUSING, *words],
         capture_output=True,
@@ -335,14 +335,14 @@ with signals.handle_signals():
 """
 
 
-def test_a_signal_that_was_swallowed_is_not_lost() -> None:
-    """What is to be stopped from then on is stopped at once."""
+def test_a_swallowed_signal_is_not_lost() -> None:
+    """A later `stop_on_signal` stops immediately."""
     done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=END_S, check=False)
     assert done.returncode == 0, done.stderr
 
 
 def test_a_second_signal_raises_nothing() -> None:
-    """The first one is raised; what comes during its shutdown changes neither that nor the exit code."""
+    """Only the first signal is raised; signals during the shutdown change neither that nor the exit code."""
     before = signal.getsignal(signal.SIGINT)
     with signals.handle_signals():
         signals.mark_imported()
@@ -351,7 +351,7 @@ def test_a_second_signal_raises_nothing() -> None:
         try:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 signal.raise_signal(number)
-        except signals.Interrupted as second:  # which would end this program of tests, as one at its keyboard does
+        except signals.Interrupted as second:  # which would end the test program, as Ctrl-C does
             pytest.fail(f"{signals.signal_name(second.number)} was raised besides")
         assert interrupted.value.number == signal.SIGTERM and signals.stop_exit_code() == 0
     assert signal.getsignal(signal.SIGINT) is before
@@ -394,11 +394,11 @@ os.kill(job.pid, signal.SIGCONT)
 _, status = os.waitpid(job.pid, 0)
 print("left with", os.waitstatus_to_exitcode(status), flush=True)
 """
-"""What a shell does with a job in the foreground: told when it stops, it has it go on."""
+"""Shell with a job in the foreground: it continues the job when that stops."""
 
 
 def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
-    """A verb that holds a device and has no pause: zero before the process stops, and with `fg` it ends in order."""
+    """A verb that has a device but no pause writes zero before the process stops, and ends in order after `fg`."""
     ours, theirs = pty.openpty()
     with Program([sys.executable, "-c", SHELL, JOB], stdin=theirs, stdout=theirs, stderr=theirs) as shell:
         os.close(theirs)
@@ -421,7 +421,7 @@ def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
 
 
 def state(pid: int) -> str:
-    """State of a process as the kernel lists it: T is stopped."""
+    """Return the state of a process from the kernel: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
@@ -434,8 +434,8 @@ sys.exit(cli.main(sys.argv[1:]))
 """
 
 
-def test_a_device_that_hangs_does_not_hold_the_exit(tmp_path: Path) -> None:
-    """Its stop and its close never come back: the process says so and ends, and not as if it had gone well."""
+def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
+    """Its stop and close never return: the process reports it and ends with the exit code of a device error."""
     words = ["run", "--rig", "simulated", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t"]
     process = subprocess.Popen(
         [sys.executable, "-c", HANGING, *words, "--duration", "0.2"], stderr=subprocess.PIPE, text=True

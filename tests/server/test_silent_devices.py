@@ -1,4 +1,4 @@
-"""Devices that fall silent under a force: what the emulated device of each driver receives.
+"""Devices that stop answering under a force: data received by the emulated device of each driver.
 
 The time-outs are the defaults, as in docs/reference/faults.md. The scene is that of `test_injected_faults.py`, so its
 loop is compiled once for both.
@@ -25,11 +25,11 @@ pytestmark = pytest.mark.real_time
 
 DRIVERS = {"serial": "serial", "hid": "hid", "falcon": "falcon", "haply": "haply", "haply-2diy": "serial",
            "hapkit": "serial"}  # fmt: skip
-"""Driver of each device that can fall silent."""
+"""Driver of each device that can become silent."""
 PRESSED_TICKS = 200
-"""Ticks before the silence: the ramp, and enough to see that the hand presses."""
+"""Ticks before the silence: enough for the ramp and a visible press."""
 ANSWERS = 2
-"""Ticks by which an answer under way may delay the begin of the silence."""
+"""Ticks by which an answer in transit may delay the start of the silence."""
 
 
 def silences(driver: str) -> dict[str, float]:
@@ -44,9 +44,7 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """The far end receives zero within QUIET_S of its driver, and no force afterwards. The run ends after GIVEN_UP_S.
-
-    Both are counted in ticks: a stall of the machine makes a tick long.
-    """
+    Both are counted in ticks, because a stall of the machine makes a tick long."""
     driver = DRIVERS[name]
     with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
         assert far.hush is not None
@@ -64,7 +62,7 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     ticks, norms = ticks_of(given[:, 0], seen), np.linalg.norm(given[:, 1:], axis=1)
     assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
     assert norms[-1] == 0.0
-    zero = np.flatnonzero(norms)[-1] + 1  # a board keeps its last force until it is sent another
+    zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
     left = int(ticks[zero] - at)
     assert left <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
     assert seen.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN

@@ -1,4 +1,4 @@
-"""States of the daemon: every way in the table is gone, and no other."""
+"""States of the daemon: every transition of the table, and no other."""
 
 from itertools import product
 
@@ -27,7 +27,7 @@ WAYS = {
     DaemonState.FAULTED: [Trigger.TICK, Trigger.FAULT],
     DaemonState.STOPPING: [Trigger.END],
 }
-"""How each state is come to."""
+"""Triggers that lead to each state."""
 
 EXPECTED = {
     "starting tick": "ready",
@@ -45,7 +45,7 @@ EXPECTED = {
 
 
 def states_in(state):
-    """States that are in one of them, and what they tell from there on."""
+    """Return states at `state` and the list of their later notifications."""
     told = []
     states = States(lambda *change: told.append(change))
     for trigger in WAYS[state]:
@@ -57,7 +57,8 @@ def states_in(state):
 
 @pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
-    """Each trigger in each state: the expected way, told with its cause, or none, and nothing told."""
+    """Each trigger in each state causes the expected transition with its cause, or no transition and no
+    notification."""
     states, told = states_in(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)
@@ -65,8 +66,8 @@ def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
     assert told == ([] if after is None else [(state, DaemonState(after), "because")])
 
 
-def test_the_table_is_whole():
-    """It has the expected ways; every state and trigger says what it is; stopping is the end."""
+def test_the_table_is_complete():
+    """It has the expected transitions, a text for every state and trigger, and none out of STOPPING."""
     assert {f"{state} {trigger}": after for (state, trigger), after in TRANSITIONS.items()} == EXPECTED
     assert set(MEANINGS) == set(DaemonState) and set(CAUSES) == set(Trigger)
     assert not any(state is DaemonState.STOPPING for state, _ in TRANSITIONS)
@@ -88,8 +89,8 @@ def test_the_table_is_whole():
         (DaemonState.STOPPING, set(), []),
     ],
 )
-def test_the_state_follows_what_keeps_the_force_off(begun, reasons, after):
-    """No reason is armed, a fault faulted, any other ready; told step by step, and once."""
+def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
+    """Without a reason it is armed, with a fault faulted, otherwise ready; each transition is notified once."""
     states, told = states_in(begun)
     for _ in range(2):
         states.follow(reasons)
@@ -99,7 +100,7 @@ def test_the_state_follows_what_keeps_the_force_off(begun, reasons, after):
 
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
-    """Once failed, whatever keeps the force off or does not, the state is faulted until the end."""
+    """After `fail` the state is faulted until the end, regardless of the reasons."""
     states, told = states_in(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):
@@ -108,6 +109,6 @@ def test_an_error_that_ends_the_run_is_cleared_by_nothing():
     assert states.fire(Trigger.END, "done") and states.now is DaemonState.STOPPING
 
 
-def test_what_is_a_fault_is_a_reason():
-    """A hand that nobody has armed, or that somebody disarmed, is no fault."""
+def test_which_reasons_are_faults():
+    """A device that is not yet armed, or was disarmed, is not a fault."""
     assert {SILENT, FAST} == FAULTS and not FAULTS & {UNARMED, COMMANDED}

@@ -1,4 +1,4 @@
-"""The supervisor by itself: what it does when it fails, and whom it asks for what when ticks stop."""
+"""The supervisor: its own failure, and its actions when ticks stop."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """A servo that cannot be looked at."""
+    """Servo with a tick counter that raises OSError."""
 
     is_ticking = True
 
@@ -36,7 +36,7 @@ class Broken:
 
 
 def test_a_supervisor_that_fails_ends_the_run() -> None:
-    """Nobody would see the servo stall: the run ends with that as its error."""
+    """A stall would go unnoticed, so the run ends with the error of the supervisor."""
     errors: list[HapticError] = []
     told = threading.Event()
 
@@ -57,7 +57,8 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
-    """The run is ended, each device stopped though the one before fails, and the event published, in this order."""
+    """The run is ended, each device is stopped although another one fails, and the event is published, in this
+    order."""
     done: list[str] = []
     ended = threading.Event()
 
@@ -84,7 +85,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
 
 
 class Stalled:
-    """A servo of which no tick comes, and how often it was looked at."""
+    """Servo without ticks that counts reads of its tick counter."""
 
     is_ticking, armed, looks = True, True, 0
 
@@ -112,8 +113,8 @@ class Stalled:
 def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
     held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On any of the devices. The look that sees the last tick, and so many more, each after a rest; the message has
-    their time and the tick."""
+    """With a hand on any device a stall takes STALL_POLLS polls after the one that sees the last tick, otherwise
+    STALL_POLLS_WITHOUT_HAND. The message contains the time and the tick."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
     servo, errors = Stalled(*held), list[HapticError]()
@@ -123,7 +124,7 @@ def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
 
 
 class Clock:
-    """Time that goes on with each rest of a looker, and by `turn` s more until it is its turn."""
+    """Clock that advances with each sleep, plus `turn` s until the supervisor is scheduled."""
 
     def __init__(self, turn: float) -> None:
         self.now, self._turn = 0.0, turn
@@ -134,16 +135,16 @@ class Clock:
 
 @pytest.mark.parametrize("turn", [0.0, sys.getswitchinterval()])
 @pytest.mark.parametrize("share", [1e-9, 0.3, 0.7, 1.0])
-def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
+def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     turn: float, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the last tick, which comes at this share of the time between two looks, to the stop of a device: the rest of
-    that time and STALL_POLLS whole ones, each longer by the looker's turn; no less than STALL_POLLS looks apart and,
-    where the stop waits for a turn too, no more than STALL_MAX_S."""
+    """Time from the last tick, at this share of a poll interval, to the stop of a device. It is the rest of that
+    interval plus STALL_POLLS intervals, each extended by the supervisor's turn. It is at least STALL_POLLS intervals
+    and, including the turn before the stop, at most STALL_MAX_S."""
     clock, stopped = Clock(turn), list[float]()
     monkeypatch.setattr(supervising.time, "sleep", clock.sleep)
     step = STALL_POLL_S + turn
-    last = (3.0 + share) * step  # a tick a millisecond before it, and none behind it
+    last = (3.0 + share) * step  # a tick every millisecond before it, and none afterwards
 
     class Running:
         is_ticking, armed = True, True
@@ -164,7 +165,7 @@ def test_a_stall_ends_with_zero_within_what_the_fault_model_says(
 
 
 class Unarmed:
-    """A servo that waits for its devices, for so many looks at it."""
+    """Servo that waits for its devices during a number of polls."""
 
     ticks, armed = 0, False
     devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
@@ -179,7 +180,7 @@ class Unarmed:
 
 
 def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
-    """The supervisor looks on until the servo's end, and ends nothing."""
+    """The supervisor polls until the servo ends, and ends nothing."""
     done: list[Any] = []
     supervisor = Supervisor(cast(Any, Unarmed(8 * STALL_POLLS)), done.append, lambda *words, **_: done.append(words))
     supervisor.work()
@@ -187,7 +188,7 @@ def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
 
 
 def test_no_tick_is_due_before_devices_are_armed() -> None:
-    """However long a button is waited for; from arming on, a quarter of a second without a tick is a stall."""
+    """The wait for a button is unlimited; after arming, a quarter of a second without a tick is a stall."""
     watchdog = Watchdog()
     assert [watchdog.stalled_s(0, due=False) for _ in range(100)] == [0.0] * 100
     looks = [watchdog.stalled_s(0, due=True) for _ in range(STALL_POLLS)]

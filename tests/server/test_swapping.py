@@ -1,4 +1,4 @@
-"""Memory of the daemon in swap: told once, and again when it comes back."""
+"""Swapped memory of the daemon: reported once, and again after it was zero."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.plain
 
 
 def test_memory_in_swap_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An event and a line of the log when there is some and there was none, with how much and what to do."""
+    """An event and a log line, with amount and remedy, follow when the amount becomes positive."""
     told: list[tuple[str, str, str]] = []
 
     def event(kind: str, name: str, message: str) -> None:
@@ -30,8 +30,8 @@ def test_memory_in_swap_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert caplog.text.count("softfinger doctor") == 2
 
 
-def test_it_looks_at_once_and_a_failing_look_is_told(tmp_path: Path) -> None:
-    """The thread's first look is at its start; where it cannot look, that is an event, and it can be stopped."""
+def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
+    """The thread checks at its start; a failing check is an event, and the thread can be stopped."""
     told: list[Any] = []
     watch = Swapping(lambda *words, **fields: told.append((words, fields)), tmp_path / "nothing")
     watch.start()
@@ -41,7 +41,7 @@ def test_it_looks_at_once_and_a_failing_look_is_told(tmp_path: Path) -> None:
     assert words == ("fault", NAME) and "No such file" in fields["message"]
 
 
-def test_this_system_says_it() -> None:
-    """The line is in the status of a process here; a status without it is none in swap."""
+def test_this_system_reports_swapped_memory() -> None:
+    """A status without the line counts as no swap."""
     assert "VmSwap:" in STATUS.read_text()
     assert swapped_kb("Name:\tpython3\n") == 0

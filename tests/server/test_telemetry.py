@@ -1,4 +1,4 @@
-"""The publisher over real sockets: frames, values, events, health, endpoints, stalled subscribers."""
+"""Publisher over sockets: frames, values, events, health, endpoints, stalled subscribers."""
 
 import os
 import re
@@ -40,7 +40,7 @@ def publisher():
 
 
 def plain(endpoint, *topics, high_water=100_000):
-    """A subscriber with nothing of ours in it."""
+    """Return a subscriber that uses only pyzmq."""
     socket = zmq.Context.instance().socket(zmq.SUB)
     socket.linger = 0
     socket.rcvhwm = high_water
@@ -52,7 +52,7 @@ def plain(endpoint, *topics, high_water=100_000):
 
 
 def receive(socket, count, topic=None):
-    """The maps of the next `count` messages (of one topic), received as any client would."""
+    """Return the maps of the next `count` messages (of one topic)."""
     maps = []
     while len(maps) < count:
         assert socket.poll(WAIT_MS), f"{len(maps)} of {count} messages arrived"
@@ -64,7 +64,7 @@ def receive(socket, count, topic=None):
 
 
 def published(records, topic, count, **options):
-    """What a plain subscriber to `topic` receives when `records` are published in batches of 100."""
+    """Publish `records` in batches of 100; return the messages that a plain subscriber to `topic` receives."""
     with Publisher("tcp://127.0.0.1:*", **options) as publisher:
         socket = plain(publisher.endpoint, "contact", "event", "health")
         join(publisher, socket)
@@ -82,7 +82,7 @@ def published(records, topic, count, **options):
 
 
 def test_plain_client_receives_every_tick_in_two_frames(publisher):
-    """A pyzmq and msgpack client gets each of 3000 ticks, published one by one, once and in order."""
+    """A client with pyzmq and msgpack gets each of 3000 ticks, published one by one, once and in order."""
     records = synthetic(3000)
     socket = plain(publisher.endpoint, "contact", "event")
     join(publisher, socket)
@@ -92,8 +92,8 @@ def test_plain_client_receives_every_tick_in_two_frames(publisher):
     assert ticks == list(range(3000))
 
 
-def test_contact_message_carries_the_record_bit_for_bit():
-    """Every column of a record is found, unchanged, under its name in the message."""
+def test_a_contact_message_contains_the_record_bit_for_bit():
+    """Every column of a record is in the message, unchanged, under its name."""
     record = synthetic(1)[0]
     message = msgpack.unpackb(encode(contact_map(record)))
     flat = {}
@@ -115,8 +115,8 @@ def test_contact_message_carries_the_record_bit_for_bit():
     assert [flat[name] for name in named] == record.tolist()
 
 
-def test_patches_that_are_not_there_are_left_out_and_come_back():
-    """The list `contacts` has the patches there are; as a record again it is the one that was sent."""
+def test_missing_patches_are_left_out_and_restored():
+    """`contacts` lists the existing patches; `record_of` restores the record."""
     record = synthetic(1)[0]
     for i, number in enumerate((4, 2, -1)):
         record[NAMED[f"contacts{i}.object"].at] = number
@@ -129,7 +129,7 @@ def test_patches_that_are_not_there_are_left_out_and_come_back():
 
 
 def test_integers_are_integers_on_the_wire():
-    """Integer fields arrive as int and all others as float, also where a float has no fraction."""
+    """Integer fields arrive as int and all others as float, even without a fraction."""
     record = np.ones(len(columns()))
     message = msgpack.unpackb(encode(contact_map(record)))
     for field in FIELDS:
@@ -142,8 +142,8 @@ def test_integers_are_integers_on_the_wire():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_unusable_integer_is_sent_as_zero(bad):
-    """Buttons that a device reports as no number do not stop the stream."""
+def test_an_unusable_integer_is_sent_as_zero(bad):
+    """Non-finite buttons of a device do not stop the stream."""
     record = synthetic(1)[0]
     record[AT.buttons] = bad
     message = contact_map(record)
@@ -152,7 +152,7 @@ def test_unusable_integer_is_sent_as_zero(bad):
 
 
 def test_messages_are_far_below_the_size_limit():
-    """The longest possible contact message is below the 1.5 KiB of `protocol.MAX_BYTES`, a small part of the limit."""
+    """The longest possible contact message is below 1.5 KiB, a small part of `protocol.MAX_BYTES`."""
     record = np.full(len(columns()), 2.0**53)
     assert len(encode(contact_map(record))) < 1536 < MAX_BYTES // 16
 
@@ -162,15 +162,15 @@ def test_backlog_holds_five_seconds_at_the_highest_rate():
     assert BACKLOG >= 5 * 8000
 
 
-def test_every_sends_multiples_only_and_says_so():
-    """With every = 4 the ticks sent are the multiples of 4, and each message carries the 4."""
+def test_every_sends_only_multiples():
+    """With every = 4, only ticks that are multiples of 4 are sent, and each message contains the 4."""
     maps = published(synthetic(47, first_tick=3), "contact", 12, every=4)
     assert [m["tick"] for m in maps] == list(range(4, 50, 4))
     assert {m["every"] for m in maps} == {4}
 
 
 def test_transitions_become_events_with_cause_and_modes():
-    """Touch, slip and stick by either cause, and release give one event each, whatever `every` is."""
+    """Touch, slip, stick and release, by either cause, give one event each, independent of `every`."""
     story = [
         # tick, mode, cause, name, mode before
         (3, 1, "touch", "touch", 0),
@@ -206,8 +206,9 @@ def test_transitions_become_events_with_cause_and_modes():
         }
 
 
-def test_guard_event_when_a_bit_rises_and_not_while_it_stays():
-    """A bit that rises twice gives two events, one that stays gives one, an unnamed bit goes by number."""
+def test_a_guard_event_is_sent_when_a_bit_rises():
+    """A bit that rises twice gives two events, one that remains set gives one, and an unnamed bit is named by its
+    number."""
     records = synthetic(1000)
     guard = np.zeros(1000, int)
     guard[100:200] |= 1
@@ -224,8 +225,8 @@ def test_guard_event_when_a_bit_rises_and_not_while_it_stays():
     ]
 
 
-def test_guard_that_chatters_is_limited_and_counted():
-    """A bit that rises every other tick for 0.3 s gives an event in 0.1 s, and the counts add up."""
+def test_events_of_a_chattering_guard_are_limited_and_counted():
+    """A bit that rises every other tick for 0.3 s gives one event per 0.1 s, and the counts add up."""
     records = synthetic(500)
     guard = np.zeros(500, int)
     guard[100:400:2] = 1
@@ -235,8 +236,8 @@ def test_guard_that_chatters_is_limited_and_counted():
     assert sum(e["count"] for e in events) == 150
 
 
-def test_missed_deadlines_are_told_with_count_and_total():
-    """Each increase of the missed counter is in an event's count, bursts within 0.1 s in one of them."""
+def test_missed_deadlines_are_reported_with_count_and_total():
+    """Each increase of the missed counter is in the count of an event; increases within 0.1 s share one."""
     records = synthetic(600)
     missed = np.zeros(600, int)
     missed[100:] += 3
@@ -253,7 +254,7 @@ def test_missed_deadlines_are_told_with_count_and_total():
 
 
 def test_health_sums_up_each_second():
-    """Rate, percentiles, counters and mode counts are those of the second's records."""
+    """Rate, percentiles, counters and mode counts are those of the records of a second."""
     records = synthetic(2500, rate_hz=1000.0)
     mode = np.arange(2500) % 7 % 3
     put(records, "contact.mode", mode)
@@ -265,7 +266,7 @@ def test_health_sums_up_each_second():
         rows = records[ticks]
         assert health["tick"] == ticks.stop - 1
         assert health["timestamp"] == rows[-1, AT.timestamp]
-        # an epoch time of 1.7e9 s resolves 2.4e-7 s, so a second is known to that
+        # an epoch time of 1.7e9 s resolves 2.4e-7 s
         assert health["rate"] == pytest.approx(1000.0, rel=1e-6)
         for name, at in (("late", AT.servo_late), ("exec", AT.servo_exec)):
             expected = np.percentile(rows[:, at], [50, 99, 99.9, 100])
@@ -279,7 +280,7 @@ def test_health_sums_up_each_second():
 
 
 def test_health_energy_is_the_work_of_the_hand():
-    """A constant force against a steady motion gives force times way, and the total is the sum."""
+    """A constant force against a steady motion gives force times displacement, and the total is the sum."""
     records = synthetic(2001, rate_hz=1000.0)
     put(records, "force", [0.0, 0.0, 2.0])
     put(records, "torque", 0.0)
@@ -296,7 +297,7 @@ def test_health_energy_is_the_work_of_the_hand():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_work_of_a_torque_is_torque_times_angle(sign):
-    """Turning 0.5 rad about a tilted axis against 0.1 N m takes 0.05 J, whichever sign quaternions have."""
+    """Turning by 0.5 rad about a tilted axis against 0.1 N m takes 0.05 J for either sign of the quaternions."""
     axis = np.array([0.6, 0.0, 0.8])
     angle = np.linspace(0.0, 0.5, 101)
     start = np.array([0.5, 0.5, -0.5, 0.5])
@@ -315,8 +316,8 @@ def test_work_of_a_torque_is_torque_times_angle(sign):
     assert work_of_hand(records) == pytest.approx(0.05, rel=1e-10)
 
 
-def test_work_of_unusable_records_counts_nothing():
-    """A pose that is not finite drops out of the energy, its neighbours stay."""
+def test_unusable_records_do_no_work():
+    """A pose that is not finite does not contribute to the energy; its neighbours do."""
     records = synthetic(4)
     put(records, "force", [1.0, 0.0, 0.0])
     put(records, "torque", 0.0)
@@ -326,7 +327,7 @@ def test_work_of_unusable_records_counts_nothing():
 
 
 def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
-    """Four threads sending events while ticks are published: all arrive, in two frames each."""
+    """Four threads send events while ticks are published: all arrive, in two frames each."""
     socket = plain(publisher.endpoint, "contact", "event")
     join(publisher, socket)
     threads = [
@@ -346,7 +347,7 @@ def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
 
 
 def test_last_event_before_close_arrives(publisher):
-    """The event that says why the server stops reaches the subscriber, with the last tick in it."""
+    """The event with the reason of the stop reaches the subscriber and contains the last tick."""
     socket = plain(publisher.endpoint, "event")
     join(publisher, socket)
     publisher.publish(synthetic(10))
@@ -360,9 +361,9 @@ def test_last_event_before_close_arrives(publisher):
     assert (event["kind"], event["name"], event["tick"], event["message"]) == ("lifecycle", "stopped", 9, "asked to")
 
 
-def test_stalled_subscriber_gets_gaps_and_costs_nobody_else(tmp_path):
-    """A subscriber that reads nothing misses ticks and sees where; the other misses none."""
-    count = 30_000  # more than both backlogs and the kernel's socket buffers hold
+def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
+    """A subscriber that does not read misses ticks and can see the gaps; another one misses none."""
+    count = 30_000  # more than both backlogs and the kernel's socket buffers
     records = synthetic(count)
     with Publisher(f"ipc://{tmp_path}/telemetry", backlog=5000) as publisher:
         stalled = plain(publisher.endpoint, "contact", "event", high_water=100)
@@ -374,7 +375,7 @@ def test_stalled_subscriber_gets_gaps_and_costs_nobody_else(tmp_path):
             ticks += [m["tick"] for m in receive(reading, 1000, b"contact")]
         assert ticks == list(range(count))
 
-        before = receive(stalled, 4500, b"contact")  # most of what is kept for it: then it is given more again
+        before = receive(stalled, 4500, b"contact")  # most of its backlog, so that new messages are queued for it again
         publisher.publish(synthetic(10, first_tick=count))
         while before[-1]["tick"] < count + 9:
             before += receive(stalled, 1, b"contact")
@@ -388,22 +389,22 @@ def test_stalled_subscriber_gets_gaps_and_costs_nobody_else(tmp_path):
     assert 1 <= publisher.figures.lost < lost
 
 
-def test_wildcard_port_is_told(publisher):
-    """A free port is chosen and the endpoint names it."""
+def test_a_wildcard_port_is_resolved(publisher):
+    """The endpoint contains the chosen free port."""
     assert publisher.endpoint.startswith("tcp://127.0.0.1:")
     assert int(publisher.endpoint.rpartition(":")[2]) > 0
 
 
 @pytest.mark.parametrize("endpoint", ["tcp://localhost:*", "tcp://127.8.9.1:*"])
 def test_loopback_endpoints_bind(endpoint):
-    """Every way to say loopback is accepted."""
+    """All names of the loopback interface are accepted."""
     with Publisher(endpoint) as publisher:
         assert publisher.endpoint
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "ipc"])
 def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
-    """A held endpoint gives AddressInUse with what to do, the holder goes on, and closing frees it."""
+    """The error AddressInUse contains a remedy, the first publisher continues, and closing it frees the endpoint."""
     wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
     with Publisher(wanted) as holder:
         endpoint = holder.endpoint
@@ -415,7 +416,7 @@ def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
 
 
 def test_ipc_socket_is_for_user_and_group(tmp_path):
-    """The socket file has mode 660 and the process keeps its umask."""
+    """The socket file has mode 660 and the process still has its umask."""
     mask = os.umask(0o022)
     try:
         with Publisher(f"ipc://{tmp_path}/telemetry"):
@@ -425,8 +426,8 @@ def test_ipc_socket_is_for_user_and_group(tmp_path):
         os.umask(mask)
 
 
-def test_ipc_path_left_by_a_dead_server_is_taken_over(tmp_path):
-    """A socket file that nobody listens on does not stop the next server."""
+def test_an_ipc_path_left_by_a_dead_server_is_reused(tmp_path):
+    """A socket file without a listener does not prevent the next server from starting."""
     path = tmp_path / "telemetry"
     with unix.socket(unix.AF_UNIX) as left:
         left.bind(str(path))
@@ -435,8 +436,8 @@ def test_ipc_path_left_by_a_dead_server_is_taken_over(tmp_path):
         join(publisher, socket)
 
 
-def test_plain_file_at_an_ipc_path_is_left_alone(tmp_path):
-    """A file that is no socket is refused and keeps its content."""
+def test_a_plain_file_at_an_ipc_path_is_unchanged(tmp_path):
+    """A file that is not a socket is refused and not modified."""
     path = tmp_path / "notes.txt"
     path.write_text("mine")
     with pytest.raises(ConfigError, match="is no socket"):
@@ -448,7 +449,7 @@ def test_plain_file_at_an_ipc_path_is_left_alone(tmp_path):
     "endpoint", ["tcp://*:5555", "tcp://0.0.0.0:5555", "tcp://192.168.1.7:5555", "tcp://[::]:5555", "tcp://eth0:5555"]
 )
 def test_public_endpoint_is_refused(endpoint):
-    """A bind that other machines could reach says that keys are needed, and which endpoint to use."""
+    """The error for an endpoint that other machines could reach requires keys and suggests a local endpoint."""
     with pytest.raises(ConfigError, match=r"CURVE keys, and none are configured: use tcp://127\.0\.0\.1:5555"):
         Publisher(endpoint)
 
@@ -467,27 +468,27 @@ def test_public_endpoint_is_refused(endpoint):
     ],
 )
 def test_malformed_endpoint_is_refused(endpoint):
-    """What is no endpoint is named, with examples of what is."""
+    """The error contains valid examples."""
     with pytest.raises(ConfigError, match="is not an endpoint"):
         Publisher(endpoint)
 
 
 def test_ipc_in_a_missing_folder_is_refused(tmp_path):
-    """A folder that does not exist gives a ConfigError with the path, not a ZeroMQ error."""
+    """The error is a ConfigError with the path, not a ZeroMQ error."""
     with pytest.raises(ConfigError, match="nowhere"):
         Publisher(f"ipc://{tmp_path}/nowhere/telemetry")
 
 
 @pytest.mark.parametrize("endpoint", ["ipc://@telemetry", "ipc://*"])
 def test_ipc_without_a_file_is_refused(endpoint):
-    """An abstract socket has no mode, so that every user could connect: it is refused, and so is a name made up."""
+    """An abstract socket has no mode, so every user could connect. It is refused, and so is a wildcard."""
     with pytest.raises(ConfigError, match=r"has no file.*ipc:///path"):
         Publisher(endpoint)
 
 
 @pytest.mark.parametrize("planted", ["telemetry", "telemetry.lock"])
 def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
-    """A link where the socket or its lock file belongs is refused, and what it points to is not made."""
+    """A link instead of the socket or its lock file is refused, and its target is not created."""
     (tmp_path / planted).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match=r"telemetry"):
         Publisher(f"ipc://{tmp_path}/telemetry")
@@ -495,12 +496,12 @@ def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
 
 
 def test_closing_removes_the_ipc_socket(tmp_path):
-    """Nothing that looks like a server is left behind; the lock file stays."""
+    """Only the lock file remains."""
     Publisher(f"ipc://{tmp_path}/telemetry").close()
     assert [path.name for path in tmp_path.iterdir()] == ["telemetry.lock"]
 
 
 def test_every_below_one_is_refused():
-    """every = 0 would divide by zero in the loop and is refused at the start."""
+    """every = 0 would divide by zero in the loop."""
     with pytest.raises(ConfigError, match="every = 0"):
         Publisher("tcp://127.0.0.1:*", every=0)

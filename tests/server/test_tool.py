@@ -1,4 +1,4 @@
-"""A tool on the handle: the tip's pose, the wrench at the handle, the guard's limits where the device acts."""
+"""Tool on the handle: pose of the tip, wrench at the handle, and limits of the guard at the handle."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from softfinger.server.offline.summary import rig_summary
 
 DT = 1e-3
 SLOW_HZ = 100.0
-"""Rate of a whole recording where the ticks between show nothing else."""
+"""Rate for recordings whose intermediate ticks show nothing else."""
 FREE_HAND = Guard(40.0, 2.0, 1e6, 1e6, 0.0, 1.0)
-"""Limits of force, torque and their changes that nothing here reaches, and no ramp."""
+"""Limits of force, torque and their rates that are never reached, and no ramp."""
 EPS = float(np.finfo(float).eps)
 
 numbers = st.floats(-1.0, 1.0)
@@ -43,7 +43,7 @@ turns = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: float(np.
 
 
 def ticks(tuning: Tuning, handles: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Wrenches (n, 6) for the device, and records, of handle poses (n, 7)."""
+    """Return wrenches (n, 6) for the device, and records, of handle poses (n, 7)."""
     start = memory = begin(tuning.scene)
     wrenches, records = [], np.zeros((len(handles), RECORD_SIZE))
     for number, (handle, record) in enumerate(zip(np.asarray(handles, float), records, strict=True)):
@@ -59,7 +59,7 @@ def tuned(scene: str, tool: schema.Tool | None, guard: Guard = FREE_HAND) -> Tun
 
 @pytest.mark.plain
 def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
-    """1 N up at a tip 100 mm along the handle's x: -0.1 N m about y; turned by half a right angle, 0.1 / sqrt 2."""
+    """1 N up at a tip 100 mm along the handle's x gives -0.1 N m about y; turned by 45 degrees, 0.1 / sqrt 2."""
     tuning = tuned("frictionless-plane", schema.Tool(offset_m=(0.1, 0.0, 0.0)))
     half = np.sqrt(0.5)
     down = quaternion(np.array([0.0, np.pi / 4.0, 0.0]))
@@ -75,10 +75,10 @@ def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
 @pytest.mark.plain
 @examples(100, 300)
 @given(offset=vectors, turn=turns, position=vectors, handle=turns, force=vectors, torque=vectors, v=vectors, w=vectors)
-def test_power_is_the_same_at_tip_and_handle(
+def test_power_is_equal_at_tip_and_handle(
     offset: Any, turn: Any, position: Any, handle: Any, force: Any, torque: Any, v: Any, w: Any
 ) -> None:
-    """F . v_tip + tau_tip . w = F . v_handle + tau_handle . w for every pose, twist and wrench; and back again."""
+    """F . v_tip + tau_tip . w = F . v_handle + tau_handle . w for every pose, twist and wrench, in both directions."""
     tool, unit = make_tool(offset, turn), tuple(np.array(handle) / np.linalg.norm(handle))
     tip = tip_of(tool, Pose(position, unit))
     away = matrix(np.array(unit)) @ offset
@@ -93,8 +93,9 @@ def test_power_is_the_same_at_tip_and_handle(
 
 
 @pytest.mark.plain
-def test_limits_hold_for_what_the_device_is_given() -> None:
-    """The carried torque is clamped and slewed, however long the arm; telemetry has what of it is about the tip."""
+def test_limits_apply_at_the_device() -> None:
+    """The torque at the handle is clamped and slew-limited for any arm; telemetry has the resulting torque about the
+    tip."""
     largest, change = 0.05, 4.0
     guard = FREE_HAND._replace(torque_max=largest, torque_slew=change)
     offset = (0.1, 0.02, -0.05)
@@ -114,16 +115,16 @@ def test_limits_hold_for_what_the_device_is_given() -> None:
 
 
 @pytest.mark.plain
-def test_tool_of_no_length_changes_no_bit() -> None:
-    """As without one; and without one the tick is what it was, since None compiles to nothing."""
+def test_a_tool_of_no_length_changes_no_bit() -> None:
     poses = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
     without, having = (simulate(tuned("paper-plane", tool), poses, SLOW_HZ) for tool in (None, schema.Tool()))
     np.testing.assert_array_equal(having, without)
 
 
 @pytest.mark.plain
-def test_contact_is_that_of_the_tip() -> None:
-    """A hand that leads the tip along a recording feels what the recording does; the handle has only more torque."""
+def test_the_contact_is_that_of_the_tip() -> None:
+    """A hand that moves the tip along a recording gets the recording's contact forces; only the torque at the handle
+    differs."""
     tips = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
     turn = np.array([0.8, 0.0, 0.6, 0.0])
     tool = schema.Tool(offset_m=(0.0, -0.03, 0.15), orientation_wxyz=(0.8, 0.0, 0.6, 0.0))
@@ -150,10 +151,11 @@ def test_contact_is_that_of_the_tip() -> None:
 
 
 @pytest.mark.parametrize("fault", ["none", "held", "withheld_write"])
-def test_servo_writes_the_carried_wrench(fault: Any) -> None:
-    """Through the loop to the driver, also where it holds or withholds a force: the record has it about the tip."""
+def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
+    """The driver gets the wrench at the handle, also if it holds or withholds a force; the record has it about the
+    tip."""
     device = FaultyDevice(Options(fault=fault, at=300, count=20, own_clock=True))
-    arm = (0.05, 0.0, 0.0)  # the device turns its handle not at all
+    arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
     servo = Servo([device], tuned("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
     servo.compile()
     servo.start()
@@ -172,8 +174,8 @@ def test_servo_writes_the_carried_wrench(fault: Any) -> None:
 
 
 @pytest.mark.plain
-def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
-    """From the file through `simulate --device`: the tip is where the tool has it, turned as it turns."""
+def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
+    """From the file to `simulate --device`, the tip has the offset and the orientation of the tool."""
     file = tmp_path / "rig.toml"
     file.write_text(
         '[device]\ndriver = "simulated"\n\n[device.tool]\noffset_m = [0.0, 0.0, -0.1]\n'
@@ -183,7 +185,7 @@ def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
     assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 2.0, 0.0, 0.0]"
     other = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
-    assert other.device.tool is None  # it is on the other device's handle
+    assert other.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")
     bare = load_rig(file, {"device.tool": {}})
     having, without = (whole(simulate_devices(scene, each, 0.002)) for each in (rig, bare))
@@ -205,7 +207,7 @@ def test_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
         ({"length_m": 0.1}, "device.tool.length_m is not a key here"),
     ],
 )
-def test_faulty_tools_are_said(tool: dict[str, Any], said: str) -> None:
+def test_invalid_tools_are_refused(tool: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build(schema.Rig, {"device": {"driver": "replay", "recording": "tap", "tool": tool}}, "rig")
     assert said in str(caught.value)

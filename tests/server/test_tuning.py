@@ -1,4 +1,4 @@
-"""From rig and device to the limits of the guard: nothing a hand depends on is lost on the way."""
+"""Limits of the guard from rig and device, and warnings about scenes."""
 
 import dataclasses
 import math
@@ -32,13 +32,13 @@ LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAND)
 
 
 def test_every_limit_of_the_rig_reaches_the_guard():
-    """Each number of [guard] is one of the guard's, which is armed."""
+    """Each number of [guard] is in the guard, which is armed."""
     assert guard_limits(RIG, STRONG) == LIMITS
 
 
-def test_poses_are_doubted_where_a_force_is_in_a_hand():
-    """Of what is recorded or computed, of a device that displays none, and of none at all, every pose is believed, and
-    no hand needs a limit of its speed, its energy, the motors' heat or the workspace."""
+def test_poses_are_checked_only_with_a_force_in_a_hand():
+    """Recorded or computed devices, devices without forces and missing devices have unlimited speed, turn, energy, heat
+    and workspace."""
     believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
     assert (
@@ -50,22 +50,22 @@ def test_poses_are_doubted_where_a_force_is_in_a_hand():
 
 
 @pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
-def test_no_more_than_the_device_can(field, limit, caplog):
-    """What the device allows less of is lowered to it, with a warning; the other limits stay."""
+def test_limits_are_lowered_to_those_of_the_device(field, limit, caplog):
+    """A lower limit of the device replaces that of the rig with a warning; other limits are unchanged."""
     weak = dataclasses.replace(STRONG, **{field: 0.1})
     assert guard_limits(RIG, weak) == LIMITS._replace(**{limit: 0.1})
     assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
 
 
-def test_a_torque_that_a_device_does_not_display_is_known():
-    """Of three driven degrees of freedom the hand is given the force alone, however many are sensed."""
+def test_devices_without_torque_are_known():
+    """With three actuated degrees of freedom the hand gets only the force, however many are sensed."""
     for driven, turns in ((3, 0.0), (6, 1.0)):
         assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
     assert guard_limits(RIG).displays_torque == 1.0
 
 
 def test_the_servo_is_given_these_limits():
-    """A scene's tuning holds the guard of rig and device, not another one."""
+    """The tuning of a scene contains the guard of rig and device."""
     rig = load_rig("replay", {"guard.force_slew_n_per_s": 321.0})
     weak = dataclasses.replace(STRONG, force_max_n=0.5)
     tuning = make_tuning(load_scene("paper-plane"), rig.guard, [weak])
@@ -73,8 +73,9 @@ def test_the_servo_is_given_these_limits():
 
 
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
-def test_an_object_stiffer_than_the_device_is_told(exponent, stiffness, caplog):
-    """The slope of K d (delta / d)^p at the guard's 12 N, against what the device is said to hold; it is rendered."""
+def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, caplog):
+    """The slope of K d (delta / d)^p at the guard's 12 N is compared with the device's limit; the object is still
+    rendered."""
     scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
     for limit, told in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
         caplog.clear()
@@ -82,8 +83,9 @@ def test_an_object_stiffer_than_the_device_is_told(exponent, stiffness, caplog):
         assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == told
 
 
-def test_a_geom_that_fingers_pass_through_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A height field with oblong pixels; not a geom without a material or collisions, nor one with an object."""
+def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Height fields with oblong pixels and flexible bodies do; geoms without material, without collisions or with their
+    own object do not."""
     model = tmp_path / "model.xml"
     model.write_text(
         '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'

@@ -1,4 +1,4 @@
-"""What the loop takes for a pose: every number of a sample is looked at, and what it was a tick before."""
+"""Pose check of the loop: every number of a sample, and the change since the previous tick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from softfinger.server.loop.tick import POSITION_MAX_M, has_pose
 pytestmark = pytest.mark.plain
 
 TILTED = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, 0.5)
-"""A position, m, and a unit quaternion without a zero."""
+"""A position (m), and a unit quaternion without zeros."""
 
 
 def sample(*numbers: float) -> np.ndarray:
@@ -35,7 +35,7 @@ def with_one(place: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize("place", range(7))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_number_may_be_missing(place: int, value: float) -> None:
-    """Each of the seven alone makes a sample one that holds no pose."""
+    """A non-finite value in any of the seven numbers makes a pose invalid."""
     assert has_pose(sample(*TILTED))
     assert not has_pose(with_one(place, value))
 
@@ -43,14 +43,14 @@ def test_no_number_may_be_missing(place: int, value: float) -> None:
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
-    """At the reach a position is taken, behind it none."""
+    """Positions up to POSITION_MAX_M are valid, larger ones are not."""
     assert has_pose(with_one(axis, side * POSITION_MAX_M))
     assert not has_pose(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
 
 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_quaternion_is_about_unit(axis: int) -> None:
-    """From half to twice the length, whichever its components are."""
+    """A length from 0.5 to 2 is valid, whichever component is non-zero."""
     for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
         quaternion = [0.0] * 4
         quaternion[axis] = -length
@@ -64,7 +64,7 @@ NONE = (0.0, 0.0, 0.0)
 
 
 def doubts(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
-    """What is said of each pose, a tick apart."""
+    """Return the result of the check for each pose, one tick apart."""
     seen = make_pose_memory()
     told = statuses or [OK] * len(poses)
     return [
@@ -81,37 +81,37 @@ def turned(angle: float) -> tuple[float, ...]:
     return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
 
 
-def test_a_pose_is_a_jump_past_what_the_speed_allows_in_a_tick() -> None:
-    """Below the limit none, past it one, whatever it is measured from; the first pose is never one."""
+def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
+    """The limit applies from any start; the first pose is never a jump."""
     assert doubts([at(5.0), at(5.0099), at(5.0)]) == [0, 0, 0]
     assert doubts([at(0.0), at(0.0101), at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
-def test_a_turn_is_a_jump_past_what_its_speed_allows_in_a_tick() -> None:
-    """Of a quaternion the sign and the length say nothing."""
+def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
+    """Sign and length of a quaternion do not matter."""
     doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turned(0.099)))
     assert doubts([turned(0.0), turned(0.099), turned(0.0), doubled]) == [0, 0, 0, 0]
     assert doubts([turned(0.0), turned(0.101), turned(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
-def test_a_pose_that_was_held_is_older_when_the_next_one_comes() -> None:
-    """Five ticks without a new sample, or without a usable one: the next may be six ticks' way off, and no farther."""
+def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
+    """After five ticks without a new or usable sample, the next pose may differ by the limit of six ticks."""
     broken = (math.nan,) * 7
     for waiting, status in ((at(0.0), STALE), (broken, OK)):
         for x, said in ((0.059, 0), (0.061, POSE_JUMPED)):
             assert doubts([at(0.0), *[waiting] * 5, at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [said]
-    assert doubts([at(0.0)] * 6 + [at(0.059)])[-1] == POSE_JUMPED  # the driver said that they were new
+    assert doubts([at(0.0)] * 6 + [at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
 
 
-def test_a_pose_that_repeats_is_frozen_under_a_force_alone() -> None:
-    """After frozen_s, until it changes by one bit; a hand that is given none may keep still for ever."""
+def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
+    """It is frozen after frozen_s until one bit changes; without a force a hand may rest indefinitely."""
     same, other = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
     assert doubts([*same, other], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
     assert doubts(same, force=(0.0, 0.0, 0.009)) == [0] * 20
 
 
-def test_a_frozen_pose_stays_so_without_the_force() -> None:
-    """The force is gone by then, and must not come back."""
+def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
+    """The guard removes the force of a frozen pose; the missing force does not end the freeze."""
     seen = make_pose_memory()
     for _ in range(30):
         check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)

@@ -1,4 +1,4 @@
-"""The watcher by itself: what it does once the other end of its pipe has gone. With a daemon: test_signals.py."""
+"""The watcher after its pipe closes. test_signals.py tests it with a daemon."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _PR_CAPBSET_DROP, _CAP_SYS_ADMIN = 24, 21
 
 
 def as_an_ordinary_user() -> None:
-    """Of root the right that opens a port which is another's alone."""
+    """Drop root's capability to open a port in exclusive use."""
     ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_SYS_ADMIN, 0, 0, 0)
 
 
 @pytest.fixture
 def port() -> Iterator[tuple[int, int]]:
-    """Both ends of a line, set as the driver sets it: for one opener alone, which goes on as long as this test."""
+    """Both ends of a line that the driver has opened exclusively."""
     far, near = os.openpty()
     tty.setraw(near)
     fcntl.ioctl(near, termios.TIOCEXCL)
@@ -37,7 +37,7 @@ def port() -> Iterator[tuple[int, int]]:
 
 
 def watched(name: str, fd: int, told: bytes) -> str:
-    """What the watcher of an open device says after the daemon's last words on the pipe."""
+    """Return the output of a device's watcher after the daemon's last data on the pipe."""
     words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
     done = subprocess.run(
         words, input=told, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
@@ -45,8 +45,8 @@ def watched(name: str, fd: int, told: bytes) -> str:
     return done.stderr.decode()
 
 
-def test_a_port_that_was_open_for_one_user_alone_takes_the_zero(port: tuple[int, int]) -> None:
-    """While somebody else still holds it nobody could open it; afterwards the next daemon can."""
+def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
+    """While the port is exclusive no other process can open it; afterwards the next daemon can."""
     far, near = port
     name = os.ttyname(near)
     assert watched(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
@@ -55,8 +55,7 @@ def test_a_port_that_was_open_for_one_user_alone_takes_the_zero(port: tuple[int,
     assert subprocess.run(opened, preexec_fn=as_an_ordinary_user, check=False).returncode == 0
 
 
-def test_a_device_that_was_closed_in_order_is_left_alone(port: tuple[int, int]) -> None:
-    """Nothing is written, and nothing said."""
+def test_a_device_that_was_closed_is_not_written_to(port: tuple[int, int]) -> None:
     far, near = port
     os.set_blocking(far, False)
     assert watched(os.ttyname(near), near, watcher.CLOSED) == ""
@@ -64,8 +63,8 @@ def test_a_device_that_was_closed_in_order_is_left_alone(port: tuple[int, int]) 
         os.read(far, 100)
 
 
-def test_what_cannot_be_written_is_said() -> None:
-    """A device that has gone meanwhile."""
+def test_a_failed_zero_is_reported() -> None:
+    """The device has disappeared."""
     far, near = os.openpty()
     name = os.ttyname(near)
     os.close(far)

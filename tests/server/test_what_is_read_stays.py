@@ -1,4 +1,4 @@
-"""No verb writes over what it reads, over a recording, or over another finger's."""
+"""No verb overwrites its input, a recording, or the output of another finger."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Poses in a.csv, which link.csv leads to."""
+    """Folder with poses in a.csv and a link to it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.csv").write_text(POSES)
     (tmp_path / "link.csv").symlink_to("a.csv")
@@ -33,16 +33,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
     ids=lambda words: words[0],
 )
-def test_an_output_is_not_what_is_read(words: list[str], written: str, here: Path) -> None:
-    """By whatever name: exit code 2, one sentence, and the file is as it was."""
+def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Path) -> None:
+    """For each name of the file: exit code 2, one sentence, and an unchanged file."""
     done = called(*words, written)
     assert done.returncode == 2 and "name another file" in done.stderr, done.stderr
     assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
 
 
 @pytest.mark.real_time
-def test_a_recording_takes_the_place_of_no_file(endpoints: tuple[str, str], here: Path) -> None:
-    """Of poses as of everything; what has too few poses is not left behind."""
+def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) -> None:
+    """A recording with too few poses is deleted."""
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
     done = called("record", "a.csv", "--duration", "0.05", *to)
     assert done.returncode == 3 and "is there already" in done.stderr and (here / "a.csv").read_text() == POSES
@@ -53,8 +53,8 @@ def test_a_recording_takes_the_place_of_no_file(endpoints: tuple[str, str], here
     assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (here / "b.csv").stat().st_size
 
 
-def test_a_name_that_the_terminal_has_no_letters_for_is_told(tmp_path: Path) -> None:
-    """Escaped: `check` of a scene with a table in Russian, where output is ASCII."""
+def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> None:
+    """`check` of a scene with a Russian name, with ASCII output."""
     scene = tmp_path / "scene.toml"
     table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
     scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")

@@ -1,4 +1,4 @@
-"""Who may command a daemon whose rig does not say where: its own user, by a socket that nobody else reaches."""
+"""Access to commands of a daemon whose rig names no address: only its user, by a private socket."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be anot
 
 @pytest.fixture
 def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Where sockets go: not there yet; in a short path, as sockets need it."""
+    """Folder of sockets, not created yet; its path is short, as sockets require."""
     with tempfile.TemporaryDirectory() as runtime:
         monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
         yield Path(runtime) / "softfinger"
@@ -45,7 +45,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def daemons() -> Iterator[list[Daemon]]:
-    """Two that run, on ports that the system chose."""
+    """Run two daemons on ports that the system chooses."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as one, Daemon(rig, load_scene("paper-plane")) as other:
         one.start()
@@ -55,7 +55,7 @@ def daemons() -> Iterator[list[Daemon]]:
 
 @pytest.mark.real_time
 def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemons: list[Daemon]) -> None:
-    """By the port that the system chose; a folder and a socket for this user alone, and each client meets its own."""
+    """The port determines the socket. Folder and socket are private to the user, and each client reaches its daemon."""
     for daemon in daemons:
         port = daemon.publisher.endpoint.rpartition(":")[2]
         socket = folder / f"{port}.commands"
@@ -67,16 +67,16 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
 
 
 @pytest.mark.real_time
-def test_ctl_takes_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    """That of the telemetry leads to the commands beside it, as that of the commands does."""
+def test_ctl_accepts_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
+    """The addresses of telemetry and of commands are equivalent."""
     for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
         assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert daemons[0].publisher.endpoint in capsys.readouterr().out
 
 
 @pytest.mark.real_time
-def test_readers_take_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    """That of the commands leads to the telemetry that they are beside: for monitor, record and Python."""
+def test_readers_accept_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
+    """monitor, record and the Python client find the telemetry from the address of the commands."""
     told = list[str]()
     for number, endpoint in enumerate((daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint))):
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
@@ -92,7 +92,7 @@ def test_readers_take_either_address(folder: Path, daemons: list[Daemon], capsys
 
 @pytest.fixture
 def named() -> Iterator[Daemon]:
-    """One whose rig says where commands are taken: by tcp, on a port that has nothing to do with the telemetry's."""
+    """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
     rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -100,10 +100,10 @@ def named() -> Iterator[Daemon]:
 
 
 @pytest.mark.real_time
-def test_a_daemon_that_names_its_commands_is_found_from_either_address(
+def test_a_daemon_with_named_commands_is_found_from_either_address(
     folder: Path, named: Daemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By every client: the telemetry says where commands are, and the commands where telemetry is."""
+    """Every client finds the commands from the telemetry, and the telemetry from the commands."""
     both = (named.publisher.endpoint, str(named.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
@@ -117,15 +117,15 @@ def test_a_daemon_that_names_its_commands_is_found_from_either_address(
         assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
         assert any(
             isinstance(part, Note) and part.name == "scene" for part in read_contents(kept)
-        )  # the daemon said it
+        )  # sent by the daemon
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
             assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
 
 
 @pytest.mark.real_time
-def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
-    """From the telemetry alone: the page shows the scene, and what is forwarded is answered."""
+def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
+    """With only the telemetry's address, the page shows the scene, and forwarded commands are answered."""
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.page import Page
 
@@ -153,8 +153,8 @@ def test_the_page_and_the_gateway_find_commands_that_the_rig_names(folder: Path,
 
 
 @pytest.mark.real_time
-def test_a_daemon_without_commands_says_so(folder: Path) -> None:
-    """To whoever asks it to do something, and at once; its ticks are there all the same."""
+def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> None:
+    """Its telemetry is still available."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -165,8 +165,9 @@ def test_a_daemon_without_commands_says_so(folder: Path) -> None:
                 client.arm()
 
 
-def test_nobody_is_asked_where_the_addresses_follow_from_each_other(folder: Path) -> None:
-    """A socket of commands leads to its telemetry, an address that other machines reach to the port behind it."""
+def test_addresses_follow_from_each_other(folder: Path) -> None:
+    """The socket of commands gives the telemetry's port; an address for other machines gives the next port. No peer is
+    needed."""
     beside = f"ipc://{folder}/5601.commands"
     assert find_addresses(beside) == ("tcp://127.0.0.1:5601", beside)
     assert find_addresses("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
@@ -184,8 +185,8 @@ except PermissionError:
 
 
 @needs_root
-def test_another_user_does_not_reach_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not even in a folder that all may enter: the mode of the socket keeps them out."""
+def test_another_user_cannot_connect_to_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mode of the socket refuses other users, even in a folder that is open to all."""
     folder = Path(os.environ["XDG_RUNTIME_DIR"])
     folder.chmod(0o755)
     (folder / "softfinger").mkdir(exist_ok=True)
@@ -195,14 +196,14 @@ def test_another_user_does_not_reach_the_socket(monkeypatch: pytest.MonkeyPatch)
         bound = listen(f"ipc://{folder}/softfinger/who.commands", KEY, own=own)
         with bound.files:
             path = bound.endpoint.removeprefix("ipc://")
-            if not own:  # the other way round: what the attempt would look like where it is let in
+            if not own:  # counter-check: the same attempt with access
                 Path(path).chmod(0o666)
             codes.append(subprocess.run([sys.executable, "-c", CONNECT, path], check=False).returncode)
     assert codes == [13, 0]
 
 
-def test_a_killed_daemon_leaves_no_address_in_use_and_a_living_one_keeps_its_own(folder: Path) -> None:
-    """The socket file of the first is replaced, that of the second is not touched."""
+def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
+    """The socket of a running daemon is not touched."""
     endpoint = commands_beside(TELEMETRY)
     killed = (
         "import os, sys; from softfinger.server.wire.endpoint import listen; "
@@ -244,8 +245,8 @@ def _of_another(folder: Path) -> None:
         pytest.param(_of_another, "belongs to another user", marks=needs_root),
     ],
 )
-def test_a_folder_that_another_user_may_have_planted_is_refused(folder: Path, plant, said: str) -> None:
-    """By the daemon, whose socket could be replaced, and by clients, who would command another's."""
+def test_a_folder_of_another_user_is_refused(folder: Path, plant, said: str) -> None:
+    """The daemon's socket could be replaced there, and clients could command another user's daemon."""
     plant(folder)
     with pytest.raises(ConfigError, match=said):
         listen(commands_beside(TELEMETRY), KEY, own=True)
@@ -253,8 +254,7 @@ def test_a_folder_that_another_user_may_have_planted_is_refused(folder: Path, pl
         Control(commands_beside(TELEMETRY))
 
 
-def test_a_runtime_folder_that_is_not_there_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With what to do."""
+def test_a_missing_runtime_folder_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
     with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
         listen(commands_beside(TELEMETRY), KEY, own=True)

@@ -1,5 +1,4 @@
-"""Bodies that move by themselves under the daemon: what is published, that it is what `simulate` computes, and what
-becomes of those that cannot be simulated.
+"""Simulated bodies in the daemon: published poses, agreement with `simulate`, and failing simulations.
 
 Compiles a servo for a key on a spring, with friction and rolling.
 """
@@ -39,12 +38,12 @@ from softfinger.server.wire.control import Control
 pytestmark = pytest.mark.real_time
 
 PRESSED_M = 1e-3
-"""How deep the recording goes into the key at rest."""
+"""Depth of the recording in the key at rest."""
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> schema.Scene:
-    """A key that the fingertip of the shipped taps presses."""
+    """Scene with a key that the shipped taps press."""
     return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
@@ -54,7 +53,7 @@ def rig(**changes: Any) -> schema.Rig:
 
 
 def heights(endpoint: str) -> Iterator[tuple[int, float]]:
-    """Tick and height of the key, in the messages as they come."""
+    """Yield tick and height of the key from the messages."""
     with subscribe(endpoint, ("world",), timeout_s=20.0) as samples:
         for sample in samples:
             (body,) = sample.bodies
@@ -63,9 +62,9 @@ def heights(endpoint: str) -> Iterator[tuple[int, float]]:
             yield sample.tick, body.position[2]
 
 
-def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
-    """Two springs in series: the key goes down by its share, and comes back; the records are those of `simulate`, and
-    a replay of the recording has the bodies where they were, to the bit."""
+def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
+    """With two springs in series the key moves down by its share and returns. The records equal those of `simulate`,
+    and a replay of the recording has equal poses of the bodies."""
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
@@ -81,7 +80,7 @@ def test_what_is_pressed_gives_way_and_is_published(scene: schema.Scene, tmp_pat
     order = [tick for tick, _ in seen]
     assert order == sorted(set(order)) and len(order) > 10
     share = 500.0 / (500.0 + 300.0)
-    assert min(down for _, down in seen) == pytest.approx(-share * PRESSED_M, rel=0.3)  # of a tap: it swings
+    assert min(down for _, down in seen) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
     assert seen[-1][1] > -1e-4
 
     records = np.concatenate(rows)
@@ -149,7 +148,7 @@ print(few[0], many[0], many[1])
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
 def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
-    """With contacts, friction and a limit of a joint: as many mallocs of the servo in ten ticks as in thousands."""
+    """With contacts, friction and a joint limit, the servo calls malloc as often in ten ticks as in thousands."""
     (tmp_path / "full.xml").write_text(FULL)
     few, many, contacts = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), "full.xml").split())
     assert contacts > 4 and few > 0  # the shim does count: entering the loop from Python allocates
@@ -158,7 +157,7 @@ def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) -> None:
-    """The shipped demonstration by its command, without a rig: up by 98 mm, less than 5 degrees turned, down again."""
+    """The shipped demonstration lifts the box by 98 mm, turns it by less than 5 degrees, and puts it down."""
     words = ["--duration", "5.4", "--realtime", "off", "--commands", "off", "--endpoint", f"ipc://{tmp_path}/t"]
     command = [sys.executable, "-m", "softfinger.server.cli"]
     process = subprocess.Popen([*command, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
@@ -171,7 +170,7 @@ def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) ->
             if sample.tick > 5300:
                 break
     assert process.wait(60) == 0
-    assert top == pytest.approx(0.12, abs=0.003)  # less the springs' and the hands' sag
+    assert top == pytest.approx(0.12, abs=0.003)  # less the sag of springs and hands
     assert math.degrees(turned) < 5.0
     assert box.position[2] == pytest.approx(0.02, abs=2e-4)  # MuJoCo's soft floor
     subprocess.run([*command, "replay", str(tmp_path / "a.mcap")], check=True)
@@ -182,11 +181,11 @@ HOME = """
   <keyframe><key name="home" qpos="-0.015" ctrl="-4.5"/></keyframe>
 </mujoco>
 """
-"""The motor balances the spring: 300 N/m by 15 mm."""
+"""The motor balances the spring: 300 N/m times 15 mm."""
 
 
-def test_bodies_are_put_back_by_command(scene: schema.Scene, tmp_path: Path) -> None:
-    """At the keyframe, from the beginning and after a reset: with its control the key stays there, without it rises."""
+def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> None:
+    """The key starts at the keyframe, rises when the motor's control is set to 0, and returns with a reset."""
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
     at_home = overridden(scene, {"world.keyframe": "home"}, "test")
@@ -206,7 +205,7 @@ def test_bodies_are_put_back_by_command(scene: schema.Scene, tmp_path: Path) -> 
 
 
 def next_fault(events: Subscription) -> str:
-    """What is said of the bodies that failed next."""
+    """Return the message of the next fault of the bodies."""
     return next(
         str(event.data["message"])
         for event in events
@@ -215,12 +214,12 @@ def next_fault(events: Subscription) -> str:
 
 
 SLEW = 20.0
-"""N/s, slow enough that the way of the force to zero is seen."""
+"""N/s, slow enough to see the force ramp to zero."""
 
 
 def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path: Path) -> None:
-    """Three times in one run, by numbers that are none and by an error that would end the process: each is told in
-    MuJoCo's words, the force goes to zero along the slew limit, ticks go on, and a reset brings the touch back."""
+    """Three failures in one run, by infinite values and by an error that would end the process. Each is reported with
+    MuJoCo's message, the force ramps to zero at the slew limit, ticks continue, and a reset restores the contact."""
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
@@ -231,11 +230,11 @@ def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path:
             subscribe(running.publisher.endpoint, ("event",), timeout_s=60.0) as events,
         ):
             resets = [control.reset_world().tick]
-            while events.receive(0.1) is None:  # it is heard from here on
+            while events.receive(0.1) is None:  # until the subscription is active
                 control.mark("begin")
             for said in ("huge value", "solver", "huge value"):
                 owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
-                wait_for(running, running.servo.ticks + 1500)  # it is pressed in each
+                wait_for(running, running.servo.ticks + 1500)  # the key is pressed in each
                 if said == "huge value":
                     owner.data.qvel[0] = math.inf
                 else:
@@ -260,7 +259,7 @@ def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path:
 
 
 def wait_for(running: Daemon, ticks: int) -> None:
-    """Until the servo has done so many."""
+    """Wait until the servo has run this many ticks."""
     until = time.monotonic() + 60.0
     while running.servo.ticks < ticks:
         assert running.servo.running and time.monotonic() < until
@@ -268,7 +267,7 @@ def wait_for(running: Daemon, ticks: int) -> None:
 
 
 def test_bodies_that_take_too_long_are_let_go(scene: schema.Scene) -> None:
-    """A budget that no step can keep to: told with the key to change, and the servo ticks on."""
+    """The failure names the key to change, and ticks continue."""
     assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))
     with Daemon(rig(), hasty) as running:
@@ -279,8 +278,8 @@ def test_bodies_that_take_too_long_are_let_go(scene: schema.Scene) -> None:
         wait_for(running, running.servo.ticks + 50)
 
 
-def test_a_step_by_address_is_mujocos_own(scene: schema.Scene) -> None:
-    """What `_address` of model and data leads to, with mujoco-core 4.0.1: the state after steps, to the bit."""
+def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
+    """The state after steps through `_address` of model and data (mujoco-core 4.0.1) is equal bit for bit."""
     tuning, away = make_tuning(scene, rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert tuning.scene.bodies is not None
     owner = tuning.scene.bodies.block.owner

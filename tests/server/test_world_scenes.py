@@ -1,4 +1,4 @@
-"""The shipped scenes whose bodies move, each played by its simulated hand: what comes of it against plain mechanics."""
+"""Shipped scenes with moving bodies, each played by its simulated hand and checked by elementary mechanics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ G = 9.81
 
 
 def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
-    """`softfinger run --scene NAME` finds a rig, whose devices are computed, with a recording each."""
+    """`softfinger run --scene NAME` finds a rig of simulated devices for each."""
     worlds = [name for name in shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
     assert len(worlds) == 8
     assert {f"simulated-{name}" for name in worlds} <= set(shipped(Rig))
@@ -32,16 +32,15 @@ def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
 
 @PLAIN_ONLY
 def test_torsion_turns_a_knob() -> None:
-    """The hand turns by 1 rad; the knob lags by what its bearing takes of the contact's torsion, and stays there."""
+    """The hand turns by 1 rad; the knob lags by the friction of its bearing over the torsional stiffness."""
     hands = SimulatedHands("turn-a-knob")
     hands.until(2.9)
     lag = 0.002 / 0.05  # friction of the bearing over the torsional stiffness
-    assert hands.data.qpos[0] == pytest.approx(1.0 - lag, abs=1e-3)  # MuJoCo's friction gives way by 0.0004
+    assert hands.data.qpos[0] == pytest.approx(1.0 - lag, abs=1e-3)  # MuJoCo's friction yields by 0.0004
 
 
 @PLAIN_ONLY
-def test_a_point_turns_no_knob() -> None:
-    """The same without torsion: the knob stands still."""
+def test_without_torsion_a_knob_does_not_turn() -> None:
     scene = describe(load_scene("turn-a-knob"))
     del scene["world"]["geom"][0]["material"]["torsion"]
     del scene["object"]  # the geoms, with their torsion
@@ -53,12 +52,12 @@ def test_a_point_turns_no_knob() -> None:
 
 @PLAIN_ONLY
 def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
-    """Open by the finger's way less its clearance and the depth that friction holds; pushed to its end; let go."""
+    """It opens by the finger's displacement less its clearance and the depth under friction, and closes when pushed."""
     hands = SimulatedHands("open-a-drawer")
     felt = hands.until(2.9)[""][-1]
     inner_face = 0.024  # of the handle, shut: 5 mm before the finger
     depth = felt["force"][1] / 1000.0
-    assert 0.0 < depth <= 0.4 / 1000.0  # friction holds what is left of the pull
+    assert 0.0 < depth <= 0.4 / 1000.0  # friction balances the rest of the pull
     opened = inner_face - (felt["probe.position"][1] - RADIUS + depth)
     assert hands.data.qpos[0] == pytest.approx(opened, abs=2e-5)  # MuJoCo's friction creeps
     assert opened == pytest.approx(0.094, abs=1e-3)
@@ -67,15 +66,16 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
 
 
 @PLAIN_ONLY
-def test_a_door_turns_until_its_face_is_on_the_finger_and_closes_by_itself() -> None:
-    """The finger's centre is a radius, less the depth, before the door's face; force times arm is the spring's."""
+def test_a_door_follows_the_finger_and_closes_by_its_spring() -> None:
+    """The finger's centre is one radius less the depth from the door's face; force times arm equals the spring's
+    torque."""
     hands = SimulatedHands("open-a-door")
     felt = hands.until(2.2)[""][-1]
     x, y = felt["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
     angle = hands.data.qpos[0]
     face, along = -(y * math.cos(angle) - x * math.sin(angle)), y * math.sin(angle) + x * math.cos(angle)
     assert face == pytest.approx(RADIUS + 0.004 - felt["contact.penetration"], abs=1e-5)
-    sideways = felt["contact.tangential_force"] * 0.004  # friction acts on the face, before the hinge
+    sideways = felt["contact.tangential_force"] * 0.004  # friction acts on the face, in front of the hinge
     assert felt["contact.normal_force"] * along == pytest.approx(0.06 * angle, abs=sideways + 1e-4)
     assert angle > math.radians(25.0)
     hands.until(4.6)
@@ -84,7 +84,7 @@ def test_a_door_turns_until_its_face_is_on_the_finger_and_closes_by_itself() -> 
 
 @PLAIN_ONLY
 def test_a_button_clicks_at_the_load_of_its_dome() -> None:
-    """Force grows to the largest of spring and dome less the cap's weight, and falls as the dome snaps; and back."""
+    """The force rises to the maximum of spring and dome less the cap's weight, falls as the dome snaps, and returns."""
     depth = np.linspace(0.0, 0.003, 3001)
     height = 0.0015 - depth
     side = np.hypot(0.006, height)
@@ -103,7 +103,7 @@ def test_a_button_clicks_at_the_load_of_its_dome() -> None:
 
 @PLAIN_ONLY
 def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
-    """No slip on the table nor under the finger: 5 mm of 10, and that over the radius as an angle."""
+    """Without slip on the table and under the finger it moves 5 mm of 10 mm, and turns by that over the radius."""
     hands = SimulatedHands("roll-a-pencil")
     start = hands.until(1.15)[""]["probe.position"][-1, 0]
     place, turn = hands.data.qpos[0], 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3])
@@ -118,10 +118,11 @@ def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
 
 @PLAIN_ONLY
 def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
-    """Its first swing takes 2 pi sqrt(7 (R - r) / (5 g)); it ends where friction and facets of the bowl leave it."""
+    """Its first oscillation takes 2 pi sqrt(7 (R - r) / (5 g)); friction and facets of the bowl limit its rest
+    position."""
     hands = SimulatedHands("ball-in-a-bowl")
     hands.until(2.15)
-    assert hands.data.qpos[0] > 0.005  # pushed up the side, and on its way back
+    assert hands.data.qpos[0] > 0.005  # pushed up the side and rolling back
     crossed = []
     for tick in range(2150, 3100, 5):
         before = hands.data.qpos[0]
@@ -139,12 +140,12 @@ def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
 
 @pytest.mark.exhaustive
 def test_three_boxes_are_stacked_and_stay() -> None:
-    """The third one is on the two, let go, square and at rest."""
+    """The third box rests on the other two, released and level."""
     hands = SimulatedHands("stack-boxes")
     records = hands.until(4.3)
     assert all(each["force"][-1].tolist() == [0.0, 0.0, 0.0] for each in records.values())
     boxes = hands.data.xpos[1:]
-    soft = 0.0004  # MuJoCo's contacts under the weight of what is above
+    soft = 0.0004  # MuJoCo's contacts under the weight above
     for place, (x, y, z) in enumerate(boxes):
         assert (x, y) == pytest.approx((0.0, 0.06), abs=2e-4)
         assert z == pytest.approx(0.015 + 0.03 * place, abs=soft * (place + 1))
@@ -163,15 +164,17 @@ SECONDS = {
     "lift-a-box": 1.0,
     "stack-boxes": 1.5,
 }
-"""Until each hand has pressed, rolled or pushed for some tenths."""
+"""Time (s) until each hand has pressed, rolled or pushed for some tenths of a second."""
 
 
 @PLAIN_ONLY
 @pytest.mark.parametrize(
     "name", [each if each == "turn-a-knob" else pytest.param(each, marks=pytest.mark.exhaustive) for each in SECONDS]
 )
-def test_what_hands_did_is_replayed_to_the_bit(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Poses of the recording alone, with bodies that are there from the beginning: the same forces in every tick."""
+def test_scenes_played_by_hands_are_replayed_exactly(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A replay of only the poses, with bodies from the start, gives equal forces in every tick."""
     file, seconds = str(tmp_path / "run.mcap"), SECONDS[name]
     hands = ["--scene", name, "--device", "simulated", "--duration", str(seconds)]
     assert cli.main(["simulate", *hands, "--out", file]) == 0

@@ -1,4 +1,4 @@
-"""The command `zero`: where a probe is said to be, exactly, without a way there, and never under force."""
+"""Command `zero`: exact offset of a probe, without motion, and never under a force."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.wire.control import Control
 
 HELD_M = 0.009
-"""Height of the device of these tests, which sways along x."""
+"""Height of the device of these tests, which oscillates along x."""
 SWAY_M_PER_S = 0.005 * 0.02 * 1000.0
 
 
 def zeroed(control: Control, **what):
-    """`zero`, as soon as the force is off."""
+    """Send `zero` as soon as the force is off."""
     answers = []
 
     def done() -> bool:
@@ -41,15 +41,15 @@ def zeroed(control: Control, **what):
     return answers[0]
 
 
-def test_no_offset_changes_no_bit():
-    """What is added where nothing was zeroed leaves every number as it is, a zero's sign too."""
+def test_a_zero_offset_changes_no_bit():
+    """Adding the initial offset changes no number, not even the sign of a zero."""
     numbers = np.array([0.0, -0.0, 5e-324, -1.0, np.inf])
     assert (numbers + UNMOVED[0]).tobytes() == numbers.tobytes()
 
 
-def test_the_probe_is_where_it_is_said_to_be(rig):  # noqa: F811
-    """Refused under force; then F_z = k d + f of the new depth, no motion from the old place to the new, another scene
-    and another zero on top, and all of it taken back."""
+def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
+    """The command is refused under a force. Afterwards F_z = k d + f at the new depth, without a velocity from the
+    shift. A new scene and a second offset also work, and a reset removes the offset."""
     with running(rig()) as (daemon, control, kept), events(daemon) as following:
         with pytest.raises(CommandRefused, match=r"^refused: .* disarm first"):
             control.zero()
@@ -63,7 +63,7 @@ def test_the_probe_is_where_it_is_said_to_be(rig):  # noqa: F811
         assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 20)
         rows = kept.since(done.tick + 2)
         np.testing.assert_allclose(rows[:, AT.probe_position + 2], HELD_M + 0.0005, rtol=ROUNDING)
-        # Where the offset was taken in is among these; the way there, 0.5 mm in a tick, would be 0.5 m/s.
+        # The tick in which the offset is applied is among these; moving 0.5 mm in a tick would be 0.5 m/s.
         velocities = kept.since(done.tick - 5)[:, AT.probe_velocity : AT.probe_velocity + 3]
         assert np.abs(velocities[:, 2]).max() == 0.0 and np.abs(velocities[:, 0]).max() <= SWAY_M_PER_S
         assert not kept.since(done.tick)[:, AT.force + 2].any()
@@ -73,15 +73,15 @@ def test_the_probe_is_where_it_is_said_to_be(rig):  # noqa: F811
         assert eventually(lambda: kept.force_n == pytest.approx(1.0 + 1.0, rel=1e-9))
         control.disarm()
         again = zeroed(control, position_m=(0.0, 0.0, 0.009))
-        assert again.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of some 0.01
+        assert again.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of about 0.01
         assert zeroed(control, reset=True).offset_m == (0.0, 0.0, 0.0)
         control.arm()
         assert eventually(lambda: kept.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
         assert kept.rows[-1][-1, AT.probe_position + 2] == HELD_M
 
 
-def test_one_of_several_fingers_is_moved(rig):  # noqa: F811
-    """By its name; the other one stays."""
+def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
+    """It is selected by name; the other one is not shifted."""
     device = {"driver": "faulty"}
     with running(two_devices(device, device, guard=describe(rig())["guard"]), pressed_by_two()) as (_, control, kept):
         control.disarm()

@@ -1,4 +1,4 @@
-"""The hand of the shipped experiment on curvature rolls: what it intends, played on both of its scenes."""
+"""Hand motion of the shipped experiment `curvature-by-rolling`, simulated on the scenes of both conditions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ pytestmark = pytest.mark.plain
 ROLLING, SLIDING = 1, 2
 RADIUS_M = 0.01
 FRICTION = 0.5
-"""Kinetic, of both scenes."""
+"""Kinetic friction coefficient of both scenes."""
 
 
 def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
-    """Records, and the poses (n, 7), of what the hand intends from the press to the lift on a sphere of a radius."""
+    """Return the records and the hand poses (n, 7) from press to lift on a sphere of the given radius."""
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[ONE], experiment.turn[ONE]
     times = np.arange(0.0, 1.5, 0.005)
@@ -38,22 +38,24 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     return Engine(scene).run(poses), poses
 
 
-@pytest.mark.parametrize("radius_m", [0.04, 0.02])  # the reference, and the most curved of all levels
+@pytest.mark.parametrize("radius_m", [0.04, 0.02])  # reference radius and smallest radius of all levels
 def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
-    """It never slides, and what it drags is what a hand on a straight line misses of the sphere's arc."""
+    """The finger never slides, and the tangential force equals coupling stiffness times the lag of the rolling
+    proxy."""
     records, poses = rolled("rolls", radius_m)
     mode = records["contact.mode"]
     first = int(np.argmax(mode == ROLLING))
     assert (mode[first:] == ROLLING).all() and first < 100
     # The proxy touches at the angle -asin(5 mm / (r + R)) from the top and rolls on by theta r / (r + R), where r theta
-    # is the way of the probe; what the probe, that goes straight, is beside it winds the coupling of 1000 N/m.
+    # is the displacement of the probe. The probe moves on a straight line, so its tangential distance from the proxy
+    # loads the coupling of 1000 N/m.
     reach = radius_m + RADIUS_M
     proxy = (poses[-1, 0] + 0.005) / reach - np.arcsin(0.005 / reach)
     x, z = poses[-1, 0], poses[-1, 2] + radius_m
     beside = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
     normal, force = records["contact.normal_force"][-1], records["force"][-1]
     tangential = float(np.sqrt(force @ force - normal**2))
-    assert tangential == pytest.approx(1000.0 * beside, rel=0.05)  # the damper of 1 N s/m has some hundredths
+    assert tangential == pytest.approx(1000.0 * beside, rel=0.05)  # the damper of 1 N s/m contributes a few hundredths
     assert tangential < 0.6 * FRICTION * normal
 
 
@@ -69,11 +71,11 @@ def test_without_rolling_the_same_movement_drags() -> None:
 
 @pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.0), (-1.0, 2.0, 0.3), (1e-9, 0.0, 0.0)])
 def test_a_rotation_vector_turns_as_the_kernels_have_it(rotation: tuple[float, float, float]) -> None:
-    """The same quaternion, to some roundings of its parts."""
+    """The quaternion equals that of the kernels up to rounding."""
     assert quaternion(rotation) == pytest.approx(exp(rotation), abs=4e-16)
 
 
 def test_a_turn_needs_a_motion() -> None:
-    """A finger that is turned and not moved is refused, and its path is where it is told so."""
+    """`turn` of a finger without `motion` raises ConfigError with the path of the key."""
     with pytest.raises(ConfigError, match=r"turn\.thumb: turns a hand that \[motion\] does not move"):
         Experiment(EXPERIMENTS / "curvature-by-rolling.toml", {"turn.thumb": [[0.0, 0.0, 0.0, 0.0]]})

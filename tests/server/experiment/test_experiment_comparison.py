@@ -1,4 +1,4 @@
-"""Statistics of a study: confidence, model comparison, means over participants, exclusions, scores of surveys."""
+"""Statistics of a study: confidence, model comparison, population means, exclusions, survey scores."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CATCH = {"rate": 0.5, "level": 1.0, "min_right": 0.75}
 
 @pytest.fixture(scope="module")
 def study() -> tuple[Experiment, list[dict[str, Any]]]:
-    """The shipped study with six simulated observers."""
+    """Return the shipped study with rows of six simulated observers."""
     experiment = Experiment(STUDY)
     rows = [
         row | row["levels"] | {"participant": f"sub-{number:02d}"}
@@ -43,7 +43,7 @@ def study() -> tuple[Experiment, list[dict[str, Any]]]:
 
 
 def test_confidence_follows_signal_detection() -> None:
-    """Share of each mark: that of |x| in its part of 0 to 2, x normal with mean Phi^-1(p) and unit variance."""
+    """The share of each mark is that of |x| in its interval, x normal with mean Phi^-1(p) and unit variance."""
     experiment = Experiment(
         small(confidence={}, factor=[]),
         {"procedure.levels": [0.15], "procedure.repetitions": 2000, "observer.lapse": 0.0},
@@ -55,12 +55,12 @@ def test_confidence_follows_signal_detection() -> None:
     wrong = np.diff(stats.norm.cdf(edges + mean))
     for is_right, shares in ((True, right), (False, wrong)):
         found = Counter(row["confidence"] for row in rows if row["right"] == is_right)
-        # 4.5 standard deviations of a share of 2000 trials.
+        # 4.5 standard deviations of a share of 2000 trials
         assert [found[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
 
 
 def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """0.15 without damping and 0.3 with it, within the intervals of all participants."""
+    """The 95 % intervals of the pooled fit contain the simulated thresholds, 0.15 without and 0.3 with damping."""
     experiment, rows = study
     pooled = {group.condition: group.fit for group in fit_groups(experiment.file, rows) if group.participant == ALL}
     for condition, threshold in (("0.0", 0.15), ("4.0", 0.3)):
@@ -69,7 +69,8 @@ def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, l
 
 
 def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """Of models with a threshold in each condition, or one for both, and one slope; to the grid's steps."""
+    """The likelihood ratio of one threshold against one per condition, with a common slope, agrees with SciPy's
+    optimizer."""
     experiment, rows = study
     total = 0.0
     two = [row for row in rows if row["participant"] in ("sub-01", "sub-02")]
@@ -90,14 +91,14 @@ def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, 
         ]
         total += 2.0 * (best[0] - best[1])
     (found,) = compare_models(experiment.file, two)
-    # Half a step of the grid, 1 % of a threshold and 4 % of a slope, costs some hundredths of each of 4 maxima.
+    # Half a grid step, 1 % of a threshold and 4 % of a slope, costs some hundredths at each of the 4 maxima.
     assert found.chi_squared == pytest.approx(total, abs=0.1) and found.freedom == 2
     assert found.p_value == pytest.approx(stats.chi2.sf(found.chi_squared, 2)) and found.p_value < 0.001
     assert found.aic_difference == pytest.approx(found.chi_squared - 4.0)
 
 
 def test_a_factor_without_effect_is_none() -> None:
-    """Of 40 studies with the same observer in all conditions few have p < 0.05: chance of more than 6 is below 1 %."""
+    """At most 6 of 40 studies without an effect have p < 0.05; a higher count has a probability below 1 %."""
     procedure = {"kind": "constant", "levels": [0.05, 0.1, 0.2, 0.4], "repetitions": 20}
     experiment, low = Experiment(small(procedure=procedure)), 0
     for participant in range(1, 41):
@@ -107,7 +108,8 @@ def test_a_factor_without_effect_is_none() -> None:
 
 
 def test_numbers_are_compared_by_regression() -> None:
-    """An intercept for each condition: the likelihood ratio is n log(RSS0 / RSS1), by NumPy's least squares."""
+    """For ratings, with an intercept per condition, chi squared is n log(RSS0 / RSS1), checked by NumPy's least
+    squares."""
     task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
     made = Experiment(
         small(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
@@ -129,7 +131,7 @@ def test_chi_squared_is_scipys() -> None:
 
 
 def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """With Student's interval of the logarithms, by SciPy."""
+    """Mean and Student's interval of the logarithms agree with SciPy."""
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
     for found in estimate_population(groups):
@@ -141,7 +143,7 @@ def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dic
 
 
 def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """SciPy's paired interval of the logarithms, which holds the planted 0.3 / 0.15; excluded participants left out."""
+    """Ratios equal SciPy's paired interval of the logarithms without excluded participants, and contain 0.3 / 0.15."""
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
     (found,) = compare_levels(experiment.file, groups, ["sub-06"])
@@ -159,8 +161,8 @@ def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, 
     assert found.interval_95[0] <= 2.0 <= found.interval_95[1]
 
 
-def test_differences_of_two_factors_are_of_conditions_that_differ_only_in_one() -> None:
-    """a adds 1 and b adds 10 x; a participant without one of the conditions has no difference."""
+def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
+    """Factor a adds 1 and factor b adds 10 x; a participant who lacks a condition has no difference."""
     factors = [
         {"name": name, "parameter": f"object.table.material.{key}", "levels": levels}
         for name, key, levels in (("a", "damping_ns_per_m", [0.0, 1.0]), ("b", "friction.static", [0.5, 0.7, 0.9]))
@@ -181,7 +183,7 @@ def test_differences_of_two_factors_are_of_conditions_that_differ_only_in_one() 
 
 
 def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
-    """One who guesses gets half of them right: the fit of all is that of the other two."""
+    """A guessing participant fails half of the catch trials, so the pooled fit uses only the other two."""
     experiment = Experiment(small(factor=[], catch=CATCH))
     guessing = Experiment(small(factor=[], catch=CATCH), {"observer.threshold": 1e3})
     rows = [
@@ -195,7 +197,7 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
 
 
 def test_a_score_is_the_mean_of_all_ratings() -> None:
-    """Of six ratings, 10 to 60: 35; with one missing there is none."""
+    """Six ratings from 10 to 60 give 35; with one rating missing there is no score."""
     names = [question.name for question in Experiment(small(survey=[TLX])).file.survey[0].question]
     made = Experiment(small(survey=[TLX])).file
     row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
@@ -206,7 +208,7 @@ def test_a_score_is_the_mean_of_all_ratings() -> None:
 
 
 def test_scores_are_compared_within_participants() -> None:
-    """Ratings 10 and 20 higher in the second block: a difference of 15, with SciPy's paired interval."""
+    """Ratings that are 10 and 20 higher in the second block differ by 15, with SciPy's paired interval."""
     made = Experiment(small(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
     answers = [
         {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,

@@ -1,4 +1,4 @@
-"""Sessions on a real daemon with a simulated hand: force, markers, recordings, a participant at a terminal."""
+"""Sessions on a daemon with a simulated hand: forces, markers, recordings, answers at a terminal."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ pytestmark = pytest.mark.real_time
 
 MOTION = [[0.0, 0.0, 0.0, 0.015], [0.2, 0.0, 0.0, 0.008], [0.9, 0.0, 0.0, 0.008]]
 TURN = [[0.2, 0.0, 0.0, 0.0], [0.7, 0.0, 0.0, 0.3]]
-"""A spin, which a plane answers with a moment about its normal and no force."""
+"""Spin about the normal: a plane answers it with a moment and no force."""
 WAIT_S = 120.0
 SLEW_N = 2.0
-"""What the guard of the rig lets the force change in a tick."""
+"""Slew limit of the rig's guard, N per tick."""
 RAMP_TICKS = 500
 
 
@@ -52,7 +52,7 @@ DAMPING = "object.table.material.damping_ns_per_m"
 
 
 def experiment(**changes: Any) -> dict[str, Any]:
-    """Two trials of a comparison, of a hand that presses; the damping is that of the scene in the second."""
+    """Return a comparison of two trials in which a hand presses; only the first condition has damping."""
     procedure = {"kind": "constant", "levels": [1.0], "repetitions": 1}
     kinds = {"damped": {DAMPING: 2.0}, "plain": {}}
     factor = {"name": "kind", "levels": list(kinds), "values": kinds}
@@ -68,7 +68,7 @@ def settings(folder: Path) -> RunOptions:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
-    """The folder of a session that the simulated observer answered, and its recording."""
+    """Run a session with the simulated observer; return its folder and its recording."""
     folder = tmp_path_factory.mktemp("session")
     Experiment(experiment()).run(folder / "out", 1, settings(folder))
     recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
@@ -93,7 +93,7 @@ def at(run: Run, tick: int) -> int:
 
 
 def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
-    """Two touches a trial, each with its beginning and its end, and what was set for it."""
+    """Each trial has two touches, each marked at both ends together with its parameter change."""
     _, run = session
     begun = [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "touch")]
     assert begun == [(1, 1), (1, 2), (2, 1), (2, 2)]
@@ -103,7 +103,7 @@ def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
 
 
 def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, Run]) -> None:
-    """Zero in the ticks of a change and at each beginning; from tick to tick no more than the guard allows."""
+    """The force is zero at parameter changes and touch starts, and never changes by more than the slew limit."""
     _, run = session
     force = run.first["force"]
     changed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "set_params"]
@@ -111,25 +111,25 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
     for tick in [*changed, *(event["tick"] for event in marks(run, "touch"))]:
         assert not force[at(run, tick)].any()
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= SLEW_N
-    assert not [event for event in run.events if event.get("name") == "set_scene"]  # and so nothing was compiled
+    assert not [event for event in run.events if event.get("name") == "set_scene"]  # nothing was compiled
     damping = [event["what"][DAMPING] for event in run.events if DAMPING in (event.get("what") or {})]
     assert damping == [{"from": 0.0, "to": 2.0}, {"from": 2.0, "to": 0.0}]
 
 
 def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
-    """Once the ramp is over the force is the contact's, to the bit of its sum; the ramp is 0.5 s from `arm` on."""
+    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force."""
     _, run = session
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
     for tick, end in zip(armed, marks(run, "release"), strict=True):
-        # The daemon is told between two ticks, takes it in the next, and the touch ends when it is told so.
+        # Commands arrive between two ticks and take effect in the next one; the touch ends on command.
         rows = slice(at(run, tick) + RAMP_TICKS + 3, at(run, end["tick"]))
         force, wanted = run.first["force"][rows, 2], run.first["contact.normal_force"][rows]
         assert len(force) > 100 and wanted.max() > 0.3
         assert force == pytest.approx(wanted, abs=1e-12)
 
 
-def test_a_led_hand_turns_as_it_is_told_and_is_turned_back(session: tuple[Path, Run]) -> None:
-    """0.3 rad about z at the end of each touch, and unturned where one begins: the hand lags by some 30 ms at most."""
+def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run]) -> None:
+    """The angle about z is 0 at the start and 0.3 rad at the end of each touch; the hand lags by at most 30 ms."""
     _, run = session
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
@@ -138,12 +138,12 @@ def test_a_led_hand_turns_as_it_is_told_and_is_turned_back(session: tuple[Path, 
         for begun, end in zip(marks(run, "touch"), marks(run, "release"), strict=True)
     ]
     for begun, end in ends:
-        # A tenth of it is what a first-order lag of 30 ms leaves after 70 ms; there are 0.1 s and more.
+        # A first-order lag of 30 ms falls to a tenth within 70 ms; 0.1 s or more is available.
         assert angle[begun] == pytest.approx(0.0, abs=0.03) and angle[end] == pytest.approx(0.3, abs=0.03)
 
 
-def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
-    """Each touch begins with the probe where the path does, within what a hand on a spring sags."""
+def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[Path, Run]) -> None:
+    """The probe is within the start tolerance, which covers the sag of a hand on a spring."""
     _, run = session
     for event in marks(run, "touch"):
         position = run.first["probe.position"][at(run, event["tick"])]
@@ -152,7 +152,7 @@ def test_a_hand_is_led_back_before_it_feels(session: tuple[Path, Run]) -> None:
 
 @pytest.mark.exhaustive
 def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
-    """The hand presses with some 0.9 N: the guard lets through what its limit in the trial is, from zero force on."""
+    """The hand presses with about 0.9 N; each trial limits the force to its own level of `rig.guard.force_max_n`."""
     limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
     made = Experiment(experiment() | {"factor": [limits]})
     low, high = made.run(tmp_path / "out", 1, settings(tmp_path))
@@ -188,20 +188,18 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 def test_what_cannot_be_run_is_refused_before_anything_is_written(
     changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    """More than the rig's own limit and than the open device displays, where levels would feel alike; a scene of one
-    condition that cannot take the place of another's; no commands; no such device. No folder is left, so that the
-    command is repeated as if nothing had been."""
+    """Errors raise before a folder is created, so the command can be repeated. Cases: a force above the rig's limit or
+    that of the open device, where levels would feel alike; scenes with different fingers; a daemon without commands; a
+    missing device."""
     running = settings(tmp_path)
     with pytest.raises(HapticError, match=said):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
     assert not (tmp_path / "out").exists()
 
 
-def test_a_session_ends_where_its_recording_does_and_runs_that_trial_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The file may not grow any more while the second trial is felt: the force fades out, no trial follows, and one
-    sentence says what, where and what to do. With room the same command presents that trial again, and no other."""
+def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk in the second trial ramps the force down and raises one error that names cause, file and remedy. With
+    free space the same command presents only that trial again."""
     out, force, before = tmp_path / "out", list[float](), resource.getrlimit(resource.RLIMIT_FSIZE)
     own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
     presented = list[int]()
@@ -241,7 +239,7 @@ def test_a_session_ends_where_its_recording_does_and_runs_that_trial_again(
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
-    """The same forces at the same ticks, none lost; the row of the trial has their largest."""
+    """Table and recording have equal forces at equal ticks; the row of the trial has the peak force."""
     folder, run = session
     for row in results(folder):
         ticks = pd.read_csv(folder / "sub-01" / "trials" / f"sub-01_trial-{row['trial']:04d}.csv")
@@ -252,9 +250,9 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 
 
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
-    """Each touch begins with a command and with `arm`: it is compared once the velocity's filter has settled, 40 time
-    constants of some milliseconds, so more than half of the ticks of the touches are, and all agree to the bit. On
-    a machine that is late commands come later in a touch, and fewer ticks behind them are left to compare."""
+    """A replay of the session agrees bit for bit. Each touch starts with a command and `arm`, after which ticks are
+    compared once the velocity filter has settled (40 time constants of some milliseconds): more than half of all ticks.
+    A late machine executes commands later within a touch, so fewer ticks can be compared."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
@@ -264,8 +262,8 @@ def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsy
     assert found["different"] == 0 and (0 if late else felt / 2) < found["compared"] <= felt
 
 
-def test_what_was_felt_is_drawn_by_condition(session: tuple[Path, Run]) -> None:
-    """`softfinger figure` has it as PNG and SVG, and its numbers are means of the table of trials."""
+def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
+    """`softfinger figure` writes PNG and SVG, and its numbers are means of the table of trials."""
     folder, _ = session
     assert cli.main(["figure", str(folder)]) == 0
     figures = folder / "figures"
@@ -305,7 +303,7 @@ gap_s = 0.0
 
 @contextmanager
 def held_down(terminal: int, key: bytes) -> Iterator[None]:
-    """Type a key 30 times a second, as a terminal does with one that is held down."""
+    """Type a key 30 times a second, like the key repeat of a terminal."""
     released = threading.Event()
 
     def repeat() -> None:
@@ -322,11 +320,9 @@ def held_down(terminal: int, key: bytes) -> Iterator[None]:
 
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
-    """A key at a terminal answers, Ctrl-C ends in order, and the next start takes a program's command for the second.
-
-    A key that is held down answers one question. Practice says whether the answer was right. What is no answer is
-    refused, and the question stays.
-    """
+    """A key answers one question, Ctrl-C stops the session, and the next start accepts an answer from a client. A key
+    that repeats answers only one question, practice trials print right or wrong, and invalid answers are refused
+    and leave the question open."""
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
     ours, theirs = pty.openpty()
@@ -370,7 +366,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
 
 @pytest.mark.exhaustive
 def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
-    """Each trial has the stiffness of its material, and the level's damping beside it."""
+    """Each trial has the stiffness of its material and the damping of its level."""
     factor = {"name": "plate", "parameter": "object.table.material", "levels": ["wood", "rubber"]}
     task = {"kind": "rate", "parameter": "object.table.material.damping_ns_per_m", "question": "How heavy?"}
     procedure = {"kind": "constant", "levels": [0.2], "repetitions": 1}
@@ -385,13 +381,13 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
     for condition, end in zip(conditions, marks(run, "release"), strict=True):
         last = at(run, end["tick"]) - 1
         normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
-        # The hand rests within some mm/s, of which the damper makes a thousandth of the force.
+        # The hand moves at some mm/s, where the damper contributes a thousandth of the force.
         stiffness = materials()[condition].values["stiffness_n_per_m"]
         assert normal / depth == pytest.approx(stiffness, rel=0.01) and normal > 0.3
 
 
 def test_a_hand_follows_straight_lines() -> None:
-    """Between waypoints, and rests before the first and behind the last."""
+    """The path is linear between waypoints and constant before the first and after the last."""
     path = ((0.0, 0.0, 0.0, 0.0), (2.0, 1.0, 2.0, 4.0))
     assert interpolate_path(path, 1.0) == (0.5, 1.0, 2.0)
     assert interpolate_path(path, -1.0) == (0.0, 0.0, 0.0) and interpolate_path(path, 9.0) == (1.0, 2.0, 4.0)
@@ -400,7 +396,7 @@ def test_a_hand_follows_straight_lines() -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", shipped())
 def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
-    """One trial of its least and of its largest level: the hand feels something, and no tick is lost."""
+    """At the smallest and the largest level the hand feels a force, and no tick is lost."""
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
     changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}
     changes |= {"procedure.repetitions": 1, "procedure.starts": [], "design.practice": 0}

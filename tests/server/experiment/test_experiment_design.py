@@ -1,4 +1,4 @@
-"""The design of an experiment: conditions, orders, and what a file is refused for."""
+"""Design of an experiment: conditions, orders and configuration errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STIFFNESS = "object.table.material.stiffness_n_per_m"
 
 
 def small(**tables: Any) -> dict[str, Any]:
-    """An experiment on the paper's plane, some tables of it others."""
+    """Return an experiment on scene `paper-plane` with some tables replaced."""
     task = {"kind": "compare", "parameter": STIFFNESS, "reference": 500.0, "question": "Which was stiffer?"}
     procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": 4}
     factor = {"name": "damping", "parameter": "object.table.material.damping_ns_per_m", "levels": [0.0, 1.0, 2.0]}
@@ -36,12 +36,11 @@ def file(**tables: Any) -> ExperimentFile:
 
 @pytest.mark.parametrize("name", shipped())
 def test_each_shipped_experiment_can_be_used(name: str) -> None:
-    """Its scenes take its levels at both ends, and its rig is there."""
     assert Experiment(name).file.title
 
 
-def test_all_combinations_come_equally_often() -> None:
-    """Two factors of 3 and 2 levels are 6 conditions, each with 4 trials of each of 3 levels."""
+def test_all_combinations_occur_equally_often() -> None:
+    """Two factors of 3 and 2 levels give 6 conditions, each with 4 trials of each of 3 levels."""
     both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
     experiment = file(factor=both)
     assert len(conditions(experiment)) == 6
@@ -49,21 +48,20 @@ def test_all_combinations_come_equally_often() -> None:
     assert len(count) == 18 and set(count.values()) == {4}
 
 
-def test_the_order_is_of_seed_and_participant() -> None:
-    """The same again for the same two, another one for another seed or participant."""
+def test_the_order_depends_on_seed_and_participant() -> None:
+    """Equal seeds and participants give equal orders, other ones other orders."""
     one = plan_trials(file(), 1)
     assert plan_trials(file(), 1) == one
     assert plan_trials(file(), 2) != one and plan_trials(file(design={"seed": 6}), 1) != one
 
 
 def test_the_reference_comes_first_as_often_as_second() -> None:
-    """Half of the trials begin with it."""
     assert sum(trial.test_first for trial in plan_trials(file(), 3)) == 18
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 8])
 def test_a_latin_square_is_balanced(count: int) -> None:
-    """Each condition is as often in each place, and follows each other one equally often (Williams 1949)."""
+    """Each condition occurs equally often at each position and after each other condition (Williams 1949)."""
     rows = [williams(count, row) for row in range(count * (1 + count % 2))]
     for place in range(count):
         assert len(set(Counter(row[place] for row in rows).values())) == 1
@@ -71,15 +69,15 @@ def test_a_latin_square_is_balanced(count: int) -> None:
     assert len(follows) == count * (count - 1) and len(set(follows.values())) <= 1
 
 
-def test_blocks_are_blocks() -> None:
-    """With a latin square or a given order all trials of a condition come together."""
+def test_blocks_contain_one_condition_each() -> None:
+    """With a latin square or a given order all trials of a condition are contiguous."""
     for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
         trials = plan_trials(file(design={"seed": 5, "order": order}), 2)
         assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
 
 
 def test_practice_comes_first() -> None:
-    """So many trials more, which do not count."""
+    """Practice trials are added to the counted trials."""
     trials = plan_trials(file(design={"seed": 5, "practice": 3}), 1)
     assert [trial.practice for trial in trials] == [True] * 3 + [False] * 36
     assert [trial.number for trial in trials] == list(range(1, 40))
@@ -111,7 +109,7 @@ def test_practice_comes_first() -> None:
             {"rig": "touch", "overrides": {"rig.guard.heat_time_s": 1e3}},
             "heat_time_s = 1000.0: the rig's .* is the limit of its motors",
         ),
-        (  # of the levels, 40.5 / 1.1 to 40.5 / 1.4, none is above 40
+        (  # levels 40.5 / 1.1 to 40.5 / 1.4: none is above 40
             {"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},
             "guard.force_max_n = 40.5",
         ),
@@ -132,13 +130,13 @@ def test_practice_comes_first() -> None:
     ],
 )
 def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], said: str) -> None:
-    """With the key, the value and what to do."""
+    """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small(), changes)
 
 
 def test_progress_tells_the_block_and_no_condition() -> None:
-    """Blocks are counted where trials come in blocks; practice belongs to the first."""
+    """Ordered designs count blocks, and practice belongs to the first; mixed designs have one block."""
     blocked = file(design={"seed": 5, "order": "given", "practice": 1})
     assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
     assert number_blocks(plan_trials(file(), 1), is_mixed=True) == [1] * 36
@@ -147,7 +145,7 @@ def test_progress_tells_the_block_and_no_condition() -> None:
 
 
 def test_a_rating_stays_on_its_scale() -> None:
-    """The simulated observer's answers are marks, though its power law leaves the scale at both ends."""
+    """The simulated observer's ratings are marks, although its power law exceeds the scale at both ends."""
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "?", "scale": [1, 7], "scale_ends": ["soft", "hard"]}
     observer = {"scale": 5.0, "exponent": 2.0, "noise": 0.5}
     made = Experiment(small(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]}))
@@ -155,7 +153,7 @@ def test_a_rating_stays_on_its_scale() -> None:
 
 
 def test_numbers_are_no_comparison() -> None:
-    """A rating is neither right nor wrong, so that no staircase can go by it."""
+    """A staircase needs right and wrong answers, so a rating with a staircase is refused."""
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
     with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
         Experiment(small(task=task, procedure={"kind": "staircase"}))

@@ -1,4 +1,4 @@
-"""`softfinger check` of an experiment: every mistake in one pass, of the file and of what it names."""
+"""`softfinger check` of an experiment lists all mistakes of its file and of the files it refers to."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ design = { seed = 1 }
 
 
 def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> list[str]:
-    """Return the errors that `check --json` lists of an experiment whose words are replaced by `values`."""
+    """Return the errors of `check --json` for an experiment with placeholders replaced by `values`."""
     sound = {"SEED": "1", "OVERRIDE": "object.table.material.damping_ns_per_m", "FINGER": "fingertip", "RADIUS": "0.01",
              "DAMPING": "0.0", "DRIVER": "simulated", "RATE": "1000.0", "SURVEY": "nasa-tlz"}  # fmt: skip
     for name, text in (("scene.toml", SCENE), ("rig.toml", RIG), ("study.toml", EXPERIMENT)):
@@ -94,7 +94,7 @@ def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> li
 
 
 def assert_lists(errors: list[str], *texts: str) -> None:
-    """Assert that each error has one of the texts, and each text is in one error."""
+    """Assert that errors and texts match one to one."""
     found = [[text for text in texts if text in error] for error in errors]
     assert sorted(found) == sorted([text] for text in texts), errors
 
@@ -103,7 +103,7 @@ NAMES: Final = ("'nasa-tlz'", "observer.by", "screen.by", "screen.image = 'none.
 
 
 def test_mistakes_of_other_files_and_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each once, though the conditions, levels and touches repeat the overrides."""
+    """Each mistake is listed once, although conditions, levels and touches repeat the overrides."""
     assert_lists(check(tmp_path, capsys), *NAMES)
     assert_lists(check(tmp_path, capsys, SURVEY="nasa-tlx"), *NAMES[1:], "observer.answers.weight")
     found = check(tmp_path, capsys, OVERRIDE="object.tabel.position_m", FINGER="thumb", DRIVER="simulatd")
@@ -134,7 +134,7 @@ def test_mistakes_behind_mistakes_of_the_file(tmp_path: Path, capsys: pytest.Cap
 def test_a_file_that_a_scene_names_belongs_to_the_study(
     name: str, data: bytes, more: bytes, table: str, tmp_path: Path
 ) -> None:
-    """The folder of one participant refuses another with a changed mesh, texture or model."""
+    """A folder with results refuses another participant after a mesh, texture or model has changed."""
     folder, offline = tmp_path / "study", RunOptions(dry_run=True, no_daemon=True)
     folder.mkdir()
     (folder / name).write_bytes(data)

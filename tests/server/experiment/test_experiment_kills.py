@@ -1,7 +1,5 @@
-"""Sessions with a daemon that are killed at random moments: no trial is lost, none is run twice, the order is kept.
-
-A session and its daemon are one process; the publisher, which has the daemon's sockets, is another.
-"""
+"""Sessions with a daemon, killed at random moments: no trial is lost or run twice, and the order is unchanged. A
+session and its daemon are one process; the publisher, which owns the daemon's sockets, is another."""
 
 from __future__ import annotations
 
@@ -64,14 +62,14 @@ realtime = "off"
 
 
 def children(pid: int) -> list[int]:
-    """Processes that it has started, of its first thread."""
+    """Return the child processes of the main thread."""
     with suppress(OSError):
         return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
 
 
 def killed(words: list[str], journal: Path, rng: random.Random) -> None:
-    """Start a session, and kill it or its publisher at a moment: as it starts, in a touch, or between two."""
+    """Start a session and kill it or its publisher at a random moment: at start, in a touch or between two."""
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
@@ -93,8 +91,8 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
 
 @pytest.mark.exhaustive
 def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """Killed and resumed, it has the trials of the design in their order, each answered once and with all its ticks."""
-    kills = cases(1, 50)  # each costs a start of the program, some 2 s of processor
+    """A killed and resumed session has all trials of the design in order, each with one answer and all its ticks."""
+    kills = cases(1, 50)  # each kill costs a start of the program, about 2 s of processor time
     (tmp_path / "rig.toml").write_text(RIG)
     file = tmp_path / "killed.toml"
     file.write_text(EXPERIMENT.format(repetitions=2 * kills))
@@ -111,7 +109,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     steps = [entry for entry in read(own / "sub-01_journal.jsonl") if entry["kind"] in ("begun", "done")]
     for number, (trial, group) in enumerate(groupby(steps, lambda entry: entry["trial"]), 1):
         each = list(group)
-        assert trial == number  # never a trial of before
+        assert trial == number  # never an earlier trial
         assert [entry["kind"] for entry in each] == ["begun"] * (len(each) - 1) + ["done"]
         assert [entry["attempt"] for entry in each[:-1]] == list(range(1, len(each)))
         assert each[-1]["attempt"] == len(each) - 1

@@ -1,4 +1,4 @@
-"""Procedures and fits: where a staircase settles, what QUEST+ chooses, what maximum likelihood finds."""
+"""Staircases, QUEST+ and maximum likelihood fits against closed forms and SciPy."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ LEVELS = (0.05, 0.1, 0.2, 0.4)
 
 
 def test_the_function_has_its_closed_form() -> None:
-    """Chance at level 0, 1 - lapse far up, and 1 - 1/e of the way between at the threshold."""
+    """Chance at level 0, 1 - lapse at infinity, and 1 - 1/e of the interval between them at the threshold."""
     assert probability(0.0, 0.2, 2.0, lapse=0.02) == 0.5
     assert probability(1e6, 0.2, 2.0, lapse=0.02) == pytest.approx(0.98, abs=1e-15)
     assert probability(0.2, 0.2, 2.0, lapse=0.02) == pytest.approx(0.5 + 0.48 * (1.0 - np.exp(-1.0)), abs=1e-15)
 
 
-def test_a_staircase_settles_where_two_in_a_row_are_as_likely_as_not() -> None:
-    """After the start its levels have the geometric mean where p^2 = 1/2 (Levitt 1971), within a step of 2 %."""
+def test_a_staircase_converges_to_the_level_of_two_right_in_a_row() -> None:
+    """The geometric mean of its levels converges to p^2 = 1/2 (Levitt 1971), within a step of 2 %."""
     stairs = Staircase(Procedure(kind="staircase", start=0.5, step=1.02, smallest=1e-3))
     rng, tried = np.random.default_rng(1), []
     for _ in range(20_000):
         tried.append(stairs.level())
         stairs.update(tried[-1], bool(rng.random() < probability(tried[-1], 0.2, 2.0)))
     wanted = 0.2 * np.sqrt(-np.log(1.0 - (np.sqrt(0.5) - 0.5) / 0.5))
-    # Small steps wander by a few steps, and the mean of 20 000 trials by less than one.
+    # Small steps deviate by a few steps, and the mean of 20 000 trials by less than one.
     assert np.exp(np.mean(np.log(tried[1000:]))) == pytest.approx(wanted, rel=0.02)
 
 
 def test_a_staircase_goes_by_its_rule() -> None:
-    """Two right: a big step down, until it has turned twice; one wrong: a step up; never past its ends."""
+    """Two right answers step down, one wrong answer steps up; steps are larger until it has turned twice."""
     stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
     seen = []
     for right in (True, True, False, True, True, False, False, False):
@@ -45,8 +45,8 @@ def test_a_staircase_goes_by_its_rule() -> None:
     assert seen == [0.4, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8]
 
 
-def test_quest_plus_chooses_what_leaves_least_uncertainty() -> None:
-    """Among four levels it takes the one of least expected entropy, computed here answer by answer on its grid."""
+def test_quest_plus_chooses_the_level_of_least_expected_entropy() -> None:
+    """The reference computes the expected entropy of four levels answer by answer on the same grid."""
     chosen = QuestPlus(LEVELS, 0.02)
     thresholds = np.geomspace(0.5 * LEVELS[0], 2.0 * LEVELS[-1], GRID)
     pairs = [(threshold, slope) for threshold in thresholds for slope in SLOPES]
@@ -69,19 +69,19 @@ def test_quest_plus_chooses_what_leaves_least_uncertainty() -> None:
 
 
 def test_the_fit_is_the_posterior() -> None:
-    """Medians and the ends of 95 % intervals are its quantiles, integrated here by Gauss and Legendre."""
+    """Medians and 95 % intervals are quantiles of the posterior, integrated here by Gauss-Legendre quadrature."""
     rng = np.random.default_rng(3)
     levels = np.repeat([0.05, 0.1, 0.2, 0.4, 0.8], 40)
     right = rng.random(len(levels)) < probability(levels, 0.2, 1.8, lapse=0.02)
     nodes, weights = np.polynomial.legendre.leggauss(120)
 
     def weight(thresholds: tuple[float, float], slopes: tuple[float, float]) -> float:
-        """Of a rectangle of the logarithms, up to a factor."""
+        """Return the posterior weight of a rectangle of log threshold and log slope, up to a factor."""
         (low, high), (flat, steep) = np.log(thresholds), np.log(slopes)
         a = low + (high - low) * (nodes + 1.0) / 2.0
         b = flat + (steep - flat) * (nodes + 1.0) / 2.0
         chance = probability(levels, np.exp(a)[:, None, None], np.exp(b)[None, :, None], lapse=0.02)
-        likelihood = np.exp(np.log(np.where(right, chance, 1.0 - chance)).sum(axis=-1) + 80.0)  # of some e^-80
+        likelihood = np.exp(np.log(np.where(right, chance, 1.0 - chance)).sum(axis=-1) + 80.0)  # about e^-80
         prior = stats.norm.pdf(b, np.log(SLOPE), SLOPE_SD)
         return float((high - low) * (steep - flat) * (weights @ (likelihood * prior) @ weights))
 
@@ -93,17 +93,17 @@ def test_the_fit_is_the_posterior() -> None:
         (found.slope_95[0], found.slope, found.slope_95[1]),
         strict=True,
     ):
-        # A step of the grid, 1.9 % of the threshold and 8 % of the slope, has some hundredths of the weight.
+        # A grid step, 1.9 % of the threshold and 8 % of the slope, has some hundredths of the weight.
         assert weight((widest[0], threshold), all_slopes) / whole == pytest.approx(share, abs=0.01)
         assert weight(widest, (SLOPES[0], slope)) / whole == pytest.approx(share, abs=0.02)
     x, curve, below, above = found.curve.T
     assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not found.bounded
     middle = probability(x, found.threshold, found.slope, lapse=0.02)
-    assert curve == pytest.approx(middle, abs=0.02)  # a median of functions is nearly that of the medians
+    assert curve == pytest.approx(middle, abs=0.02)  # a median of functions is close to the function of the medians
 
 
-def test_answers_that_say_little_bound_little() -> None:
-    """All right, all wrong: a staircase that never turns. The threshold has one bound, and the fit says so in words."""
+def test_uniform_answers_leave_the_threshold_unbounded() -> None:
+    """With all answers right or all wrong a staircase never reverses, and the fit reports an unbounded threshold."""
     for answers in (True, False):
         stairs = Staircase(Procedure(kind="staircase"))
         levels = []
@@ -117,13 +117,12 @@ def test_answers_that_say_little_bound_little() -> None:
 
 
 def test_students_quantile_is_scipys() -> None:
-    """For few and for many degrees of freedom."""
     for freedom in (1, 2, 3, 4, 5, 10, 31, 200):
         assert student_975(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), abs=1e-10)
 
 
 def test_a_power_law_is_a_line_of_logarithms() -> None:
-    """Exponent, scale and interval are those of SciPy's regression."""
+    """Exponent, scale and interval agree with SciPy's regression."""
     rng = np.random.default_rng(4)
     levels = np.repeat([0.1, 0.3, 0.9], 5)
     answers = 10.0 * levels**0.8 * np.exp(0.2 * rng.standard_normal(15))
@@ -131,7 +130,7 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
     half = line.stderr * stats.t.ppf(0.975, 13)
     assert found.exponent == pytest.approx(line.slope) and found.scale == pytest.approx(np.exp(line.intercept))
     assert found.exponent_95 == pytest.approx((line.slope - half, line.slope + half))
-    # Where the levels balance, the line's interval is that of a mean with two numbers fitted.
+    # At the mean level, the line's interval is that of a mean with two fitted numbers.
     middle = np.log(answers).mean()
     around = np.sqrt(((np.log(answers) - line.intercept - line.slope * np.log(levels)) ** 2).sum() / 13 / 15)
     around *= stats.t.ppf(0.975, 13)
@@ -140,7 +139,7 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
 
 
 def test_a_single_level_has_no_exponent() -> None:
-    """The answer has its interval, SciPy's of a mean; one answer alone has none."""
+    """The answer has SciPy's interval of a mean; a single answer has no interval."""
     answers = np.array([9.0, 11.0, 14.0])
     found = power_law([0.5] * 3, answers)
     mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))

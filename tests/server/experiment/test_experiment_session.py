@@ -1,4 +1,4 @@
-"""Sessions without a daemon: journal, resume after a kill, tables, figures, the command line."""
+"""Sessions without a daemon: journal, resume after a kill, tables, figures, command line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 
 
 def drawn(figure: Path) -> None:
-    """It is there as a picture that is not of one colour, and as an SVG with lines."""
+    """Assert that the PNG has many colours and that the SVG has lines."""
     with Image.open(figure.with_suffix(".png")) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
     paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
@@ -48,7 +48,7 @@ def drawn(figure: Path) -> None:
 
 
 def test_a_rehearsal_reports_each_trial() -> None:
-    """The display of `--dry-run --no-daemon` gets the number of every finished trial, the last one included."""
+    """The display of `--dry-run --no-daemon` receives the number of every finished trial, including the last."""
     file, numbers = Experiment("friction-magnitude").file, list[int]()
     session, journal, observer = Session(file, 1), Memory(), DryRun(file, 1)
     session.welcome(journal, observer)
@@ -57,13 +57,13 @@ def test_a_rehearsal_reports_each_trial() -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("name", [name for name in shipped() if name != "stiffness-and-workload"])  # has its own test
+@pytest.mark.parametrize("name", [name for name in shipped() if name != "stiffness-and-workload"])  # tested elsewhere
 def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
-    """The simulated observer answers every trial, and the folder has figures, numbers and a tidy table."""
+    """The simulated observer answers every trial; the folder then has figures, numbers and a tidy table."""
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
     assert cli.main(["figure", str(tmp_path / "out")]) == 0
     figures = tmp_path / "out" / "figures"
-    # Nobody felt anything without a device, so what was felt is not drawn.
+    # Without a device there are no forces, so the figure `felt` is not drawn.
     assert {path.name for path in figures.iterdir()} == {"fit.png", "fit.svg", "numbers.csv", "numbers.json"}
     drawn(figures / "fit")
     numbers = json.loads((figures / "numbers.json").read_text())
@@ -80,10 +80,8 @@ def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path:
 
 
 def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
-    """Of 95 % intervals of the threshold over seeds no more miss it than one in seven: chance is below one in 100.
-
-    All seeds have the same observer, and QUEST+ chooses the levels.
-    """
+    """At most one of seven 95 % intervals of the threshold misses the true value; chance is below 1 in 100. All seeds
+    use the same observer, and QUEST+ chooses the levels."""
     seeds, misses = cases(6, 50), 0
     for seed in range(seeds):
         experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
@@ -94,7 +92,7 @@ def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> N
 
 
 def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
-    """Start a session again and again, and kill it when its journal has grown by some lines."""
+    """Start a session repeatedly and kill it when its journal has grown by a random number of bytes."""
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(folder)]
     rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
@@ -112,7 +110,8 @@ def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
 def test_a_session_that_is_killed_loses_no_trial_and_repeats_none(
     tmp_path: Path, cases: Callable[[int, int], int]
 ) -> None:
-    """Killed at random moments and resumed, the answers are those of a session that ran through, in its order."""
+    """Killed at random moments and resumed, a session has the same answers in the same order as an uninterrupted
+    one."""
     killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
     rows = results(tmp_path / "killed")
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
@@ -123,20 +122,20 @@ def test_a_session_that_is_killed_loses_no_trial_and_repeats_none(
     assert len(read(tmp_path / "killed" / "sub-01" / "sub-01_journal.jsonl")) > 2 * len(rows)
 
 
-def test_an_adaptive_session_goes_on_at_the_level_it_was(tmp_path: Path) -> None:
-    """Without the last half of its journal a staircase takes the same levels again."""
+def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
+    """Without the last half of its journal a staircase repeats the same levels and answers."""
     experiment = Experiment("stiffness-discrimination", {"procedure.trials": 30})
     rows = experiment.run(tmp_path, 1, OFFLINE)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # the last line cut short, as by a power cut
+    journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # last line truncated, as by a power cut
     again = experiment.run(tmp_path, 1, OFFLINE)
     assert [row["level"] for row in again] == [row["level"] for row in rows]
     assert [row["answer"] for row in again] == [row["answer"] for row in rows]
 
 
 def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
-    """The command says what there is, and writes no entry."""
+    """The command returns the same rows and does not change the journal."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()
@@ -145,7 +144,7 @@ def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
 
 
 def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
-    """Another value in the file is refused by its key, for the next participant and where a session goes on."""
+    """Changed values raise an error with their keys, for a new participant and for a resumed session."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"is of an experiment with other values \(task.reference, design.seed\)"):
@@ -153,7 +152,7 @@ def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
 
 
 def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
-    """Answers of the simulated observer are never taken for those of a person, whoever's number it is."""
+    """Simulated answers and answers of participants are refused in the same folder, for every participant."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): give another folder"):
@@ -166,7 +165,7 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> N
 
 @contextmanager
 def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
-    """No file of this process may grow further than this one by so many bytes."""
+    """Limit the file size of this process to the size of `path` plus `bytes_left`."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, before[1]))
     try:
@@ -175,8 +174,8 @@ def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_an_entry_that_the_disk_takes_half_of_is_not_there(tmp_path: Path) -> None:
-    """The session ends with the reason, what was written before stays, and with room it goes on as if nothing was."""
+def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
+    """The error contains the reason, earlier entries remain, and with free space the entry can be written."""
     path = tmp_path / "j.jsonl"
     with Journal(path) as journal:
         journal.write("begun", trial=1)
@@ -190,8 +189,8 @@ def test_an_entry_that_the_disk_takes_half_of_is_not_there(tmp_path: Path) -> No
     assert [entry["kind"] for entry in read(path)] == ["begun", "done"]
 
 
-def test_ticks_that_the_disk_takes_half_of_are_not_there(tmp_path: Path) -> None:
-    """The table of a trial is whole or missing, and its trial has no answer then."""
+def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
+    """The table of a trial is complete or missing, and is never overwritten."""
     file = Experiment(small()).file
     folder = Folder(tmp_path, file, 1, {})
     Session(file, 1).begin(folder)
@@ -210,32 +209,32 @@ def test_ticks_that_the_disk_takes_half_of_are_not_there(tmp_path: Path) -> None
 
 
 def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
-    """Three participants of one experiment, each by a process of its own, started together."""
+    """Three processes run one participant each at the same time."""
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(tmp_path / "out"), "--participant"]
     processes = [subprocess.Popen([*words, str(number)], stdout=subprocess.DEVNULL) for number in (1, 2, 3)]
     assert [process.wait(100.0) for process in processes] == [0, 0, 0]
-    Experiment("friction-magnitude").run(tmp_path / "out", 1, OFFLINE)  # which makes the tables anew
+    Experiment("friction-magnitude").run(tmp_path / "out", 1, OFFLINE)  # writes the tables again
     with (tmp_path / "out" / "trials.csv").open() as file:
         assert {row["participant"] for row in csv.DictReader(file)} == {"sub-01", "sub-02", "sub-03"}
     assert not list((tmp_path / "out").rglob("*.part"))
 
 
 def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
-    """A second one is refused while the first has the journal."""
+    """A second session is refused while the first has locked the journal."""
     with Journal(tmp_path / "j.jsonl"), pytest.raises(ConfigError, match="another session of this participant"):
         Journal(tmp_path / "j.jsonl")
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    """A line that is no entry, and that no session went on behind, is named."""
+    """An invalid line before the last one is reported with its number."""
     (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
     with pytest.raises(ConfigError, match="line 2 is no entry"):
         read(tmp_path / "j.jsonl")
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
-    """Three groups of two participants, the last of both; one table of both."""
+    """There is one fit per participant and one of both, and one table of both."""
     experiment = Experiment(small(factor=[]))
     for participant in (1, 2):
         experiment.run(tmp_path, participant, OFFLINE)
@@ -246,15 +245,15 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 
 
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
-    """What would lead out of the folder is none, nor is what only looks like one."""
+    """Paths, texts, booleans and floats are refused."""
     for name in ("../x", "Zoë", True, 1.0):
         with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
             Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scene_that_is_gone_or_another_is_told_and_takes_nothing(tmp_path: Path) -> None:
-    """A session whose scene was moved away or changed says so; with the scene back it goes on."""
+def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
+    """A session with a missing or changed scene raises an error; with the original scene it resumes."""
     scene, file, out = tmp_path / "mine.toml", tmp_path / "e.toml", tmp_path / "out"
     shutil.copy(FOLDERS[Scene] / "paper-plane.toml", scene)
     file.write_text((EXPERIMENTS / "friction-magnitude.toml").read_text().replace('"paper-plane"', '"mine.toml"'))
@@ -272,7 +271,7 @@ def test_a_scene_that_is_gone_or_another_is_told_and_takes_nothing(tmp_path: Pat
 
 
 def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`experiments` names each shipped experiment; no daemon without a dry run; no such experiment; no such folder."""
+    """`experiments` lists the shipped experiments; the verbs refuse missing options, unknown names and bad folders."""
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
     assert [line.split()[0] for line in listed.splitlines()] == shipped()

@@ -39,7 +39,7 @@ RECORDED = {
     "texture-roughness": "2f43b470c056546d 7df1ba64b202b3a6",
     "weight-of-a-box": "5e8e9b3580126d40 be93cbaf6016e608",
 }
-"""Hashes of the order and of all rows of participant 1, from before there were surveys and catch trials."""
+"""Hashes of the order and of all rows of participant 1, from before surveys and catch trials existed."""
 TLX = {"name": "load", "at": ["after"], "file": "nasa-tlx"}
 AGE = {"name": "age", "kind": "number", "prompt": "?", "min": 18, "max": 99}
 HAND = {"name": "hand", "kind": "multi-choice", "prompt": "?", "options": ["left", "right"]}
@@ -65,14 +65,14 @@ def survey(**changed: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_file_without_the_new_keys_gives_the_same_trials(name: str) -> None:
-    """Order, levels, answers and columns, bit for bit."""
+    """Order, levels, answers and columns are equal bit for bit."""
     experiment = Experiment(name)
     order = [list(trial)[:5] for trial in plan_trials(experiment.file, 1)]
     assert f"{hashed(order)} {hashed(experiment.rehearse())}" == RECORDED[name]
 
 
-def test_a_folder_of_an_older_version_goes_on(tmp_path: Path) -> None:
-    """Its experiment.json lacks the new keys, which have their defaults."""
+def test_a_folder_of_an_older_version_can_be_resumed(tmp_path: Path) -> None:
+    """Keys that its experiment.json lacks have their defaults."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     description = json.loads((tmp_path / "experiment.json").read_text())
@@ -84,7 +84,7 @@ def test_a_folder_of_an_older_version_goes_on(tmp_path: Path) -> None:
 
 
 def test_staircases_share_the_trials_and_go_by_their_own_answers() -> None:
-    """Each has half of the trials, in rounds of both, from its start; its level changes by its own answers alone."""
+    """Each staircase has half of the trials, in rounds of both, and changes only with its own answers."""
     experiment = Experiment(STUDY)
     own = [row for row in experiment.rehearse() if row["condition"] == "4.0"]
     counted = [row for row in own if not row["practice"] and not row["catch"]]
@@ -108,7 +108,7 @@ def test_staircases_share_the_trials_and_go_by_their_own_answers() -> None:
 
 
 def test_catch_trials_are_added_and_not_fitted() -> None:
-    """One for ten trials of a condition, in its block, half of them with the test first; the fits are without them."""
+    """There is one per ten trials of a condition, in its block, half of them test first; fits exclude them."""
     experiment = Experiment(STUDY)
     rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
     catch = [row for row in rows if row["catch"]]
@@ -122,7 +122,7 @@ def test_catch_trials_are_added_and_not_fitted() -> None:
 
 
 def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
-    """12 trials of each of 3 levels in each of 3 conditions; of an odd number one half is larger by one."""
+    """12 trials of each of 3 levels in 3 conditions; with an odd number of trials the halves differ by one."""
     for repetitions in (4, 5):
         procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": repetitions}
         design = {"seed": 5, "test_first": "balanced-by-level"}
@@ -135,7 +135,7 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
 
 
 def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
-    """Two participants; tables, figures, and a page in one file whose texts are escaped."""
+    """Two participants give tables, figures, and a single report page in which texts are escaped."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
     for number in ("1", "2"):
         words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]
@@ -173,7 +173,7 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
 
 
 def test_a_session_goes_on_within_a_survey(tmp_path: Path) -> None:
-    """Cut anywhere, the journal is completed to the same tables."""
+    """A journal cut at any entry is completed to the same tables."""
     experiment = Experiment(STUDY, {"procedure.trials": 4})
     experiment.run(tmp_path, 1, OFFLINE)
     journal, table = tmp_path / "sub-01" / "sub-01_journal.jsonl", tmp_path / "surveys.csv"
@@ -185,7 +185,7 @@ def test_a_session_goes_on_within_a_survey(tmp_path: Path) -> None:
 
 
 def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
-    """The session stops before anything else is asked, and asks again when it is started again."""
+    """The session stops before any other question, and requests consent again after a restart."""
     declined = Experiment(STUDY, {"observer.answers": {"consent": "I do not agree"}})
     for _ in range(2):
         with pytest.raises(Stopped, match="did not agree"):
@@ -231,14 +231,15 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_asked_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    """With the key, the value and what to do."""
+    """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small() | {key: value for key, value in changes.items() if "." not in key},
                    {key: value for key, value in changes.items() if "." in key})  # fmt: skip
 
 
 def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
-    """Outside its folder, by a link too, no image, or too large: refused. A change of it is another experiment."""
+    """Images outside the study's folder, also by a link, non-images and large files are refused. A changed image makes
+    another experiment."""
     folder, outside = tmp_path / "study", tmp_path / "outside.png"
     folder.mkdir()
     outside.write_bytes(PNG)

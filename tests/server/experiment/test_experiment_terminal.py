@@ -1,4 +1,4 @@
-"""Answers typed in the terminal: odd texts, numbers of other countries, characters cut by a read."""
+"""Answers typed in a terminal: unusual texts, decimal commas, characters split between two reads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TEXT = Prompt("t", "?", text_length=5)
     [
         (NUMBER, "1,75\n", 1.75, ""),
         (NUMBER, " 1.75 \n2", 1.75, "2"),
-        (NUMBER, "1.000,5\n", "1.000,5", ""),  # no number: the daemon tells what is asked
+        (NUMBER, "1.000,5\n", "1.000,5", ""),  # not a number: the daemon refuses it
         (NUMBER, "1.7", None, "1.7"),
         (NUMBER, "\n", None, ""),
         (TEXT, "größer\n", "größe", ""),
@@ -37,8 +37,8 @@ def test_a_line_is_an_answer(prompt: Prompt, typed: str, answer: Any, rest: str)
     assert parse_answer(prompt, typed, 0) == (answer, rest)
 
 
-def test_a_character_that_two_reads_share_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A read takes 256 bytes: the second byte of each ü comes with the next one."""
+def test_a_character_split_between_two_reads_is_complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read returns at most 256 bytes, which splits an ü."""
     text = "a" + 300 * "ü" + "\n"
     reader, writer = os.pipe()
     with os.fdopen(reader) as stdin, os.fdopen(writer, "w") as typed, keyboard_of(stdin, monkeypatch) as keys:
@@ -53,7 +53,7 @@ def keyboard_of(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_simulated_numbers_are_within_their_bounds() -> None:
-    """Whole numbers, except at a bound that is none."""
+    """Answers are integers unless a bound is not an integer."""
     height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
     file = Experiment(small(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
     question = file.survey[0].question[0]

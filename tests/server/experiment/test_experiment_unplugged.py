@@ -1,6 +1,6 @@
-"""A session whose device is unplugged in a trial: it ends, no answer before is lost, and the trial is run again.
+"""A session whose device is unplugged in a trial ends without losing an answer, and repeats the trial.
 
-Compiles the loop of a serial device, some 20 s.
+Compiles the loop of a serial device, which lasts about 20 s.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WAIT_S = 300.0
 
 
 def pull_in_trial(board: Hapkit, journal: Path, trial: int) -> None:
-    """Unplug a board as soon as a trial has begun."""
+    """Unplug the board as soon as the trial has started."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
         if any(entry["kind"] == "begun" and entry["trial"] == trial for entry in read(journal)):
@@ -39,7 +39,8 @@ def pull_in_trial(board: Hapkit, journal: Path, trial: int) -> None:
 
 
 def test_a_device_unplugged_in_a_trial(tmp_path: Path) -> None:
-    """The second of four trials: one answer is kept, and the same command presents the second again, as attempt 2."""
+    """Unplugged in the second of four trials, the journal has one answer, and the next run starts at trial 2, attempt
+    2."""
     library, out = compile_sketch(tmp_path / "hapkit.so"), tmp_path / "out"
     rig = tmp_path / "hapkit.toml"
     rig.write_text((FOLDERS[Rig] / "hapkit.toml").read_text().replace("# path =", "path ="))

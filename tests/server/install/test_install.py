@@ -1,4 +1,4 @@
-"""`install` on real files below a folder: written, recorded, renewed, taken away again; whose files it leaves alone."""
+"""`install` below a folder: its files are written, recorded, updated and removed; other files are not changed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Install = Callable[..., int]
 
 @pytest.fixture
 def root() -> Iterator[Path]:
-    """A folder that is not there yet, in one that every user may enter."""
+    """Path that does not exist yet, in a folder open to every user."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         Path(folder).chmod(0o755)
         yield Path(folder) / "root"
@@ -43,7 +43,7 @@ def root() -> Iterator[Path]:
 
 @pytest.fixture
 def install(root: Path) -> Install:
-    """`softfinger install --system` below `root`, with more words; its exit code."""
+    """Run `softfinger install --system` below `root` with more arguments; return its exit code."""
     return lambda *words: main(["install", "--system", "--root", str(root), *words])
 
 
@@ -54,7 +54,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def test_a_dry_run_shows_what_an_install_writes(
     root: Path, install: Install, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each file with its path and content, to the byte, and the commands; nothing is written."""
+    """A dry run prints path and content of each file, and the commands, but writes nothing."""
     assert install("--dry-run") == 0
     shown = capsys.readouterr().out
     assert not root.exists()
@@ -68,7 +68,7 @@ def test_a_dry_run_shows_what_an_install_writes(
 
 
 def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> None:
-    """Whatever root's umask is."""
+    """With a umask of 077, folders have mode 755 and files 644."""
     before = os.umask(0o077)
     try:
         assert install() == 0
@@ -80,7 +80,7 @@ def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> 
 
 @pytest.mark.parametrize("edited", [False, True])
 def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    """Files, record and the folders made for them go; what is not ours stays, and edited files, which is said."""
+    """`--remove` deletes files, record and new folders. Foreign files remain; edited files remain with a message."""
     other = root / "etc/udev/rules.d/99-other.rules"
     other.parent.mkdir(parents=True)
     other.write_text("# somebody else's\n")
@@ -96,12 +96,12 @@ def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pyt
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
     (root / UNIT).unlink()
-    assert install("--remove") == 0  # what was kept is remembered until it is gone
+    assert install("--remove") == 0  # the record lists edited files until they are deleted
     assert set(content(root)) == {str(other.relative_to(root))}
 
 
 def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same files to the byte, and every one is said to be as it was."""
+    """The files are equal byte for byte, and each is reported as unchanged."""
     assert install() == 0
     before = content(root)
     capsys.readouterr()
@@ -110,8 +110,10 @@ def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: 
     assert capsys.readouterr().out.count("as it was /") == len(FILES)
 
 
-def test_an_edited_file_is_kept_and_said(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """By another install too; the other files are renewed with it."""
+def test_an_edited_file_remains_and_is_reported(
+    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another install does not replace an edited file, but updates the other files."""
     assert install() == 0
     (root / RULES).write_text("# mine\n")
     capsys.readouterr()
@@ -124,10 +126,10 @@ def test_an_edited_file_is_kept_and_said(root: Path, install: Install, capsys: p
 
 
 @pytest.mark.parametrize("kind", ["file", "link", "folder"])
-def test_a_file_of_somebody_else_is_not_overwritten(
+def test_a_foreign_file_is_not_overwritten(
     root: Path, install: Install, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor a link, as systemd's masks are, nor a folder; one clear error, and nothing else is written."""
+    """A foreign file, link (such as a systemd mask) or folder gives one error, and nothing is written."""
     unit = root / UNIT
     unit.parent.mkdir(parents=True)
     if kind == "file":
@@ -143,8 +145,8 @@ def test_a_file_of_somebody_else_is_not_overwritten(
     assert str(unit) in line and "move it away first; nothing was written" in line
 
 
-def test_what_an_earlier_version_wrote_goes(root: Path, install: Install) -> None:
-    """A recorded file that is not among those of today is taken away."""
+def test_files_of_an_earlier_version_are_removed(root: Path, install: Install) -> None:
+    """A recorded file that this version does not install is deleted."""
     assert install() == 0
     old = root / "etc/old.conf"
     old.write_bytes((root / UNIT).read_bytes())
@@ -156,8 +158,8 @@ def test_what_an_earlier_version_wrote_goes(root: Path, install: Install) -> Non
 
 
 @pytest.mark.parametrize("removes", [False, True])
-def test_without_the_right_there_is_one_clear_line(root: Path, removes: bool) -> None:
-    """Before anything is written or taken away."""
+def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -> None:
+    """The error is raised before anything is written or removed."""
     files = [File(Path("/etc/a/one"), "1\n"), File(Path("/var/two"), "2\n")]
     if removes:
         list(Ledger(root, SYSTEM.record).write(files))
@@ -167,7 +169,7 @@ def test_without_the_right_there_is_one_clear_line(root: Path, removes: bool) ->
     for folder in folders:
         folder.chmod(0o555)
     user = os.geteuid()
-    if user == 0:  # whom no mode keeps out
+    if user == 0:  # root ignores modes
         os.seteuid(65534)
     try:
         ledger = Ledger(root, SYSTEM.record)
@@ -176,26 +178,27 @@ def test_without_the_right_there_is_one_clear_line(root: Path, removes: bool) ->
     finally:
         os.seteuid(user)
         for folder in folders:
-            folder.chmod(0o755)  # else nobody but root clears it away
+            folder.chmod(0o755)  # otherwise only root could delete it
     assert "\n" not in str(caught.value)
     assert content(root) == before
 
 
-def test_a_damaged_record_is_said(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """With where it is: nobody can tell any more what was edited."""
+def test_a_damaged_record_is_reported(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    """The error contains the path of the record, which is needed to detect edited files."""
     (root / RECORD).parent.mkdir(parents=True)
     (root / RECORD).write_text("{")
     assert install() == 2
     assert f"{root / RECORD} is damaged" in capsys.readouterr().err
 
 
-def test_removing_nothing_is_said(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+def test_removing_nothing_is_reported(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
     assert install("--remove") == 0
     assert capsys.readouterr().out == "nothing was installed\n"
 
 
-def test_a_wrong_rig_is_refused_before(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """The service would not start with it."""
+def test_a_wrong_rig_is_refused_before_installing(
+    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert install("--rig", "omega-66") == 2
     assert "omega-66" in capsys.readouterr().err and not root.exists()
 
@@ -205,7 +208,7 @@ def test_a_wrong_rig_is_refused_before(root: Path, install: Install, capsys: pyt
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The home of a user, with a `systemctl` that keeps what it is asked."""
+    """Home of a user, with a `systemctl` that logs its arguments."""
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     home, tools = tmp_path / "home", tmp_path / "bin"
@@ -219,7 +222,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_user_installs_without_root(home: Path) -> None:
-    """Unit, man page and completion in his home, nothing of the machine's; systemd is told; all goes again."""
+    """Unit, man page and completion are installed in the home; systemd reloads; `--remove` deletes all files."""
     asked = home.parent / "asked"
     assert main(["install"]) == 0
     assert {path.rpartition("/")[2] for path in content(home)} == {
@@ -231,8 +234,8 @@ def test_a_user_installs_without_root(home: Path) -> None:
     assert "--user disable --now softfinger.service\n--user daemon-reload\n" in asked.read_text()
 
 
-def test_a_users_folders_are_those_of_xdg() -> None:
-    """Named by the environment, where that is an absolute path."""
+def test_a_users_folders_follow_xdg() -> None:
+    """The environment variables of XDG apply if they are absolute paths."""
     named = user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
@@ -240,7 +243,7 @@ def test_a_users_folders_are_those_of_xdg() -> None:
 def test_a_user_without_a_home_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line with the remedies; folders that XDG names need no home."""
+    """The error needs no home if XDG variables give the folders."""
     forget_user(monkeypatch)
     assert main(["install", "--dry-run"]) == 2
     assert "no home folder" in capsys.readouterr().err
@@ -250,13 +253,13 @@ def test_a_user_without_a_home_is_told(
     assert str(tmp_path / "CONFIG") in capsys.readouterr().out
 
 
-# --- what the system is told ------------------------------------------------------------------------
+# --- commands ---------------------------------------------------------------------------------------
 
 
-def test_commands_that_are_missing_or_fail_are_said(
+def test_commands_that_are_missing_or_fail_are_reported(
     home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And the next one is run all the same."""
+    """Later commands run in any case."""
     tools = home.parent / "bin"
     (tools / "udevadm").write_text("#!/bin/sh\necho no udev runs here >&2\nexit 1\n")
     (tools / "udevadm").chmod(0o755)
@@ -269,8 +272,8 @@ def test_commands_that_are_missing_or_fail_are_said(
     ]
 
 
-def test_the_account_goes_unless_it_has_kept_something(tmp_path: Path) -> None:
-    """Recordings of the service are nobody's to delete."""
+def test_the_account_is_removed_unless_it_has_recordings(tmp_path: Path) -> None:
+    """With a recording in the state folder, neither the folder nor the account is removed."""
     state = tmp_path / "state"
     assert ("userdel", "softfinger") in after_removing(True, state)
     state.mkdir()
@@ -280,7 +283,7 @@ def test_the_account_goes_unless_it_has_kept_something(tmp_path: Path) -> None:
 
 
 def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
-    """An account of its own could not start it."""
+    """The service account could not start it."""
     program = tmp_path / "private" / "bin" / "softfinger"
     program.parent.mkdir(parents=True)
     program.parent.parent.chmod(0o700)

@@ -1,4 +1,4 @@
-"""What `install` writes, as those read it for whom it is: systemd, udev, man, the shells."""
+"""Files that `install` writes, checked by systemd, udev, man and the shells."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[s
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A system with everything installed, of the machine and of a user, and a rig of one's own."""
+    """Root folder with everything installed."""
     folder = tmp_path_factory.mktemp("root")
     assert main(["install", "--system", "--root", str(folder)]) == 0
     return folder
@@ -53,14 +53,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_line_is_in_the_grammar_of_udev() -> None:
-    """Read by a parser of our own, for where udev is not."""
+    """Checked by a regular expression, because udev may be missing."""
     lines = [line for line in udev_rules([OWN]).splitlines() if line and not line.startswith("#")]
     assert len(lines) > 10
     assert not [line for line in lines if not LINE.fullmatch(line)]
 
 
 def test_every_device_that_a_driver_claims_has_a_rule() -> None:
-    """On the bus on which it is opened, by the ids of the drivers' own table; a hid device on USB, too."""
+    """The rule is for the bus that opens the device and the ids of the driver; hid devices on USB have a second
+    rule."""
     rules = udev_rules()
     keys = {"usb": ("usb", "ATTR"), "hid": ("hidraw", "ATTRS"), "serial": ("tty", "ATTRS")}
     for claim in claims():
@@ -71,8 +72,8 @@ def test_every_device_that_a_driver_claims_has_a_rule() -> None:
             assert re.search(rf'^{vendor}{number}TAG\+="uaccess"', rules, re.MULTILINE), claim
 
 
-def test_a_device_of_ones_own_rig_gets_a_rule_too() -> None:
-    """With --rig, by the ids that it names; the hint for a device without one says so."""
+def test_a_device_of_a_custom_rig_gets_a_rule() -> None:
+    """`--rig` adds the ids of the rig; the hint for an unknown device names this option."""
     assert '"cafe", ATTRS{idProduct}=="0042"' in udev_rules([OWN]) and "cafe" not in udev_rules()
     assert udev_rules(load_rig("woodenhaptics-2019").tables.values()) == udev_rules()  # known already
     assert install_command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
@@ -80,14 +81,14 @@ def test_a_device_of_ones_own_rig_gets_a_rule_too() -> None:
 
 
 def test_udev_takes_the_rules(root: Path) -> None:
-    """`udevadm verify`; before version 254, which has it, `udevadm test` on them in a name space of their own."""
+    """Uses `udevadm verify`, or before version 254 `udevadm test` in a mount namespace."""
     udevadm, folder = tool("udevadm"), root / "etc/udev/rules.d"
     if int(re.findall(r"\d+", run(udevadm, "--version").stdout)[0]) >= 254:
         done = run(udevadm, "verify", folder / "70-softfinger.rules")
         assert done.returncode == 0, done.stdout + done.stderr
         return
     script = 'mkdir -p /etc/udev/rules.d && mount --bind "$1" /etc/udev/rules.d && udevadm test /sys/class/net/lo'
-    for text, complaints in ((None, 0), ('SUBSYSTEM=="usb", NONSENSE="1"\n', 1)):  # the second, that it would be seen
+    for text, complaints in ((None, 0), ('SUBSYSTEM=="usb", NONSENSE="1"\n', 1)):  # the second must fail
         if text is not None:
             (folder / "71-softfinger-wrong.rules").write_text(text)
         done = run(tool("unshare"), "--mount", "sh", "-c", script, "sh", folder)
@@ -102,7 +103,7 @@ def test_udev_takes_the_rules(root: Path) -> None:
 
 @pytest.mark.parametrize("system", [True, False])
 def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> None:
-    """`systemd-analyze verify` has nothing to say, of a command with odd words neither."""
+    """`systemd-analyze verify` reports nothing, not even for a command with special characters."""
     analyze = tool("systemd-analyze")
     odd = tmp_path / "a folder" / "soft$finger%n"
     odd.parent.mkdir()
@@ -112,23 +113,23 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
         file = tmp_path / "softfinger.service"
         file.write_text(unit(words, system))
         manager = [] if system else ["--user"]
-        with TemporaryDirectory() as runtime:  # short: other units of this machine have sockets in it
+        with TemporaryDirectory() as runtime:  # short path, as units of the machine have sockets in it
             done = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=runtime)
         if "Failed to initialize manager" in done.stderr:
             pytest.skip(done.stderr.strip())
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_service_is_exposed_no_more_than_its_work_asks_for(tmp_path: Path) -> None:
-    """`systemd-analyze security` counts some 2 of 10: devices, sockets, real time and compiled code are its work."""
+def test_the_exposure_of_the_service_is_limited(tmp_path: Path) -> None:
+    """`systemd-analyze security` rates it at most 2.5 of 10: it needs devices, sockets, real time and compiled code."""
     file = tmp_path / "softfinger.service"
     file.write_text(unit([str(tool("true"))], True))
     done = run(tool("systemd-analyze"), "security", "--offline=true", "--threshold=25", file)
     assert done.returncode == 0, done.stdout[-200:] + done.stderr
 
 
-def test_the_unit_is_fed_by_ticks_and_restarts_nothing() -> None:
-    """What the daemon promises, and what safety asks for, is what systemd is told."""
+def test_the_unit_has_the_settings_of_the_daemon() -> None:
+    """The unit has a watchdog, no restart, the sandbox and the limits; a user's unit has no limits."""
     text = unit(["/bin/softfinger"], True)
     for line in ("Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict"):
         assert f"\n{line}\n" in text
@@ -137,14 +138,14 @@ def test_the_unit_is_fed_by_ticks_and_restarts_nothing() -> None:
     assert "Limit" not in unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
 
 
-def test_limits_are_what_the_unit_has() -> None:
-    """Four words a line, as limits.conf(5) has them, for the group."""
+def test_limits_equal_those_of_the_unit() -> None:
+    """Lines have four fields as in limits.conf(5), for the group."""
     lines = [line.split() for line in LIMITS.splitlines() if not line.startswith("#")]
     assert lines == [["@softfinger", "-", "rtprio", "95"], ["@softfinger", "-", "memlock", "unlimited"]]
 
 
 def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
-    """`systemd-sysusers` makes the account and its group, in a system of plain files."""
+    """`systemd-sysusers` creates the account and its group below a root folder."""
     sysusers = tool("systemd-sysusers")
     (tmp_path / "etc").mkdir()
     done = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
@@ -157,7 +158,6 @@ def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
 
 
 def test_the_man_page_has_every_verb_and_option() -> None:
-    """Of the same source as --help."""
     parser = make_parser().complete()
     text = manual(parser).replace(r"\-", "-")
     for name in VERBS:
@@ -167,13 +167,13 @@ def test_the_man_page_has_every_verb_and_option() -> None:
 
 
 def test_man_has_no_warning(root: Path) -> None:
-    """groff with every warning on."""
+    """groff reports nothing with all warnings enabled."""
     done = run(tool("groff"), "-man", "-ww", "-z", "-Kutf8", root / "usr/local/share/man/man1/softfinger.1")
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_text_is_no_request_of_roff() -> None:
-    """Backslashes, and a point or an apostrophe at the start of a line, are printed as they are."""
+def test_text_is_escaped_for_roff() -> None:
+    """Backslashes and points or apostrophes at the start of a line are printed literally."""
     import argparse
 
     parser = argparse.ArgumentParser("softfinger", description=r".TH is no 'request', \n neither")
@@ -182,7 +182,7 @@ def test_text_is_no_request_of_roff() -> None:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
-    """Read without running it; in bash it completes a verb and the name of a rig."""
+    """The shell parses the script without running it; bash completes a verb and the name of a rig."""
     script = tmp_path / "softfinger"
     script.write_text(completion(shell))
     done = run(tool(shell), "-n", script)

@@ -1,4 +1,5 @@
-"""A recording as a test: equal where nothing has changed, told to the tick where it has, and honest about the rest."""
+"""Replay of a recording: equal without changes, first difference at its tick, ticks that cannot be compared left
+out."""
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
 SETTLE_TICKS = 499
-"""Half a second of ramp at 1 kHz, whose 500th tick has the whole force; the filter has forgotten long before."""
+"""The ramp of half a second at 1 kHz ends at its 500th tick; the filter settles much earlier."""
 
 
 def replayed(path: Path, **changes: float) -> Outcome:
@@ -42,38 +43,38 @@ def replayed(path: Path, **changes: float) -> Outcome:
 
 
 def touches() -> list[int]:
-    """Rows of the run in which a contact begins."""
+    """Return the rows of the run at which a contact starts."""
     return np.flatnonzero(run()[:, AT.contact_cause] == CAUSE_TOUCH).tolist()
 
 
 @pytest.mark.plain
-def test_what_was_recorded_comes_again(tmp_path: Path) -> None:
-    """A run from its first tick on: every tick is compared, and is equal."""
+def test_a_replay_equals_its_recording(tmp_path: Path) -> None:
+    """If the recording has the first tick of the run, every tick is compared and equal."""
     outcome = replayed(recorded(tmp_path / "a.mcap", run()))
     assert outcome.ticks == outcome.compared == len(run())
     assert (outcome.different, outcome.first, outcome.left_out) == (0, None, [])
 
 
 @pytest.mark.plain
-def test_a_change_is_told_where_it_begins(tmp_path: Path) -> None:
-    """A plane of another stiffness gives another force from the first touch on, in proportion to it."""
+def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
+    """Another stiffness changes the force from the first touch on, in proportion."""
     outcome = replayed(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
     first = outcome.first
     assert first is not None and (first.tick, first.key) == (touches()[0], "force[2]")
-    assert first.seconds == pytest.approx(touches()[0] * 1e-3, abs=1e-9)  # a sum of a thousand periods
-    # Normal force is stiffness times depth: f' / f = k' / k, to the rounding of a few products.
+    assert first.seconds == pytest.approx(touches()[0] * 1e-3, abs=1e-9)  # sum of a thousand periods
+    # The normal force is stiffness times depth, so f' / f = k' / k up to rounding.
     assert first.now / first.recorded == pytest.approx(1.1, rel=1e-9)
     peak = np.abs(run()[:, AT.force + 2]).max()
     assert outcome.largest["force"] == pytest.approx(0.1 * peak, rel=1e-6)
     in_contact = np.count_nonzero(run()[:, AT.contact_mode] != FREE)
     assert (
         0.9 * in_contact <= outcome.different <= in_contact + 3
-    )  # slides where forces differ, and not a tick in the air
+    )  # includes slides at which forces differ; no tick in free space
 
 
 @pytest.mark.plain
 def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
-    """Without end, in the one tick that has it; and from nothing that is none either."""
+    """A NaN differs infinitely in its own tick, but equals another NaN."""
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
     now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _recorded_values(past)
     row = touches()[0]
@@ -88,9 +89,9 @@ def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_missing_ticks_are_left_out_until_nothing_is_remembered(tmp_path: Path) -> None:
-    """A gap in a contact: what follows is compared from free space on, once filter and ramp are done; a gap that loses
-    nothing but free space does the same. All else is compared, and all of it is equal."""
+def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path) -> None:
+    """After missing ticks, comparison resumes in free space once filter and ramp have settled; all other ticks are
+    equal."""
     middle = touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
     outcome = replayed(recorded(tmp_path / "a.mcap", holed))
@@ -105,7 +106,7 @@ def test_missing_ticks_are_left_out_until_nothing_is_remembered(tmp_path: Path) 
 
 @pytest.mark.plain
 def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
-    """It begins in contact: nothing of that contact is compared, everything behind it is."""
+    """The first contact is left out; every tick after it is compared."""
     part = run()[touches()[0] + 30 :]
     outcome = replayed(recorded(tmp_path / "a.mcap", part))
     (span,) = outcome.left_out
@@ -117,9 +118,9 @@ OTHER = "another scene or rig was set"
 
 
 @pytest.mark.plain
-def test_behind_another_rig_nothing_is_compared(tmp_path: Path) -> None:
-    """A factor of an experiment lowers the guard's limit: the ticks before agree, those behind are told and left out;
-    without the event they would differ."""
+def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
+    """A factor lowers the guard's limit: earlier ticks agree, later ones are left out, and without the event they
+    differ."""
     tick, rig = touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
     poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
@@ -134,7 +135,7 @@ def test_behind_another_rig_nothing_is_compared(tmp_path: Path) -> None:
 
 
 def changed_at(tick: int, stiffness: float) -> np.ndarray:
-    """A run whose stiffness changes with a tick, in the air."""
+    """Return a run whose stiffness changes at a tick in free space."""
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
     softer = overridden(scene, {STIFFNESS: stiffness}, "test")
@@ -146,9 +147,10 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
 
 
 @pytest.mark.plain
-def test_commands_are_done_again(tmp_path: Path) -> None:
-    """Behind `set_params` the forces are those of the new parameter; without its event they would differ. Around the
-    command, whose tick nobody knows, nothing is compared. Behind another scene nothing is, however equal."""
+def test_commands_are_replayed(tmp_path: Path) -> None:
+    """After `set_params` the replay uses the new parameter; without the event it differs. Ticks around the command are
+    left out, because its exact tick is not recorded. After `set_scene` all ticks are left out, even if they are
+    equal."""
     tick = (touches()[1] + touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
         tick += 1
@@ -169,9 +171,9 @@ def test_commands_are_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_what_the_driver_withheld_is_not_blamed(tmp_path: Path) -> None:
-    """A tick whose force the device did not take is told, not compared; nor is what follows before it rests. A pose
-    that was refused is refused again, which gives the zeros and the ramp of then."""
+def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
+    """A tick whose force the driver withheld is left out, like later ones until the state is known. A refused pose is
+    refused again, with the same zeros and ramp."""
     records = run().copy()
     at = touches()[0] + 10
     records[at, AT.servo_device] = HELD
@@ -192,8 +194,8 @@ def test_what_the_driver_withheld_is_not_blamed(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_several_fingers(tmp_path: Path) -> None:
-    """Each has a topic of its own; all are compared, a change is told with the finger's name, and each finger's poses
-    can be played by themselves."""
+    """All fingers are compared, a difference contains the finger's name, and each finger's poses can be played
+    separately."""
     scene, names = load_scene("pinch"), ["thumb", "index"]
     played = [resample(load_poses(f"pinch-{name}"), 1000.0)[:1500] for name in names]
     records = simulate(make_tuning(scene, load_rig("replay").guard), np.stack(played, axis=1), 1000.0)
@@ -219,8 +221,8 @@ def test_several_fingers(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its exit code is 0 or its own, its first difference is in words and as JSON, its picture drawn; a recording cut
-    short is said to be; poses alone are compared with results."""
+    """Checks exit codes, the first difference as text and JSON, the plot, a truncated recording, and poses against
+    results."""
     path = recorded(tmp_path / "a.mcap", run())
     assert cli.main(["replay", str(path)]) == 0
     assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in capsys.readouterr().out
@@ -246,7 +248,7 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The file that `run --forces` keeps, whichever of its endings, is what the poses give."""
+    """A file of `run --forces`, as CSV or NPZ, equals the replay of its poses."""
     for ending in ("csv", "npz"):
         forces = tmp_path / f"forces.{ending}"
         words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
@@ -259,7 +261,7 @@ def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pyte
 @pytest.mark.plain
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What other programs read is what was recorded; results are read back as such."""
+    """Exports equal the recorded values bit for bit; `read_results` reads CSV and NPZ."""
     path, out = recorded(tmp_path / "a.mcap", run()), tmp_path / f"out{ending}"
     if ending == ".parquet":
         from pyarrow import parquet
@@ -277,8 +279,8 @@ def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.plain
-def test_info_tells_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Times, ticks, gaps, modes, peaks, marks and what it was made with, for people and for programs."""
+def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Text and JSON contain times, ticks, gaps, modes, peaks, marks and origin."""
     holed = np.delete(run(), slice(100, 110), axis=0)
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})
     path = recorded(tmp_path / "a.mcap", holed, [mark], versions={"softfinger": "0.0"})
@@ -288,7 +290,7 @@ def test_info_tells_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[
     force = np.linalg.norm(holed[:, AT.force : AT.force + 3], axis=1).max()
     assert found["fingers"][""]["force_max_n"] == force
     assert sum(found["fingers"][""]["modes"].values()) == len(holed)
-    assert found["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # of clock readings
+    assert found["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # difference of clock readings
     assert found["scene"] == about()["scene"] and found["marks"] == [{"tick": 9, "label": "trial 7"}]
     assert cli.main(["info", str(path)]) == 0
     said = capsys.readouterr().out
@@ -296,6 +298,6 @@ def test_info_tells_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.plain
-def test_forgotten_means_forgotten() -> None:
-    """What the filter remembers after so many time constants is below the last bit of what it holds."""
+def test_the_filter_forgets_below_the_last_bit() -> None:
+    """After FORGET_TIME_CONSTANTS the remainder of the filter's state is below its last bit."""
     assert np.exp(-FORGET_TIME_CONSTANTS) < np.finfo(np.float64).eps

@@ -1,4 +1,4 @@
-"""Recordings: what a foreign reader finds, what a kill, a slow disk and a full one cost, and who may make one."""
+"""Recordings: read by other libraries, after a kill, on slow and full disks, and access to them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.real_time
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 WAIT_S = 120.0
 LOST_MAX_TICKS = 200
-"""At 1 kHz, of a kill: what is promised, four times what a recorder at rest holds back."""
+"""Promised maximum after a kill, at 1 kHz: four times the delay of an idle recorder."""
 
 
 def eventually(what: Any, seconds: float = WAIT_S) -> Any:
@@ -63,12 +63,11 @@ def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], 
     return np.concatenate(ticks), events, notes, parts[-1]
 
 
-# --- what is in a file -----------------------------------------------------------------------------
+# --- contents of a file ----------------------------------------------------------------------------
 
 
-def test_a_foreign_reader_finds_everything(tmp_path: Path) -> None:
-    """mcap's indexed reader and its protobuf decoder read ticks, events, marks, and Foxglove's pose, frames and scene,
-    with the numbers that were recorded."""
+def test_other_readers_find_everything(tmp_path: Path) -> None:
+    """mcap's indexed reader and protobuf decoder return ticks, events, marks, and Foxglove's pose, frames and scene."""
     touch = {"cause": "touch", "from": 0, "to": 1, "object": 0, "finger": ""}
     touch |= {"force": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0], "normal_force": 1.0, "tangential_force": 0.0}
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={"hand": "left"})
@@ -101,7 +100,7 @@ def test_a_foreign_reader_finds_everything(tmp_path: Path) -> None:
     (entities,) = {tuple(entity.id for entity in scene.entities) for scene in found["scene"]}
     assert entities == ("table", "proxy")
     assert found["scene"][0].entities[1].spheres[0].size.x == 0.02
-    # A minimum of pictures a second, whatever they cost; the first tick of each sixtieth.
+    # One picture per sixtieth of a second, at the first tick in it.
     assert len(found["pose"]) == len(np.unique(np.floor(run()[:, AT.timestamp] * 60.0)))
 
 
@@ -114,19 +113,18 @@ NUMBERS = {
     "foxglove.CylinderPrimitive": {"size": 2, "bottom_scale": 3, "color": 5},
     "foxglove.Quaternion": {"x": 1, "w": 4},
 }
-"""Field numbers as foxglove-sdk's .proto files have them."""
+"""Field numbers in foxglove-sdk's .proto files."""
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_foxglove_messages_have_foxglove_numbers(name: str) -> None:
-    """What is drawn by fields' numbers is drawn as their owner numbers them."""
     fields = schemas.message_class(name).DESCRIPTOR.fields_by_name
     assert {field: fields[field].number for field in NUMBERS[name]} == NUMBERS[name]
 
 
 @pytest.mark.parametrize("scene", ["sphere", "cylinder", "corner", "pinch"])
 def test_shipped_scenes_are_drawn(scene: str) -> None:
-    """Every object has a primitive, and every fingertip a ball of its diameter."""
+    """Every object has a primitive, and every fingertip a sphere of its diameter."""
     shown = load_scene(scene)
     drawn = schemas.message_class(schemas.SCENE).FromString(picture.scene_message(shown, 10**18))
     things, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
@@ -135,8 +133,8 @@ def test_shipped_scenes_are_drawn(scene: str) -> None:
     assert [ball.spheres[0].size.x for ball in balls] == [2.0 * finger.radius_m for finger in shown.fingers]
 
 
-def test_every_event_of_the_wire_survives() -> None:
-    """Of each kind in the table, with every key that it lists; what is in no table too."""
+def test_every_event_survives_encoding() -> None:
+    """Includes every kind with every key of the table, and keys that are not in it."""
     values = {"int": 7, "float": 0.5, "str": "x", "float[3]": [1.0, 2.0, 3.0], "map": {"a": {"b": [1, "c"]}}}
     for kind, keys in [*EVENT_EXTRA_KEYS.items(), ("fault", ())]:
         told = event(kind, "it", 3) | {key.name: values[key.type] for key in keys} | {"message": "new", "n": 1}
@@ -144,9 +142,8 @@ def test_every_event_of_the_wire_survives() -> None:
         assert schemas.decode_event(decoded) == told
 
 
-def test_another_versions_ticks_are_read_by_name(tmp_path: Path) -> None:
-    """A field that this version has and the file has not is missing, and one that it does not know is left alone; both
-    without a guess at where the others are."""
+def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
+    """A field that the file lacks reads as None, an unknown field is returned, and all others have their values."""
     from google.protobuf import descriptor_pb2
 
     from softfinger.server.recording.mcapfile import McapFile
@@ -175,13 +172,14 @@ def test_another_versions_ticks_are_read_by_name(tmp_path: Path) -> None:
         ticks.records()
 
 
-def test_an_index_that_memory_does_not_hold_is_whole(tmp_path: Path) -> None:
-    """As of hours: the library's reader finds every chunk and the checksum, and nothing is left beside the file."""
+def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
+    """With as many chunks as in hours, mcap's reader finds every chunk and the checksum, and no temporary file
+    remains."""
     from mcap.reader import make_reader
 
     from softfinger.server.recording.mcapfile import INDEX_MEMORY_BYTES, McapFile
 
-    chunk_index = 87  # bytes of one of a single channel, by the specification
+    chunk_index = 87  # bytes of one with a single channel, by the specification
     count = 2 * INDEX_MEMORY_BYTES // chunk_index
     path = tmp_path / "long.mcap"
     with path.open("wb", buffering=0) as file:
@@ -200,8 +198,8 @@ def test_an_index_that_memory_does_not_hold_is_whole(tmp_path: Path) -> None:
 
 
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
-    """Each pose of an MCAP recording comes back in a tick of its own, though its times are the clock's; where ticks
-    are missing, the others keep their time."""
+    """Each recorded pose plays in its tick despite irregular clock readings; missing ticks do not shift the
+    others."""
     holed = np.delete(run(), [50, 51, 52], axis=0)
     path = recorded(tmp_path / "a.mcap", holed)
     again = resample(load_poses(path), 1000.0)
@@ -215,8 +213,8 @@ def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_a_daemon_records_by_command(tmp_path: Path) -> None:
-    """From the answer on every tick is in the file, with marks, events that only the ticks tell, scene, rig, versions,
-    settings; the end is in order, and a second recording may follow. What runs is not touched."""
+    """From the answer on, the file has every tick, marks, contact events, scene, rig, versions and settings. A second
+    recording can follow, and the run is not disturbed."""
     with Daemon(quiet_rig(tmp_path), load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
@@ -226,7 +224,8 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
             with pytest.raises(CommandRefused, match=r"refused: .*a\.mcap is being recorded"):
                 control.record_start("b.mcap")
             marked = control.mark("trial 7", {"hand": "left"}).tick
-            # A tap is among them. Records reach the file a moment after the servo made them, and the state after that.
+            # Enough ticks for one tap. Records reach the file shortly after the servo made them, and the state after
+            # that.
             assert eventually(lambda: control.get_state().sequence >= started.tick + 2500)
             stopped = control.record_stop()
             second = control.record_start("b.mcap")
@@ -261,7 +260,7 @@ NOT_BELOW = {
 
 
 def test_a_client_writes_below_the_folder_only(tmp_path: Path) -> None:
-    """No path leads out of the folder of recordings, past a link or over a file, and nothing is made."""
+    """No path can leave the folder of recordings, follow a link or overwrite a file, and nothing is created."""
     from softfinger.server.services.recordings import _open_new_file
 
     folder = tmp_path / "recordings"
@@ -284,8 +283,8 @@ def test_a_client_writes_below_the_folder_only(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
-    """kill -9 at a random moment: mcap's streaming reader, which needs no index, reads all but the last ticks of what
-    subscribers were sent."""
+    """After kill -9 at a random moment, mcap's streaming reader, which needs no index, reads all but the last ticks
+    that subscribers received."""
     path = tmp_path / "killed.mcap"
     endpoint = f"ipc://{tmp_path}/t"
     words = ["run", "--endpoint", endpoint, "--commands", "off", "--realtime", "off", "--record", str(path)]
@@ -310,7 +309,7 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
             for _, channel, _, decoded in reader.iter_decoded_messages(log_time_order=False):
                 if channel.topic == "contact":
                     ticks.append(decoded.tick)
-        except Exception:  # of many classes, where a chunk is torn
+        except Exception:  # of many classes, if a chunk is torn
             pass
     assert ticks == list(range(len(ticks)))
     assert ticks[-1] >= seen - LOST_MAX_TICKS
@@ -319,7 +318,7 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
 
 
 class Slow:
-    """A file on a disk that takes nothing while `stalled` is set."""
+    """File on a disk that blocks writes while `free` is not set."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb", buffering=0)
@@ -345,9 +344,9 @@ class Slow:
         return self._file.write(data)
 
 
-def test_a_disk_that_stalls_costs_events_that_are_counted(tmp_path: Path) -> None:
-    """While the disk takes nothing, so many events wait; those beyond are counted, told, and noted in the file, and the
-    longest write is the one that stalled. Notes always have room."""
+def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
+    """Events beyond the queue are counted, reported and noted in the file; notes always fit; the longest write is the
+    stall."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -375,8 +374,8 @@ def test_a_disk_that_stalls_costs_events_that_are_counted(tmp_path: Path) -> Non
 
 
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
-    """While the disk takes nothing, ticks are taken at once all the same; those that there is no room for are counted,
-    told, and missing; behind them the recording goes on, and its file is whole."""
+    """`take` never blocks. Ticks beyond the queue are counted, reported and missing; later ticks are recorded, and the
+    file is complete."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -395,7 +394,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     take()
     assert file.writing.wait(WAIT_S)
     offered = 1024
-    while not recorder.recorded.dropped:  # without a wait anywhere
+    while not recorder.recorded.dropped:  # without waiting
         assert offered <= 2 * QUEUE_ROWS
         take()
         offered += 1024
@@ -421,14 +420,14 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
-    """The recording ends with the last chunk that is whole, subscribers are told once, and ticks go on; another
-    recording may begin. The daemon's end raises it."""
+    """The recording ends with its last complete chunk, subscribers get one fault event, and ticks continue. Another
+    recording can start, and closing the daemon raises the error."""
     with (
         Daemon(quiet_rig(tmp_path), load_scene("paper-plane")) as daemon,
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
     ):
         daemon.start()
-        assert eventually(lambda: daemon.publisher.subscribers == 1)  # what is told before reaches nobody
+        assert eventually(lambda: daemon.publisher.subscribers == 1)  # earlier events reach no subscriber
         daemon.recordings.begin("a.mcap", "paper-plane")
         recorder = daemon.recordings._recorder
         assert eventually(lambda: recorder.recorded.ticks > 100)
@@ -454,14 +453,15 @@ def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
     assert summary(tmp_path / "b.mcap")["whole"]
 
 
-def test_a_run_whose_recording_failed_says_so_in_its_exit_code(tmp_path: Path) -> None:
-    """On standard error when it happens; the run goes on until it is stopped, and then it has not gone well."""
+def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> None:
+    """The error is printed when it happens; the run continues until it is stopped, and then exits with the error's
+    code."""
     path = tmp_path / "cut.mcap"
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
     with Program(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=WAIT_S) as samples:
-            assert next(sample for sample in samples if sample.tick > 200)  # it runs, and has written
+            assert next(sample for sample in samples if sample.tick > 200)  # it runs and has written
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (path.stat().st_size, resource.RLIM_INFINITY))
         said = []
         for line in process.stderr:
@@ -478,9 +478,9 @@ def test_a_run_whose_recording_failed_says_so_in_its_exit_code(tmp_path: Path) -
 
 
 def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
-    """A limit in the middle of a chunk: what could be written of it is taken back."""
+    """If the limit is reached within a chunk, the part of the chunk is removed."""
     path = tmp_path / "limited.mcap"
-    rows = run()  # compiled before: kernels could not be kept under the limit
+    rows = run()  # compiled before, because the kernel cache cannot be written under the limit
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     told: list[str] = []
@@ -505,7 +505,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
 
 
 def test_record_writes_what_a_daemon_sends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """`record FILE.mcap` beside a daemon: ticks to the bit as the daemon itself records them, its events, its scene."""
+    """The file of `record` has the ticks, the scene and no loss; ticks equal those of the daemon's own recording."""
     rig = quiet_rig(tmp_path)
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "own.mcap", "paper-plane")

@@ -1,4 +1,4 @@
-"""Tables of other programs as poses: what is said of the columns comes out; what makes no poses is refused."""
+"""Import of tables from other programs: columns, units, dialects and refused files."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") ->
 
 @pytest.mark.parametrize("between", [" ", "\t", ",", ";", ", ", "   "])
 def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -> None:
-    """Milliseconds and millimetres among columns of no interest: the same motion, as far as the units round it."""
+    """Milliseconds, millimetres and ignored columns give the same motion up to the rounding of the units."""
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
     file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
     poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
-    # a float64 of 500 ms plus t, of which 500 is taken again; a multiplication for each unit
+    # rounding of 500 ms plus t, and of one multiplication per unit
     np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
     np.testing.assert_allclose(poses.position, PLACE, rtol=4e-16)
     assert (poses.orientation == [1.0, 0.0, 0.0, 0.0]).all()
@@ -37,7 +37,8 @@ def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("between", [";", "\t", " ", " ; "])
 def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
-    """As spreadsheets of half of Europe write them, with a byte order mark, a heading, and empty cells at the end."""
+    """Spreadsheets of half of Europe write decimal commas, a byte order mark, a heading and empty cells at line
+    ends."""
     lines = [between.join(f"{x:.17g}" for x in row).replace(".", ",") for row in np.column_stack((TIME, PLACE))]
     heading, empty = between.join(["Zeit(s)", "X(m)", "Y(m)", "Z(m)"]), between.strip(" ") * 2
     file = tmp_path / "theirs.csv"
@@ -54,7 +55,7 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
 
 
 def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
-    """As spreadsheets write them with commas between the cells too."""
+    """Spreadsheets quote decimal commas if commas also separate the cells."""
     file = tmp_path / "theirs.csv"
     file.write_text('"0,0","0,001",0,"0,01","a, b"\n"0,1","0,002",0,"0,02",""\n')
     poses = read_table(file, Layout(("t", "x", "y", "z", "-")))
@@ -62,7 +63,7 @@ def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
 
 
 def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
-    """Named by -, whatever is in it; unnamed, the first line that has something in it says so."""
+    """The name - ignores a column; without it, the error names the first line with a value in that column."""
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf0.0,0,0,0.01,\n0.1,0,0,0.02,\n0.2,0,0,0.03,press\n0.3,,0,0.04,\n")
     with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):
@@ -88,7 +89,7 @@ DECIMAL_COMMA = ("0,004 0,1 0,2 0,3", "0,005 0,1 0,2 0,3")
     ],
 )
 def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> None:
-    """Empty cells at both ends of a line, a separator in a quoted text, empty rows, numbers without a zero."""
+    """Empty cells at both ends of a line, a separator in a quoted text, empty rows, numbers without a leading zero."""
     file, out = tmp_path / "theirs.csv", tmp_path / "poses.csv"
     file.write_text(text, "utf-8")
     assert main(["import", str(file), "--columns", columns, "--out", str(out)]) == 0
@@ -108,23 +109,23 @@ def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> No
     ],
 )
 def test_a_row_is_not_read_in_another_dialect(lines: tuple[str, ...], fault: str, tmp_path: Path) -> None:
-    """The first row sets the separator: a row that lost a value is not completed by splitting a decimal comma."""
+    """The first row sets the separator: splitting a decimal comma does not complete a row that lacks a value."""
     file = tmp_path / "theirs.csv"
     file.write_text("\n".join(lines))
     with pytest.raises(RecordingError, match=fault):
         read_table(file, Layout(("t", "x", "y", "z")))
 
 
-def test_an_empty_first_cell_is_no_remark(tmp_path: Path) -> None:
-    """A line that begins with ; is skipped as a remark, but not if it has a cell for each column."""
+def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
+    """A line that starts with ; is a comment unless it has a cell for each column."""
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf# made by hand\n; and here\n0;0;0;0,01\n;0;0;0,02\n")
     with pytest.raises(RecordingError, match="line 4, column 't': the cell is empty"):
         read_table(file, Layout(("t", "x", "y", "z")))
 
 
-def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A table at a rate, turned, with two lines of another kind in front: poses to the bit, and what they span."""
+def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table with a rate, quaternions and two header lines gives equal poses, and the output has their ranges."""
     file = table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
     out = tmp_path / "poses.csv"
     words = ["--columns", "x,y,z,qw,qx,qy,qz", "--rate", "1000", "--skip", "2", "--out", str(out)]
@@ -151,8 +152,8 @@ def test_the_verb_writes_what_a_replay_plays(tmp_path: Path, capsys: pytest.Capt
         (("t,x,y,z", 1.0, 1.0, None, -1), "--skip -1"),
     ],
 )
-def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> None:
-    """By the option, its value and what it must be."""
+def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
+    """The error contains the option, its value and the requirement."""
     with pytest.raises(ConfigError, match=fault):
         make_layout(*parts)
 
@@ -176,15 +177,14 @@ def test_a_layout_that_makes_no_poses_is_refused(parts: tuple, fault: str) -> No
     ],
 )
 def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, fault: str, tmp_path: Path) -> None:
-    """With the line and the value."""
+    """The error contains the line and the value."""
     file = tmp_path / "theirs.txt"
     file.write_bytes(text)
     with pytest.raises(RecordingError, match=fault):
         read_table(file, Layout(("t", "x", "y", "z")))
 
 
-def test_what_is_refused_writes_nothing(tmp_path: Path) -> None:
-    """Neither a file that is half of one, nor one in the place of another kind."""
+def test_a_refused_table_writes_no_file(tmp_path: Path) -> None:
     file = table(tmp_path / "theirs.txt", np.zeros((3, 4)))
     for out in ("poses.csv", "poses.npz"):
         assert main(["import", str(file), "--columns", "t,x,y,z", "--out", str(tmp_path / out)]) != 0

@@ -1,4 +1,4 @@
-"""Who may open the page and command by it, tried by clients that say what no browser would."""
+"""Access to the page and its commands, tested with clients that send headers no browser would."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CAMERA = {
     "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
 }  # fmt: skip
-"""What a browser says first; before it, viser hears nothing else."""
+"""First message of a browser; viser ignores messages before it."""
 EVIL = "https://evil.example"
 
 
@@ -52,28 +52,28 @@ def page() -> Iterator[Page]:
 
 
 class Elsewhere(BaseHTTPRequestHandler):
-    """A site of another port: an empty page."""
+    """Site on another port that serves an empty page."""
 
     def do_GET(self) -> None:
         self.send_response(200)
         self.end_headers()
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Suppress the log."""
 
 
 def own(page: Page) -> str:
-    """The page's host and port."""
+    """Return the page's host and port."""
     return urlsplit(page.address).netloc
 
 
 def path(page: Page) -> str:
-    """The page's path, which is its token."""
+    """Return the page's path, which is its token."""
     return urlsplit(page.address).path
 
 
 def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
-    """Status, headers and body of a request."""
+    """Return status, headers and body of a response."""
     connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
     try:
         connection.request("GET", where, headers={"Host": own(page)} | headers)
@@ -85,7 +85,7 @@ def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], by
 
 @contextmanager
 def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
-    """A websocket to the page, as its own script opens one; InvalidStatus where it is refused."""
+    """Open a websocket like the page's script; raises InvalidStatus if it is refused."""
     stream = socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0)
     protocol, said = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
     try:
@@ -104,7 +104,7 @@ def opened(page: Page, where: str, origin: str | None, host: str | None = None) 
 
 
 def upgraded(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
-    """The status that a websocket is answered with: 101 opens it."""
+    """Return the status of a websocket request; 101 means open."""
     try:
         with opened(page, where, origin, host):
             return 101
@@ -112,8 +112,8 @@ def upgraded(page: Page, where: str, origin: str | None, host: str | None = None
         return error.response.status_code
 
 
-def test_the_page_is_served_at_its_address_alone(page: Page) -> None:
-    """With the token and the host: the page, its name on the tab, and no other page may frame it."""
+def test_the_page_is_served_only_at_its_address(page: Page) -> None:
+    """With token and host, the page has its title and headers that forbid framing and referrers."""
     status, headers, body = got(page, path(page))
     assert status == 200 and b"<title>softfinger</title>" in body
     assert headers["X-Frame-Options"] == "DENY" and "frame-ancestors 'none'" in headers["Content-Security-Policy"]
@@ -123,7 +123,7 @@ def test_the_page_is_served_at_its_address_alone(page: Page) -> None:
 
 @pytest.mark.parametrize("where", ["/", "/index.html", "/wrong-token/", "http://evil.example/", "/%2e%2e/", "*"])
 def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
-    """The refusal says what to do, and may not be framed either."""
+    """The refusal gives the remedy and forbids framing."""
     status, headers, body = got(page, where)
     assert status == 403 and b"token" in body and b"softfinger view" in body and headers["X-Frame-Options"] == "DENY"
     if where.startswith("/"):
@@ -132,7 +132,7 @@ def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8370", "localhost", "localhost:1", "rig.lab:1", ""])
 def test_another_host_is_refused(page: Page, host: str) -> None:
-    """As under a name that a web site gave to this machine's address."""
+    """A web site can point its host name at this machine's address."""
     assert got(page, path(page), Host=host)[0] == 403
     if host:
         assert upgraded(page, path(page), f"http://{host}", host) == 403
@@ -141,7 +141,7 @@ def test_another_host_is_refused(page: Page, host: str) -> None:
 @pytest.mark.parametrize("second", ["evil.example", "localhost", ""])
 @pytest.mark.parametrize("first", [True, False])
 def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
-    """Though one of them is the page's, whichever comes first, and if both are: servers differ in which they use."""
+    """Servers differ in the header they use, so two are refused in either order, even if both name the page."""
     hosts = [own(page), second or own(page)]
     connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
     try:
@@ -156,17 +156,17 @@ def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool
 
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
 def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
-    """With the token, too: another site, a page without one, and a program that does not say."""
+    """With the token, other sites, pages without an origin and programs without the header are refused."""
     assert upgraded(page, path(page), origin) == 403
 
 
-def test_a_request_from_elsewhere_is_refused(page: Page) -> None:
-    """A browser names the site where it is another one."""
+def test_a_request_of_another_origin_is_refused(page: Page) -> None:
+    """Browsers send the header Origin for other sites."""
     assert got(page, path(page), Origin=EVIL)[0] == got(page, path(page), Origin="null")[0] == 403
 
 
-def test_the_page_itself_and_names_that_are_allowed_may(page: Page) -> None:
-    """By name, by number, and by what --allow-host named."""
+def test_the_page_and_allowed_hosts_have_access(page: Page) -> None:
+    """By host name, by address, and by the names of --allow-host."""
     port = page.server.get_port()
     for host in (own(page), f"127.0.0.1:{port}", f"rig.lab:{port}", "tunnel.lab:9000"):
         assert upgraded(page, path(page).rstrip("/"), f"http://{host}", host) == 101
@@ -175,8 +175,8 @@ def test_the_page_itself_and_names_that_are_allowed_may(page: Page) -> None:
 
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_in_a_browser_the_page_opens_and_another_site_reaches_nothing(page: Page) -> None:
-    """Its own script is let in; that of another port, which has even learned the token, is not, nor may it frame."""
+def test_another_site_cannot_reach_the_page_in_a_browser(page: Page) -> None:
+    """The page's script may connect; a page on another port with the token may neither connect nor frame the page."""
     attack = ATTACK.replace("VERSION", viser.__version__)
     with HTTPServer(("127.0.0.1", 0), Elsewhere) as other, browser() as tab:
         thread = threading.Thread(target=other.serve_forever)
@@ -194,28 +194,28 @@ def test_in_a_browser_the_page_opens_and_another_site_reaches_nothing(page: Page
             thread.join()
 
 
-def test_each_page_has_a_token_of_its_own() -> None:
-    """128 bits, and an address that a browser can open, whatever the host."""
+def test_each_page_has_its_own_token() -> None:
+    """A token has 128 bits, and the address can be opened in a browser for every host."""
     assert Access("::1").address(80).startswith("http://[::1]:80/")
     assert Access("0.0.0.0", ("rig.lab",)).address(80).startswith("http://rig.lab:80/")
     tokens = {Access("127.0.0.1").token for _ in range(100)}
     assert len(tokens) == 100 and min(map(len, tokens)) >= 21
 
 
-def test_a_server_that_cannot_be_guarded_is_none() -> None:
-    """Where viser would start it in another way."""
+def test_an_unguarded_server_is_refused() -> None:
+    """ConfigError is raised if viser starts its server in an unexpected way."""
     with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guard_server():
         pass
 
 
 def say(stream: ClientConnection, control: Any, value: Any) -> None:
-    """What a browser says when a control is moved, for a value of any kind."""
+    """Send a browser's message for a changed control, with a value of any type."""
     told = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
     stream.send(msgspec.msgpack.encode(told))
 
 
-def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tuple[str, str]) -> None:
-    """A stiffness far beyond its slider, none at all and a scene that is not on the list go back, and are not sent."""
+def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
+    """A stiffness outside its slider, NaN and an unlisted scene are reset and not sent to the daemon."""
     live = LivePage(page, Addresses(*endpoints))
     try:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
@@ -239,7 +239,7 @@ def test_a_control_is_held_to_the_limits_that_it_shows(page: Page, endpoints: tu
 
 
 def fed(live: LivePage, until: Callable[[], Any]) -> None:
-    """Step until something is true."""
+    """Step until a condition is true."""
     end = time.monotonic() + 60.0
     while not until():
         assert time.monotonic() < end

@@ -1,4 +1,4 @@
-"""Two fingers led at once: keys close them, and a drag of one leads the other."""
+"""Two fingers controlled together: keys close them, and a drag of one moves the other."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ PLACES = {"thumb": (-0.04, 0.0, 0.02), "index": (0.04, 0.0, 0.02)}
 
 @pytest.fixture
 def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
-    """A hand with two fingers on a page that nobody looks at, and where each was sent last; held, each wants to be
-    GRIP m lower than it is."""
+    """Return a hand with two fingers on a page without viewers, and the last target of each. When held, a finger
+    reports a target GRIP m below its position."""
     server = viser.ViserServer(port=0, verbose=False)
     sent: dict[str, Target | None] = {}
     try:
@@ -50,16 +50,16 @@ def places(sent: dict[str, Any]) -> dict[str, list[float]]:
     return {name: np.round(target.position, 9).tolist() for name, target in sent.items()}
 
 
-def test_a_way_is_mirrored_along_the_line_between_fingers() -> None:
-    """Towards each other along it, together across it; of fingers in one place, together."""
+def test_a_motion_is_mirrored_along_the_line_between_fingers() -> None:
+    """Fingers move oppositely along the line and together across it; fingers at the same position move together."""
     line = np.array([2.0, 0.0, 0.0])
     assert mirror_motion(np.array([0.3, 0.4, 0.5]), line).tolist() == [-0.3, 0.4, 0.5]
     assert mirror_motion(np.array([0.3, 0.4, 0.5]), 0.0 * line).tolist() == [0.3, 0.4, 0.5]
     assert move_towards(np.array([1.0, 0.0, 0.0]), np.zeros(3), 2.0).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_keys_close_two_fingers_and_lead_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Both come nearer; a way up leads both, or the one that is chosen."""
+def test_keys_close_two_fingers_and_move_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """Closing moves both fingers; a vertical step moves both, or only the chosen one."""
     hand, sent = led
     hand.nudge(Nudge(close=0.001))
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.018], "index": [0.039, 0.0, 0.018]}
@@ -70,20 +70,20 @@ def test_keys_close_two_fingers_and_lead_both(led: tuple[Hand, dict[str, Target 
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.039, 0.0, 0.019]}
 
 
-def test_each_hand_has_a_finger_of_its_own(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """The left hand the finger on the left, and both whatever the wheel closes, whichever finger is chosen."""
+def test_each_hand_moves_one_finger(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """The left hand moves the left finger and the wheel moves both, regardless of the chosen finger."""
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge_each(Nudge(x=0.001), Nudge(y=0.002), 0.0)
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.018], "index": [0.04, 0.002, 0.018]}
     hand.nudge_each(Nudge(), Nudge(y=-0.002), 0.001)
-    assert places(sent)["thumb"][0] == pytest.approx(-0.038, abs=2e-6)  # towards a middle 1 mm beside: cos of 1/40
+    assert places(sent)["thumb"][0] == pytest.approx(-0.038, abs=2e-6)  # towards a middle offset by 1 mm: cos of 1/40
     assert places(sent)["index"][0] == pytest.approx(0.039, abs=2e-6)
 
 
-def test_who_leads_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """A rig whose hands follow recordings would go on with that of the other finger; both begin where they want to be,
-    which in a grip is deeper than where they are."""
+def test_moving_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """Otherwise a hand that follows a recording would continue with it. Both start at their targets, which in a grip
+    are deeper than their positions."""
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge(Nudge(z=0.001))
@@ -91,8 +91,8 @@ def test_who_leads_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target 
     assert hand.target("thumb").position == pytest.approx([-0.04, 0.0, 0.018])
 
 
-def test_a_slider_leads_on_from_where_the_hand_wants_to_be(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """It shows where the finger is; pulled by 5 mm to the right, the target goes so far from where it was."""
+def test_a_slider_moves_the_target_by_its_change(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """A slider shows the finger's position; a change of 5 mm shifts the target by 5 mm."""
     hand, sent = led
     assert hand._finger.value == BOTH and hand._sliders[2].value == pytest.approx(20.0)
     for x in (-38.0, -35.0):
@@ -102,8 +102,9 @@ def test_a_slider_leads_on_from_where_the_hand_wants_to_be(led: tuple[Hand, dict
     assert places(sent) == {"thumb": [-0.035, 0.0, 0.018]}
 
 
-def test_what_is_done_before_the_hands_are_held_waits(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Strokes of a key while the daemon answers, late, are all led; refused, none is, and the next asks again."""
+def test_steps_before_the_hands_are_held_are_queued(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """Key strokes before the daemon's answer are all applied. After a refusal none is applied, and the next stroke
+    sends a new request."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
     hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))
@@ -122,7 +123,7 @@ def test_what_is_done_before_the_hands_are_held_waits(led: tuple[Hand, dict[str,
 
 
 def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
-    """The thumb is dragged, seen from above."""
+    """Drag the thumb, with the camera above."""
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
     event = SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end)
@@ -130,7 +131,7 @@ def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
 
 
 def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """10 mm to the right and 5 mm aside with both; what the wheel closes meanwhile stays when the drag goes on."""
+    """Both move 10 mm to the right and 5 mm sideways; closing by the wheel during the drag remains in effect."""
     hand, sent = led
     ball = CM * np.array(PLACES["thumb"])
     drag(hand, "start", ball, "move")
@@ -143,8 +144,8 @@ def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, di
     assert places(sent)["index"] == pytest.approx([0.036, 0.005, 0.018])
 
 
-def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """For touch screens, which have no wheel: dragged 10 mm inwards and 5 mm aside, the other comes to meet it."""
+def test_a_pinch_drag_moves_both_fingers_together(led: tuple[Hand, dict[str, Target | None]]) -> None:
+    """Touch screens have no wheel: a drag by 10 mm inwards and 5 mm sideways mirrors the other finger."""
     hand, sent = led
     ball = CM * np.array(PLACES["thumb"])
     for phase, end in (("start", ball), ("end", ball + CM * np.array([0.01, 0.005, 0.0]))):
@@ -153,8 +154,8 @@ def test_a_drag_of_one_finger_pinches_with_both(led: tuple[Hand, dict[str, Targe
     assert places(sent)["index"] == pytest.approx([0.03, 0.005, 0.018])
 
 
-def test_what_hands_tell_is_led_once_and_no_farther_than_a_hand() -> None:
-    """Totals of each page by itself, of which some may be left out; nothing else leads anything."""
+def test_increments_of_two_hands_are_applied_once_and_clamped() -> None:
+    """Pages send totals, some of which may be lost; the increments are clamped, and invalid text is ignored."""
     told = SimpleNamespace(value="")
 
     class Gui:

@@ -1,4 +1,4 @@
-"""The page in a real browser: it shows the scene, its pictures tell, and what is done there arrives in the daemon."""
+"""The page in a browser: it shows the scene, its colours show the contact, and its controls change the daemon."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from softfinger.server.viewer.nodes.looks import CM
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 ROLL, SPIN, SLIDE = 4300, 7000, 9000
-"""Ticks of the shipped recording: half way through its roll, wound up, and dragged along."""
+"""Ticks of the shipped recording: in the middle of its roll, in its spin, and in its slide."""
 
 
-def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Path) -> None:
-    """Scrubbed to one of each: a roll has blue alone, a spin an orange arc as well, a slide red in place of blue."""
+def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
+    """A roll shows only blue, a spin also an orange arc, and a slide red instead of blue."""
     file = tmp_path / "run.mcap"
     write_results(file, run_recording("press-roll-spin-drag"))
     seen = {}
@@ -35,7 +35,7 @@ def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Pat
             wanted = {ROLL: "blue", SPIN: "orange", SLIDE: "red"}[tick]
             seen[tick] = eventually(lambda w=wanted: (found := coloured(screen.picture()))[w] > 100 and found)
             assert seen[tick], f"no {wanted} at tick {tick}"
-    # A dot of 2 mm has some 30 pixels here, an arrow or an arc some hundred.
+    # A dot of 2 mm has about 30 pixels here, an arrow or an arc some hundred.
     assert seen[ROLL]["red"] < 30 and seen[ROLL]["orange"] < 30
     assert seen[SPIN]["blue"] > 100 and seen[SPIN]["red"] < 30
     assert seen[SLIDE]["blue"] < 30
@@ -43,7 +43,7 @@ def test_a_roll_a_spin_and_a_slide_are_told_apart_by_their_colours(tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """A hand that waits to be led, above the paper's plane."""
+    """Run a hand that can be controlled, above the paper's plane."""
     ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as running:
@@ -51,8 +51,8 @@ def daemon() -> Iterator[Daemon]:
         yield running
 
 
-def test_the_page_shows_what_is_rendered(screen: Screen) -> None:
-    """The mode in words, the scene's name among the choices, and a white ball on a plane that is not white."""
+def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
+    """It shows the mode as text, all tabs, and a picture that is not of one colour."""
     assert eventually(lambda: screen.shows("free"))
     for name in ("Hand", "Feel", "Show", "Plots"):
         screen.tab(name)
@@ -60,8 +60,8 @@ def test_the_page_shows_what_is_rendered(screen: Screen) -> None:
     assert eventually(lambda: (screen.picture().std(axis=(0, 1)) > 5.0).all())
 
 
-def test_a_drag_of_the_mouse_is_felt_by_the_daemon(screen: Screen, client: Client) -> None:
-    """Shift and down presses the fingertip into the plane; a drag to the right takes it along; and it stays there."""
+def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client: Client) -> None:
+    """A drag with shift presses the fingertip into the plane; a drag to the right moves it without releasing it."""
     assert client.get_state().force[2] == 0.0
 
     def ball() -> tuple[float, float]:
@@ -84,8 +84,8 @@ def test_a_drag_of_the_mouse_is_felt_by_the_daemon(screen: Screen, client: Clien
     assert any(screen.shows(state) for state in ("sticking", "rolling", "sliding"))
 
 
-def test_a_slider_arrives_in_the_daemon(screen: Screen, client: Client) -> None:
-    """What is written beside it is the scene's stiffness; both coefficients of friction keep their proportion."""
+def test_a_slider_changes_the_material_of_the_daemon(screen: Screen, client: Client) -> None:
+    """A number next to it sets the stiffness; both coefficients of friction keep their ratio."""
 
     def material() -> dict[str, object]:
         made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]

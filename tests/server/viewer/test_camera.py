@@ -1,4 +1,4 @@
-"""Where a scene is looked at from at first: all that is touched is in the picture, and large enough."""
+"""Initial camera of a scene: everything that can be touched is in view and large enough."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RADIUS = 0.01
 
 
 def seen(camera: Camera, point: Any) -> tuple[float, float]:
-    """How far a point (3,) m is from the middle of the picture, across and up: at its edge 1."""
+    """Return the image coordinates of a point (3,) m, from -1 to 1 between the edges."""
     look = np.subtract(camera.look_at, camera.position)
     depth = look / np.linalg.norm(look)
     right = np.cross(depth, (0.0, 0.0, 1.0))
@@ -36,8 +36,8 @@ def seen(camera: Camera, point: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
-    """Of every shipped scene: where the first solid object is touched from above, a fingertip lies within a square
-    picture and takes a twentieth of its height."""
+    """A fingertip on top of the first solid object is inside a square picture and has at least a twentieth of its
+    height."""
     scene = load_scene(name)
     camera, thing = initial_camera(scene), next(each for each in scene.object if not getattr(each, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
@@ -50,9 +50,9 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
     assert height > 0.1  # of 2
 
 
-def test_a_body_is_looked_at_where_it_is() -> None:
-    """A door whose hinge is 80 mm beside the origin, so that its middle is there: the camera looks at it, but for the
-    fingertip on one side. Of all that a [world] draws, a stack of boxes and what is lifted off it are in view."""
+def test_the_camera_looks_at_the_pose_of_a_body() -> None:
+    """A door whose centre is 80 mm from the origin moves the camera by 80 mm. The stack of boxes of a [world] and a box
+    lifted off it are in view."""
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)
@@ -64,8 +64,8 @@ def test_a_body_is_looked_at_where_it_is() -> None:
     assert max(map(abs, (*seen(camera, (0.0, 0.0, 0.0)), *seen(camera, (0.0, 0.0, 0.18))))) < 1.0
 
 
-def test_of_a_bowl_the_ball_is_looked_at() -> None:
-    """Not the middle of the hollow sphere that is its inside, 100 mm higher."""
+def test_the_camera_of_a_bowl_looks_at_the_ball() -> None:
+    """It does not look at the centre of the hollow sphere, 100 mm higher."""
     scene = load_scene("ball-in-a-bowl")
     ball = next(thing for thing in scene.object if thing.name == "ball")
     place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
@@ -73,8 +73,8 @@ def test_of_a_bowl_the_ball_is_looked_at() -> None:
     assert abs(initial_camera(scene, None, things).look_at[2] - CM * 0.015) < CM * RADIUS
 
 
-def test_walls_are_looked_at_from_in_front() -> None:
-    """The camera of the corner is on the side of each plane where the fingertip is."""
+def test_the_camera_looks_at_walls_from_the_front() -> None:
+    """The camera of the corner is on the fingertip's side of each plane."""
     scene = load_scene("corner")
     position = np.array(initial_camera(scene).position)
     for wall in scene.object:
@@ -82,16 +82,16 @@ def test_walls_are_looked_at_from_in_front() -> None:
         assert normal @ (position - CM * np.array(wall.position_m)) > 0.0
 
 
-def test_of_two_fingers_neither_is_hidden() -> None:
-    """The pinch is looked at across the line between its fingers, and both are in the picture."""
+def test_neither_of_two_fingers_is_hidden() -> None:
+    """The camera of the pinch looks across the line between the fingers, and both are in view."""
     camera = initial_camera(load_scene("pinch"))
-    assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size, by 2 mm
+    assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size by 2 mm
     for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
         assert max(map(abs, seen(camera, (x, 0.0, 0.0)))) < 1.0
 
 
-def test_an_object_of_a_file_is_looked_at_once_it_is_drawn() -> None:
-    """A ball of 60 mm that is drawn is farther from the camera than what is not known yet."""
+def test_the_camera_fits_a_mesh_once_it_is_drawn() -> None:
+    """The camera is farther from a height map with a hill of 60 mm than from a flat or unknown one."""
     scene = load_scene("heightmap")
     flat = np.array([(x, y, 0.0) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)])
     hill = np.array([(0.0, 0.0, 0.06)])
@@ -104,8 +104,8 @@ def test_an_object_of_a_file_is_looked_at_once_it_is_drawn() -> None:
     assert distance(far) * sin(0.5 * far.fov) >= CM * 0.03  # half the hill fits
 
 
-def test_a_slope_to_the_light_is_lighter_than_one_away_from_it() -> None:
-    """And of two level places the higher is; the highest level has the map's own colour, in linear light."""
+def test_a_slope_towards_the_light_is_lighter() -> None:
+    """A higher level is lighter, and the highest has the map's own colour in linear light."""
     steep = np.array([(x, 0.1 * y, abs(x)) for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)])
     faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.uint32)
     valley = shade_vertices(Mesh(steep, faces), MAP)[:, :3].astype(int)

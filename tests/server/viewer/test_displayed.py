@@ -1,6 +1,6 @@
-"""What a device of one or two degrees of freedom displays of a force, and how the page shows that.
+"""Forces that devices with one or two degrees of freedom can display, and the page's view of them.
 
-The browser's test compiles the paper's plane, and has a 2DIY that is emulated from its firmware's source.
+The browser test compiles the paper's plane and emulates a 2DIY from the source of its firmware.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ turns = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg
 
 @pytest.mark.plain
 @given(turns, vectors, st.floats(-1.2, 1.2), vectors)
-def test_a_paddle_displays_what_lies_along_its_arc(
+def test_a_paddle_displays_the_force_along_its_arc(
     turn: Any, origin: np.ndarray, angle: float, force: np.ndarray
 ) -> None:
-    """The way that the handle goes is a difference of its own closed form, r (sin a, 0, cos a - 1), in the world; the
-    work on that is the whole force's, and there is no other part."""
+    """The displayed force is the projection on the tangent of the handle's arc, r (sin a, 0, cos a - 1), whose
+    derivative is computed by a difference."""
     radius, step = 0.09, 1e-6
     mounting = Mounting(position_m=tuple(origin.tolist()), orientation_wxyz=turn)
     _, unit = mounting.frame()
@@ -57,9 +57,9 @@ def test_a_paddle_displays_what_lies_along_its_arc(
 
 @pytest.mark.plain
 @given(vectors)
-def test_a_pantograph_displays_what_lies_in_its_plane(force: np.ndarray) -> None:
-    """The shipped 2DIY moves in x and z of the world, as `softfinger check` says; wherever its handle is. Devices of
-    three degrees of freedom display everything."""
+def test_a_pantograph_displays_the_force_in_its_plane(force: np.ndarray) -> None:
+    """The shipped 2DIY displays x and z at every position, as `softfinger check` reports. Devices with three degrees of
+    freedom display everything."""
     (handle,) = find_low_dof_devices({"rig": describe(load_rig("haply-2diy"))}).values()
     row = np.zeros(RECORD_SIZE)
     row[AT.force : AT.force + 3], row[AT.probe_position] = force, 0.03
@@ -70,11 +70,9 @@ def test_a_pantograph_displays_what_lies_in_its_plane(force: np.ndarray) -> None
 
 
 @pytest.mark.plain
-def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
-    """Of 3, 4 and 1 N in the directions of the world, the 2DIY has 3 and 1; the dashes are 4 N long, 2 N a cm.
-
-    Force and torsion have their numbers, and a contact patch its computed radius.
-    """
+def test_the_arrow_shows_the_displayed_force_and_dashes_the_rest() -> None:
+    """Of a force of (3, 4, 1) N the 2DIY displays 3 and 1 N; at 2 N per cm the dashes show the other 4 N. Force and
+    torsion have labels, and a contact patch has its computed radius."""
     viser = pytest.importorskip("viser")
     server = viser.ViserServer(port=0, verbose=False)
     try:
@@ -112,7 +110,6 @@ def test_the_arrow_is_what_is_displayed_and_dashes_are_the_rest() -> None:
 
 @pytest.mark.plain
 def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
-    """From end to end, dashes and gaps alike."""
     line = dashes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 15.0, 0.0]))
     np.testing.assert_allclose(line[:, :, 1], [[2.0 * k, 2.0 * k + 1.0] for k in range(8)])
 
@@ -120,8 +117,9 @@ def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
 @pytest.mark.real_time
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_the_page_says_what_a_2diy_does_not_display() -> None:
-    """A floor tilted by 45 degrees out of the handle's plane: a part of the force is displayed; a link says why."""
+def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
+    """On a floor tilted by 45 degrees out of the handle's plane, the page shows both parts and a link to the
+    explanation."""
     plain = describe(load_scene("paper-plane"))
     plain["object"][0] |= {"orientation_wxyz": [np.cos(np.pi / 8).item(), -np.sin(np.pi / 8).item(), 0.0, 0.0]}
     scene, board = build(schema.Scene, plain, "a slope"), Firmware()
@@ -132,7 +130,7 @@ def test_the_page_says_what_a_2diy_does_not_display() -> None:
         }  # fmt: skip
         with Daemon(load_rig("haply-2diy", changes), scene, scene_name="slope") as daemon:
             daemon.start()
-            for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above it into it, slower than 10 m/s
+            for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above into the floor, slower than 10 m/s
                 board.angles = [168.0 - 26.0 * share, 12.0 + 26.0 * share]
                 time.sleep(0.002)
             with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
@@ -143,8 +141,8 @@ def test_the_page_says_what_a_2diy_does_not_display() -> None:
                     return [float(each) for each in re.findall(r"([\d.]+) N", text.first.inner_text())]
 
                 shown, lost = eventually(lambda: min(found := parts()) > 0.05 and found)
-                # A slide straight down a slope of 45 degrees leaves the force on the cone of the kinetic friction 0.5:
-                # in the plane (1 + 0.5) N cos 45, across it (1 - 0.5) N cos 45. Both are read with two decimals.
+                # Sliding straight down a slope of 45 degrees puts the force on the cone of the kinetic friction 0.5: in
+                # the plane (1 + 0.5) N cos 45, across it (1 - 0.5) N cos 45. Both are shown with two decimals.
                 assert shown / (shown + lost) == pytest.approx(0.75, abs=0.02)
                 link = screen.page.get_by_role("link", name="A device of two degrees of freedom")
                 assert link.get_attribute("href").endswith(

@@ -1,4 +1,4 @@
-"""Objects that were driven, in a recording: they stand where they stood then."""
+"""Recordings with driven objects show them at their recorded poses."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ from softfinger.server.viewer.playback import RecordedPage, load
 LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 NODE = "window.__viserMutable.nodeRefFromName['/objects/0']?.position.toArray()"
-"""What is drawn, not what was sent."""
+"""Position of the drawn node, not of the message."""
 
 
 def told(tick: int, **what: Any) -> dict[str, Any]:
     return event("command", "drive", tick, what=what)
 
 
-def test_events_tell_where_driven_objects_are() -> None:
-    """Until the first where the scene has it; turned as it was where none is told; what is no pose is left out."""
+def test_events_set_the_poses_of_driven_objects() -> None:
+    """Before the first event the pose is that of the scene; events without orientation keep the last one; invalid
+    events are ignored."""
     scene = build(Scene, paper_mapping(table=LID), "test scene")
     events = [
         told(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
@@ -47,8 +48,8 @@ def test_events_tell_where_driven_objects_are() -> None:
     assert DrivenPoses(load_scene("paper-plane"), events).at(10) == {}
 
 
-def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
-    """A knob's geoms, of which fingers touch one, go along with it: a quarter of a turn at tick 500, at rest before."""
+def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None:
+    """All geoms of a knob, only one of which is touched, turn by 90 degrees at tick 500."""
     scene = load_scene("turn-a-knob")
     file = tmp_path / "turned.mcap"
     with file.open("wb", buffering=0) as out:
@@ -75,8 +76,9 @@ def test_a_recording_has_its_bodies_where_they_were(tmp_path: Path) -> None:
 @pytest.mark.real_time
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_a_recording_has_a_driven_object_where_it_was(tmp_path: Path) -> None:
-    """Scrubbed to and fro over two commands, and played over the second: it stands where the last one put it."""
+def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> None:
+    """Scrubbing in both directions over two commands, and playing over the second, shows the last commanded
+    position."""
     moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
     events = [told(tick, object="lid", position_m=place) for tick, place in moves.items()]
     scene = build(Scene, paper_mapping(table=LID), "recorded")

@@ -1,4 +1,4 @@
-"""An experiment through its page: a real session, daemon and page, driven in Chromium from instructions to the end."""
+"""Experiments through the page: a session, a daemon and a page, controlled in Chromium."""
 
 from __future__ import annotations
 
@@ -26,11 +26,9 @@ def through_chromium() -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Consent, a survey, instructions, two blocks of two trials with a break and a survey between them, the end.
-
-    Answers are given by button and by key. Colour, image and noise are those of the condition. A second page, of a
-    watcher, shows the same and has nothing to answer with. The folder has everything.
-    """
+    """Run consent, a survey, instructions and two blocks of two trials with a break and a survey between them. Buttons
+    and keys answer. Colour, image and noise are those of the condition. The page of a watcher shows the same texts
+    without buttons. The folder contains all files."""
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
         run.click("I agree")
@@ -50,7 +48,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
             watcher.page.close()
         assert not run.page.get_by_role("tab").count() and not run.page.get_by_text("tick").count()
         run.click("begin")
-        assert run.waits("Block 1 of 2, trial 1 of 4")  # a touch is too short to be sure to see its text
+        assert run.waits("Block 1 of 2, trial 1 of 4")  # a touch is too short to check its text
         assert run.waits("Which was stiffer?")
         assert run.page.locator("[data-colour='#4477aa']").is_visible()
         picture = run.page.locator("img[src^='data:image/png']")
@@ -61,14 +59,14 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         assert eventually(lambda: run.page.locator("body[data-noise='running 0']").count())
         run.click("3")
         assert run.waits("Block 1 of 2, trial 2 of 4", "Which was stiffer?")
-        for _ in range(10):  # held down, it repeats and answers nothing more
+        for _ in range(10):  # a pressed key repeats, but answers only once
             run.page.keyboard.down("1")
         run.page.keyboard.up("1")
         run.page.keyboard.press("2")
         assert run.waits("How sure are you?")
         run.page.keyboard.press("4")
         assert run.waits("How hard was it?", "0: very low, 100: very high")
-        run.page.keyboard.press("5")  # of 50 or 95: it answers nothing
+        run.page.keyboard.press("5")  # first digit of 50, which has no key
         assert run.waits("How hard was it?")
         run.click("95")
         assert run.waits("A break", "2 of 4 trials are done.")
@@ -106,7 +104,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """A mark of a scale by button and by key; a number in a field, where what is none is told and asked again."""
+    """Buttons and keys give a mark of a scale; a number field refuses invalid numbers with a message."""
     with session(tmp_path / "scale", RATING) as run:
         run.click("begin")
         assert run.waits("1: soft, 7: hard")
@@ -129,7 +127,8 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
 
 @pytest.mark.plain
 def test_each_choice_has_its_key() -> None:
-    """Two by their place, marks of a scale by their digit, the only one by Enter; beyond ten there is the button."""
+    """Two choices have their positions as keys, marks of a scale their digits, a single choice Enter; ten keys at
+    most."""
     assert assign_keys(("first", "second")) == {"1": "first", "2": "second"}
     assert assign_keys(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
     assert assign_keys(("0", "1", "2")) == {"0": "0", "1": "1", "2": "2"}
@@ -140,5 +139,5 @@ def test_each_choice_has_its_key() -> None:
 @pytest.mark.plain
 @pytest.mark.parametrize("marks", [range(0, 101, 5), range(1, 11), range(-3, 4)])
 def test_a_scale_with_longer_marks_has_no_keys(marks: range) -> None:
-    """The first key of 50 is 5, of 10 is 1, and the fifth mark of -3 to 3 is 1."""
+    """The first character of 50 is 5 and of 10 is 1, and the fifth mark of -3 to 3 is 1."""
     assert assign_keys(tuple(map(str, marks))) == {}

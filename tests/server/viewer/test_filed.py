@@ -1,4 +1,4 @@
-"""A mesh and a height map on the page of a running daemon: sent by it, drawn in a real browser, and touched there."""
+"""A mesh and a height map from a running daemon, drawn in a browser and touched there."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 RADIUS_M = 0.03
 GREY, WHITE = 240.0, 250.0
-"""Below the one a colour is an object's, above the other the page's, which is empty there."""
+"""An object's colour is below GREY; the empty background is above WHITE."""
 TRIANGLES = """name => {
     let found = 0;
     window.__viserMutable.nodeRefFromName[name]?.traverse(node => { found += (node.geometry?.index?.count ?? 0) / 3; });
     return found;
 }"""
-"""What is drawn of a node, not what was sent."""
+"""Triangles that are drawn, not those of the message."""
 
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """A hand that waits to be led above the shipped height map."""
+    """Run a hand that can be controlled above the shipped height map."""
     with Daemon(load_rig("simulated-hand", RIG), load_scene("heightmap"), scene_name="heightmap") as running:
         running.start()
         yield running
 
 
 def drawn(screen: Screen) -> float:
-    """Triangles of the first object that are drawn."""
+    """Return the number of drawn triangles of the first object."""
     return float(screen.page.evaluate(TRIANGLES, "/objects/0"))
 
 
 def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
-    """Of the picture where a point (m, world) is seen: the mean over a few pixels."""
+    """Return the mean colour of a few pixels at a point (m, world)."""
     box = screen.page.locator("canvas").first.bounding_box()
     x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]))
     row, column = round(y - box["y"]), round(x - box["x"])
@@ -54,7 +54,8 @@ def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
 
 
 def touched(screen: Screen, client: Client) -> bool:
-    """The hand goes down until it presses on the first object, and the page shows it: in words, and a blue arrow."""
+    """Lower the hand until it presses on the first object; return True if the page shows the contact and a blue
+    arrow."""
     for height in np.arange(0.02, 0.0, -0.001).tolist():
         client.ask("hand", {"position_m": [0.0, 0.0, height]})
         time.sleep(0.1)
@@ -65,7 +66,7 @@ def touched(screen: Screen, client: Client) -> bool:
 
 
 def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> None:
-    """Two triangles for each cell of its 64 pixels a side."""
+    """Each cell of its 64 x 64 pixels has two triangles."""
     client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
     assert eventually(lambda: drawn(screen) == 2 * 63 * 63)
     assert eventually(lambda: colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
@@ -75,7 +76,7 @@ def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> No
 
 @pytest.mark.exhaustive
 def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client, tmp_path: Path) -> None:
-    """All its triangles; where the ball is seen is its own grey, above it the page's white; a press shows its force."""
+    """All triangles are drawn, in the ball's grey on a white background; a press shows its force."""
     file = meshes.write_ply(tmp_path / "ball.ply", meshes.geodesic(16, RADIUS_M))
     ball = {"name": "ball", "shape": "mesh", "file": str(file), "position_m": [0.0, 0.0, -RADIUS_M]}
     scene = {
@@ -86,7 +87,7 @@ def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client, tmp_path: P
     client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
     client.set_scene(describe(build(schema.Scene, scene, "ball")))
     assert eventually(lambda: drawn(screen) == 5120)
-    below = (0.0, -0.7 * RADIUS_M, -0.3 * RADIUS_M)  # on the ball, before the finger
+    below = (0.0, -0.7 * RADIUS_M, -0.3 * RADIUS_M)  # on the ball, in front of the finger
     assert eventually(lambda: colour(screen, below).max() < GREY)
     assert colour(screen, (0.025, 0.0, 0.02)).min() > WHITE
     assert touched(screen, client)

@@ -1,4 +1,4 @@
-"""The page's frames: what goes on between them for as long as a page is open."""
+"""Frame loop of the page: work that it does as long as a page is open."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.plain
 
 
 class Circle:
-    """Holds itself, so a collection alone frees it."""
+    """Reference cycle, which only a garbage collection frees."""
 
     def __init__(self) -> None:
         self.itself = self
@@ -30,7 +30,7 @@ def nothing_else_collects() -> Iterator[None]:
 
 @pytest.mark.usefixtures("nothing_else_collects")
 def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With garbage CPython frees what it keeps of freed tuples, which no program can ask for."""
+    """A collection also frees CPython's free lists of tuples, which programs cannot clear directly."""
     monkeypatch.setattr(page, "COLLECT_S", 2.5 * page.FRAME_S)
     made: list[weakref.ref[Circle]] = []
     left: list[int] = []
@@ -40,5 +40,5 @@ def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.Monkey
         left.append(sum(each() is not None for each in made))
 
     page.run_frames(work, [], 20.0 * page.FRAME_S)
-    assert len(left) > 10  # a busy machine has fewer frames than were asked for
+    assert len(left) > 10  # a busy machine runs fewer frames
     assert max(left) < 6

@@ -1,4 +1,4 @@
-"""What gestures make of a contact, without a page: a stiff hand that goes where they say, on the paper's plane."""
+"""Contacts that gestures cause, without a page: a stiff hand follows them on the paper's plane."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ FRAME_S = 0.04
 START = (0.0, 0.0, 0.02)
 RADIUS, RATE_HZ = 0.01, 100.0
 STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
-"""How much a frame adds to the force on the plane of 1000 N/m."""
+"""Change of force per frame on the plane of 1000 N/m."""
 
 
 @cache
 def played(name: str, start: tuple[float, float, float]) -> list[Step]:
-    """Steps of the contact in each frame, from a place above the plane on."""
+    """Return the contact step of each frame of a gesture that starts above the plane."""
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = Stage(
@@ -68,15 +68,15 @@ def played(name: str, start: tuple[float, float, float]) -> list[Step]:
 
 
 @pytest.mark.parametrize("name", ONE_FINGER)
-def test_a_gesture_presses_no_more_than_it_says(name: str) -> None:
-    """By a frame's way more."""
+def test_a_gesture_presses_with_the_nominal_force(name: str) -> None:
+    """The excess is at most the change within one frame."""
     most = max(step.normal_force for step in played(name, START))
     assert PRESS_N <= most < PRESS_N + 1.01 * STEP_N
 
 
-def test_each_gesture_does_what_it_is_called() -> None:
-    """A ball of 10 mm turns by its way over its radius, there and back; a slide takes the contact along, but for the
-    drag at which it sticks, 0.6 mm of 1 N; a spin winds it up to friction_length times the load, 4 mN m."""
+def test_each_gesture_causes_its_motion() -> None:
+    """A ball of 10 mm rolls by displacement over radius in both directions. A slide moves the contact, less the
+    sticking drag of 0.6 mm at 1 N. A spin winds it up to friction_length times the load, 4 mN m."""
     most = {
         name: (
             max(abs(step.rolled) for step in steps),
@@ -95,8 +95,8 @@ def test_each_gesture_does_what_it_is_called() -> None:
     assert most["spin"][2] < SPIN_RAD * 0.05  # it has slipped about the normal
 
 
-def test_a_slide_on_the_right_goes_to_the_left() -> None:
-    """So that it stays on what lies in the middle of a scene."""
+def test_a_slide_goes_towards_the_middle() -> None:
+    """A slide that starts on the right moves left, which keeps it on objects in the middle of a scene."""
     for x, way in ((0.03, -1.0), (0.0, 1.0)):
         points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))
@@ -104,7 +104,7 @@ def test_a_slide_on_the_right_goes_to_the_left() -> None:
 
 
 class MovableFinger(SimulatedHands):
-    """Two hands beside the shipped box, each at a place that a test may change."""
+    """Two hands next to the shipped box whose targets the test sets."""
 
     def __init__(self) -> None:
         super().__init__("lift-a-box")
@@ -120,8 +120,9 @@ class MovableFinger(SimulatedHands):
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
-def test_a_lift_lifts_a_box_and_puts_it_down() -> None:
-    """By simulated hands on MuJoCo's body: as high as it says but for the give of the grip, level, and to the floor."""
+def test_a_lift_raises_a_box_and_puts_it_down() -> None:
+    """Simulated hands lift MuJoCo's body to the nominal height, less the compliance of the grip, level and back
+    down."""
     hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
     stage = Stage(
         lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),
@@ -146,14 +147,14 @@ def test_a_lift_lifts_a_box_and_puts_it_down() -> None:
             tilts.append(abs(float(hands.data.qpos[3])))
             goals = gesture.send(FRAME_S)
     assert back == [True] and GRIP_N <= most < 2.0 * GRIP_N
-    # 1 N of weight on two contacts and two hands of 1000 N/m each gives by 1 mm
+    # 1 N of weight deflects two contacts and two hands of 1000 N/m each by 1 mm
     assert max(heights) == pytest.approx(0.02 + LIFT_M, abs=2e-3)
     assert heights[-1] == pytest.approx(0.02, abs=5e-4) and min(tilts) > np.cos(np.radians(1.0))
     assert forces == {"thumb": 0.0, "index": 0.0}
 
 
-def test_a_box_is_as_wide_as_it_is_turned() -> None:
-    """Edges of 20 and 40 mm, turned by 30 degrees: the sum of their shadows."""
+def test_the_width_of_a_box_depends_on_its_rotation() -> None:
+    """Edges of 20 and 40 mm, turned by 30 degrees: the sum of their projections."""
     size, turn = (0.02, 0.04, 0.01), (np.cos(np.pi / 12).item(), 0.0, 0.0, np.sin(np.pi / 12).item())
     wide = 0.5 * (0.02 * np.cos(np.pi / 6) + 0.04 * np.sin(np.pi / 6))
     assert half_width(size, turn) == pytest.approx(wide, rel=1e-12)

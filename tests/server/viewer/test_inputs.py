@@ -1,6 +1,6 @@
-"""What leads the hand beside the mouse, and what is chosen on the page: each arrives in the daemon, from a browser.
+"""Keys, touch screen, gamepad and menus of the page change the daemon, tested in a browser.
 
-There is no gamepad here: a script in the page plays one, in place of the browser's list of them.
+A script in the page replaces the browser's list of gamepads.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://12
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """A hand that waits to be led, above the paper's plane."""
+    """Run a hand that can be controlled, above the paper's plane."""
     with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
         running.start()
         yield running
@@ -42,8 +42,8 @@ def place(client: Client) -> np.ndarray:
     return np.array(client.get_state().position)
 
 
-def test_keys_lead_the_hand(screen: Screen, client: Client) -> None:
-    """Strokes to the right, then down until it presses."""
+def test_keys_move_the_hand(screen: Screen, client: Client) -> None:
+    """Keys move it to the right, then down until it presses, and up again."""
     start = place(client)
 
     def went_right() -> bool:
@@ -60,8 +60,8 @@ def test_keys_lead_the_hand(screen: Screen, client: Client) -> None:
     assert eventually(lambda: screen.page.keyboard.press("u") or client.get_state().force[2] == 0.0, every_s=0.3)
 
 
-def test_a_finger_on_the_touch_screen_leads_the_hand(screen: Screen, client: Client) -> None:
-    """A drag moves it level; told that a drag presses, the same drag goes down or up."""
+def test_touch_moves_the_hand(screen: Screen, client: Client) -> None:
+    """A drag moves it horizontally; after a change of the menu, the same drag presses or lifts."""
 
     def ball() -> tuple[float, float]:
         x, y, z = place(client)
@@ -86,15 +86,15 @@ def test_a_finger_on_the_touch_screen_leads_the_hand(screen: Screen, client: Cli
     screen.choose("a drag", "moves")
 
 
-def test_a_gamepad_leads_the_hand(screen: Screen, client: Client) -> None:
-    """Its left stick held away goes on and on; let go, the hand stays; without one its field is not shown."""
+def test_a_gamepad_moves_the_hand(screen: Screen, client: Client) -> None:
+    """A deflected stick moves the hand continuously, a released one stops it. Without a gamepad its field is hidden."""
     field = screen.page.locator("xpath=//label[normalize-space()='gamepad']")
     assert eventually(lambda: not field.is_visible())
     start = place(client)
     screen.page.evaluate(PAD, [0.0, -1.0, 0.0, 0.0])
     assert eventually(lambda: (place(client) - start)[1] > 0.004)
     assert field.is_visible()
-    screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # as a stick at rest is
+    screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # released stick
     assert eventually(lambda: resting(client))
     screen.page.evaluate(NO_PAD)
 
@@ -105,9 +105,8 @@ def resting(client: Client) -> bool:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", [*get_args(RollingMethod)[1:], get_args(RollingMethod)[0], NO_ROLLING])
-def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client, method: str) -> None:
-    """Each in turn, and none in the end: compiled beside, then rendered; what the daemon describes has it, and its
-    ticks go on."""
+def test_a_rolling_method_is_rendered_by_the_daemon(screen: Screen, client: Client, method: str) -> None:
+    """The daemon compiles and renders each method in turn, finally none; `describe` shows it, and ticks continue."""
     screen.tab("Feel")
     screen.choose("rolling", method)
     wanted = None if method == NO_ROLLING else method
@@ -118,8 +117,9 @@ def test_a_rolling_method_arrives_in_the_daemon(screen: Screen, client: Client, 
     assert eventually(lambda: chosen.input_value() == method)
 
 
-def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, client: Client) -> None:
-    """The daemon renders the one; of the other, which wants two fingers, the page says why, and shows what stays."""
+def test_a_scene_is_rendered_or_refused(screen: Screen, client: Client) -> None:
+    """The daemon renders one scene and refuses another that needs two fingers; the page shows the error and the old
+    scene."""
     screen.tab("Feel")
     screen.choose("scene", "frictionless-plane")
     assert eventually(lambda: client.describe()["scene_name"] == "frictionless-plane")
@@ -130,15 +130,15 @@ def test_a_scene_arrives_and_one_that_cannot_be_is_refused(screen: Screen, clien
     assert eventually(lambda: scene.input_value() == "frictionless-plane")
 
 
-def test_what_is_no_gamepad_moves_nothing() -> None:
-    """Words, too few numbers, none, and a stick at rest; one that says more than it may counts as all the way."""
+def test_invalid_gamepad_text_moves_nothing() -> None:
+    """Text, too few numbers, NaN and a stick at rest give no motion; a value beyond 1 is clamped."""
     assert {parse_gamepad(text) for text in ("", "a b", "1 2 3", "1 nan 0 0 0 0 0 0 0", "1 0.1 0 0 0 0 0 0 0")} == {
         Nudge()
     }
     assert parse_gamepad("1 9 0 0 0 0 1 0 0") == Nudge(x=MAX_SPEED_M_PER_S, spin=SPIN_RAD_S)
 
 
-def test_no_key_is_two_things() -> None:
-    """Each key and modifier stands once, and none is one that moves the camera."""
+def test_no_key_has_two_functions() -> None:
+    """Each pair of key and modifier is unique, and no key moves the camera."""
     used = [(key, modifier) for key, modifier, _ in KEYS.values()]
     assert len(set(used)) == len(used) and not {key for key, _ in used} & set("WASDQE")

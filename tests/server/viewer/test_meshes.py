@@ -1,4 +1,4 @@
-"""Triangles of a mesh on their way to the page: thinned, sent, checked, and drawn on the object they belong to."""
+"""Meshes of the page: simplified, sent, checked, and drawn on their objects."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ BEGAN = SceneStart(0, 0, 1e-3, own_clock=False)
 
 
 def parse_scene(path: Path) -> schema.Scene:
-    """A scene of a plane and a mesh."""
+    """Return a scene with a plane and a mesh."""
     mapping = paper_mapping(rolling=None)
     part = {"name": "part", "shape": "mesh", "file": str(path), "material": {"stiffness_n_per_m": 500.0}}
     return build(schema.Scene, mapping | {"object": [*mapping["object"], part]}, "test scene")
 
 
 def scan(folder: Path, frequency: int) -> Path:
-    """A ball in a PLY file of numbers as they lie in memory."""
+    """Write a ball as a binary PLY file."""
     return meshes.write_ply(folder / f"ball{frequency}.ply", meshes.geodesic(frequency, 0.04))
 
 
-def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
-    """The answer to `mesh` is what a client takes at most, even of the largest picture, and comes out the same."""
+def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
+    """The largest answer to `mesh` is within the size limit of a client, and decodes to the same mesh."""
     report, picture = about(parse_scene(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
     assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
     message = encode_answer(
@@ -51,7 +51,7 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
             picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
         ),
     )
-    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # each corner with a vertex of its own
+    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # no shared vertices
     got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
     mesh = decode_mesh(got.vertices, got.triangles)
     assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
@@ -61,28 +61,28 @@ def test_a_picture_crosses_the_wire_as_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("vertices", "triangles"), [(bytes(13), bytes(12)), (bytes(12), bytes(11)), (bytes(12), b"\x01" + bytes(11))]
 )
-def test_what_is_no_mesh_is_not_drawn(vertices: bytes, triangles: bytes) -> None:
-    """Half a vertex, half a triangle, a triangle of a vertex that is not there."""
+def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
+    """Half a vertex, half a triangle, and a triangle with a missing vertex."""
     with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle of vertex 1, and there are 1"):
         decode_mesh(vertices, triangles)
 
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """A page that no browser has opened."""
+    """Page that no browser has opened."""
     page = Page("127.0.0.1", 8350)
     yield page
     page.close()
 
 
 def surfaces(page: Page) -> dict[str, Any]:
-    """What is drawn of the objects, by node."""
+    """Return the drawn nodes of the objects by name."""
     found = page.server.scene._handle_from_node_name
     return {name: handle for name, handle in found.items() if name.startswith("/objects/")}
 
 
 def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
-    """From the file, in centimetres, as the second object; a file that is gone is told, and the rest is shown."""
+    """The mesh is drawn in centimetres as the second object; a missing file gives a message, and the rest is shown."""
     path = scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
     RecordedPage(page, Recording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)

@@ -1,4 +1,4 @@
-"""What a browser sends to the page, spoiled: the page's process goes on, and serves the next browser."""
+"""Corrupted messages of browsers: the page's process continues and serves the next browser."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ SAID: list[dict[str, Any]] = [
     {"type": "TransformControlsUpdateMessage", "name": "/a", "wxyz": [1, 0, 0, 0], "position": [0, 0, 0]},
     {"type": "ShareUrlDisconnect"},
 ]  # fmt: skip
-"""Messages of a browser, as viser has them."""
+"""Messages that viser's browser client sends."""
 GROWTH_MAX_KB = 200_000
-"""A process of Python grows by some tens of MB in its first seconds; a message of a stranger may keep nothing."""
+"""A Python process grows by some tens of MB in its first seconds; corrupted messages may not add memory."""
 
 
 def resident_kb(pid: int) -> int:
@@ -60,7 +60,7 @@ def resident_kb(pid: int) -> int:
 
 
 def talk(address: str, messages: list[bytes]) -> None:
-    """Open the page's websocket as its own script does, hear what it has, and say these after the camera."""
+    """Open the page's websocket like its script, receive one message, and send `messages`."""
     where = urlsplit(address)
     with connect(
         f"ws://{where.netloc}{where.path}", origin=Origin(f"http://{where.netloc}"), compression=None, max_queue=None,
@@ -71,18 +71,18 @@ def talk(address: str, messages: list[bytes]) -> None:
             for message in messages:
                 client.send(message)
         except ConnectionClosed:
-            return  # it is cut off, as it may be
+            return  # the page may close the connection
 
 
 def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> None:
-    """viser wakes those who wait for a message in the thread of the page, the event loop's thread adds one meanwhile:
-    the message is queued, nothing is raised, and the event is set in the loop."""
+    """viser wakes waiting browsers in the page's thread, and the event loop's thread may add one during that. The
+    message is queued without an error, and the event is set in the loop."""
     loop = asyncio.new_event_loop()
     buffer = AsyncMessageBuffer(loop, persistent_messages=True)
     waiters: Any = buffer.message_event._waiters
 
     class Connecting:
-        """A waiter beside which another one appears."""
+        """Waiter that adds another waiter when it is checked."""
 
         def done(self) -> bool:
             waiters.append(self)
@@ -98,8 +98,8 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
 
 
 @pytest.mark.parametrize("seconds", [0.8, pytest.param(15.0, marks=pytest.mark.exhaustive)])
-def test_spoiled_messages_cost_a_browser_its_page_at_most(seconds: float, tmp_path: Path) -> None:
-    """However they are spoiled: the process is there, no larger, serves, and says no traceback for them."""
+def test_corrupted_messages_do_not_harm_the_page(seconds: float, tmp_path: Path) -> None:
+    """After random corruption the process still runs and serves, has not grown, and has logged no traceback."""
     seeds = [msgpack.packb(each) for each in SAID]
     chance = random.Random(25 if seconds < 5.0 else None)
     log = tmp_path / "said"

@@ -1,4 +1,4 @@
-"""The page as a program: where it is said to be, who sees its secret, and what becomes of it when it ends."""
+"""The page as a process: its address, the secrecy of its token, and its restarts."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from softfinger.server.viewer.door.process import RESTARTS
 pytestmark = pytest.mark.real_time
 
 WAIT_S = 120.0
-"""Of each test: a cold start compiles."""
+"""Limit of each test; a cold start compiles."""
 
 
 def child_of(process: subprocess.Popen[str]) -> int:
-    """The page's process, once it is there; the publisher is another child, and threads have children of their own."""
+    """Wait for the page's process. The publisher is another child, and threads have their own children."""
     while process.poll() is None:
         for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
             for child in children.read_text().split():
-                with suppress(OSError):  # it has ended meanwhile
+                with suppress(OSError):  # it has ended
                     if b"\0view\0" in Path(f"/proc/{child}/cmdline").read_bytes():
                         return int(child)
         time.sleep(0.01)
@@ -46,7 +46,7 @@ def child_of(process: subprocess.Popen[str]) -> int:
 
 @contextmanager
 def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`run --view`, and the address of its page. It is ended, with all that it has started, when its time is over."""
+    """Run `run --view` and return the address of its page; kill the process group after WAIT_S."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
     with Program(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
@@ -65,7 +65,7 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def restarted(process: subprocess.Popen[str], address: str, restart: int) -> None:
-    """Kill the page: that is logged, and it starts again at the same address, which no list of processes shows."""
+    """Kill the page. The daemon logs it and restarts it at the same address, whose token is in no process list."""
     assert process.stderr is not None
     page = child_of(process)
     assert urlsplit(address).path.strip("/") not in Path(f"/proc/{page}/cmdline").read_text()
@@ -76,21 +76,21 @@ def restarted(process: subprocess.Popen[str], address: str, restart: int) -> Non
 
 
 def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
-    """Its secret is in no list of processes. The page ends with a daemon that is killed."""
+    """The page ends if the daemon is killed."""
     with run_with_page() as (process, address):
         restarted(process, address, 1)
         page = Path(f"/proc/{child_of(process)}")
         process.kill()
         until = time.monotonic() + WAIT_S
-        with suppress(OSError):  # it is gone
-            while "State:\tZ" not in (page / "status").read_text():  # a zombie, where nobody reaps
+        with suppress(OSError):  # it has ended
+            while "State:\tZ" not in (page / "status").read_text():  # a zombie if no process reaps it
                 assert time.monotonic() < until
                 time.sleep(0.01)
 
 
 @pytest.mark.exhaustive
-def test_a_page_starts_again_three_times() -> None:
-    """Then one line has the command that shows it again, and ticks continue."""
+def test_a_page_restarts_three_times() -> None:
+    """After the last restart the log contains the command that opens the page, and ticks continue."""
     with run_with_page() as (process, address):
         assert process.stderr is not None
         for restart in range(RESTARTS):
@@ -103,8 +103,8 @@ def test_a_page_starts_again_three_times() -> None:
         assert "force is zero" in rest and "the page has ended" not in rest
 
 
-def test_a_page_that_says_nothing_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A daemon whose page hangs as it starts goes on without it, and tells."""
+def test_a_page_that_hangs_at_start_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon continues without it and logs its end."""
     hangs = tmp_path / "python"
     hangs.write_text("#!/bin/sh\nexec sleep 600\n")
     hangs.chmod(0o755)
@@ -123,9 +123,9 @@ mv "{seen}/words.new" "{seen}/words"
 """
 
 
-def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The words of its command, which every user can read, have no secret; the file has, which this user alone reads,
-    and it goes with the page."""
+def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The browser's command line, which all users can read, has no token. The file that only this user can read has it,
+    and is deleted with the page."""
     program = tmp_path / "browser"
     program.write_text(BROWSER.format(seen=tmp_path))
     program.chmod(0o755)
@@ -156,7 +156,7 @@ def test_a_browser_is_opened_by_a_file_that_leads_to_the_page(tmp_path: Path, mo
 
 
 def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -> None:
-    """Its first line says so, before a scene may have to be compiled."""
+    """The first line of the log names --view, before a scene is compiled."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
     with caplog.at_level(logging.INFO):
         assert called("run", *ends, "--duration", "0.01").returncode == 0
@@ -165,10 +165,10 @@ def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -
 
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
-    """Without being opened again: it shows ticks of after the page's death, which the new one alone can know."""
+def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
+    """Without a reload it shows ticks from after the end of the old page."""
     with run_with_page() as (process, address), browser() as page:
-        threading.Thread(target=process.communicate, daemon=True).start()  # reads what it says, lest it wait
+        threading.Thread(target=process.communicate, daemon=True).start()  # reads stderr, so that it does not block
         screen = shown(page, address)
 
         def tick() -> int:
@@ -178,4 +178,4 @@ def test_an_open_browser_goes_on_when_its_page_was_killed() -> None:
         assert eventually(lambda: tick() > 0)
         os.kill(child_of(process), signal.SIGKILL)
         before = tick()
-        assert eventually(lambda: tick() > before + 2000)  # ticks that come as fast as in time: two seconds
+        assert eventually(lambda: tick() > before + 2000)  # two seconds in real time

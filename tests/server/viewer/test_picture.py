@@ -1,4 +1,4 @@
-"""What the page draws, against closed forms: surfaces, arcs, cones, and what a drag of the mouse makes of a hand."""
+"""Geometry of the page against closed forms, and targets of the hand from drags of the mouse."""
 
 from __future__ import annotations
 
@@ -59,32 +59,31 @@ def thing(table: dict[str, Any]) -> Any:
 
 
 def volume(mesh: Mesh) -> float:
-    """Enclosed by the triangles, positive where they face outwards: the divergence theorem."""
+    """Return the volume enclosed by the triangles by the divergence theorem, positive if they face outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
 @pytest.mark.parametrize(("table", "exact"), SOLIDS, ids=lambda each: each["shape"] if isinstance(each, dict) else "")
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
-    """Circles of 40 corners lack 0.4 % of their area, and one and a half times as much again along a meridian."""
+    """A polygon of 40 corners lacks 0.4 % of a circle's area; a meridian lacks half as much again."""
     assert volume(surface_mesh(thing(table))) == pytest.approx(exact, rel=0.015)
 
 
 def test_a_plane_faces_along_its_normal() -> None:
-    """Flat, about the origin, its triangles counter-clockwise seen from above."""
+    """The mesh is flat, and its triangles are counter-clockwise seen from above."""
     mesh = surface_mesh(thing({"shape": "plane"}))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
-def test_an_endless_cylinder_has_no_ends() -> None:
-    """Every corner lies on its side."""
+def test_an_infinite_cylinder_has_no_end_faces() -> None:
+    """All vertices are on its side."""
     mesh = surface_mesh(thing({"shape": "cylinder", "radius_m": 0.02}))
     np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
 
 
-def test_a_shape_from_elsewhere_has_no_picture() -> None:
-    """Nothing is drawn, rather than something wrong."""
+def test_an_unknown_shape_has_no_mesh() -> None:
 
     class Elsewhere:
         shape = "elsewhere"
@@ -93,8 +92,8 @@ def test_a_shape_from_elsewhere_has_no_picture() -> None:
 
 
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
-def test_an_arc_is_as_long_as_its_moment(angle: float, radius: float) -> None:
-    """Its chords add up to the arc, its sign is the way round, and it never closes."""
+def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
+    """The chords have the length of the arc, its direction follows the sign, and it never closes."""
     line = arc(angle, radius)[:ARC_PIECES]
     drawn = min(abs(angle), ARC_MAX)
     chord = 2.0 * radius * sin(drawn / ARC_PIECES / 2.0)
@@ -104,38 +103,35 @@ def test_an_arc_is_as_long_as_its_moment(angle: float, radius: float) -> None:
 
 
 def test_a_cone_has_the_slope_of_the_friction() -> None:
-    """Rim at height 1 and radius mu: the angle whose tangent is mu."""
+    """The rim has height 1 and radius mu."""
     rim = cone(1.0, 0.6).vertices[-1]
     assert atan2(np.hypot(rim[0], rim[1]), rim[2]) == pytest.approx(atan2(0.6, 1.0), rel=1e-12)
 
 
-def test_marks_lie_on_the_fingertip() -> None:
-    """Each point of the three ellipses fulfils the equation of the ellipsoid."""
+def test_marks_are_on_the_surface_of_the_fingertip() -> None:
+    """Each point of the three ellipses satisfies the equation of the ellipsoid."""
     points = circles((0.8, 0.7, 1.2)).reshape(-1, 3)
     np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
 
 
 @given(units)
-def test_what_stands_on_a_normal_points_along_it(normal: np.ndarray) -> None:
-    """+z is taken to the normal, for all directions."""
+def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
     normal = normal / np.linalg.norm(normal)
-    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # straight down is not divided by
+    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # limited near -z
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
-def test_angles_of_the_sliders_come_back(x: float, y: float, z: float) -> None:
-    """Three angles, a rotation, and the same three angles."""
+def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(to_angles(from_angles(x, y, z)), (x, y, z), atol=1e-9)
 
 
-def test_a_rotation_and_its_inverse_are_none() -> None:
-    """To rounding."""
+def test_a_rotation_times_its_inverse_is_the_identity() -> None:
     q = axis_angle_rotation(np.array([1.0, 2.0, 3.0]), 0.7)
     np.testing.assert_allclose(product(q, inverse(q)), IDENTITY, atol=1e-15)
 
 
-def test_a_way_keeps_its_newest_part() -> None:
-    """Short steps are left out, the oldest segments give way, and a lift draws none."""
+def test_a_trace_drops_its_oldest_segments() -> None:
+    """Short steps are skipped, the oldest segments are overwritten, and no segment bridges a lift."""
     way = Trace(0.1, segments=3)
     zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
     drawn = [way.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
@@ -147,8 +143,8 @@ def test_a_way_keeps_its_newest_part() -> None:
 
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
-def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tuple[float, ...]]) -> None:
-    """Every point is within a step of what is drawn, segments follow each other, and a straight line is one."""
+def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ...]]) -> None:
+    """Every point is within one step of the trace, segments are connected, and a straight line is one segment."""
     way = Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
     for point in points:
@@ -164,8 +160,8 @@ def test_a_way_goes_on_in_one_segment_only_where_it_is_straight(steps: list[tupl
     assert np.count_nonzero(np.linalg.norm(line.segments[:, 1] - line.segments[:, 0], axis=1)) == 1
 
 
-def test_a_way_of_two_colours_is_two_segments() -> None:
-    """However straight it is: the colour is the mode."""
+def test_a_trace_of_two_colours_has_two_segments() -> None:
+    """The colour is the mode, so even a straight trace is split."""
     way = Trace(0.1)
     for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
         way.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
@@ -174,26 +170,24 @@ def test_a_way_of_two_colours_is_two_segments() -> None:
 
 
 def beside(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """How far a point lies from a segment."""
+    """Return the distance of a point from a segment."""
     long = end - start
     share = np.clip((point - start) @ long / (long @ long), 0.0, 1.0)
     return float(np.linalg.norm(point - start - share * long))
 
 
 class Frames:
-    """A scene of the page that keeps nothing: where bodies are is asked of them."""
+    """Stub of the page's scene; the test reads the poses of the bodies."""
 
     def __getattr__(self, name: str) -> Any:
         return lambda *args, **kwargs: SimpleNamespace()
 
 
 @pytest.mark.parametrize("own_clock", [False, True])
-def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> None:
-    """The plane goes up and down under the fingertip; ticks are missed, before the scene began too, and few are seen.
-
-    Where it is drawn is where the contact step had it: the point of contact lies on it. With a clock of its own a
-    device is no further in its time for a missed deadline.
-    """
+def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> None:
+    """The plane oscillates under the fingertip; ticks are missed, also before the scene started, and few are shown. The
+    drawn pose is that of the contact step, so the contact point is on it. If a device has its own clock, a missed
+    deadline does not advance its time."""
     way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
     scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
     engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
@@ -207,11 +201,11 @@ def test_a_body_that_moves_is_drawn_where_it_was_touched(own_clock: bool) -> Non
         row[AT.tick], row[AT.servo_missed] = tick, missed
         if tick % 37 == 0:
             bodies.show(row)
-            assert bodies.poses[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # a sum's rounding
+            assert bodies.poses[0][0][2] == pytest.approx(row[AT.contact_point + 2], abs=1e-12)  # rounding of a sum
 
 
-def test_what_rides_on_a_body_is_drawn_where_that_is() -> None:
-    """Its place is in the body's frame; a message that does not know the body moves nothing."""
+def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
+    """A message without the body does not change its pose."""
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
     ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
@@ -227,8 +221,8 @@ def test_what_rides_on_a_body_is_drawn_where_that_is() -> None:
 
 
 @given(units, st.floats(-0.05, 0.05))
-def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, height: float) -> None:
-    """On planes up to 60 degrees steep; none of those is above the point, and there may be none."""
+def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float) -> None:
+    """Planes steeper than 60 degrees and planes above the point are ignored; there may be no ground."""
     turn = rotation_to(normal / np.linalg.norm(normal))
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     floor = [0.0, 0.0, -0.1]
@@ -249,14 +243,10 @@ def test_the_ground_is_straight_below_on_the_highest_plane(normal: np.ndarray, h
 
 
 @given(units, st.floats(-0.9, 0.9), st.floats(0.0, 2.0 * pi))
-def test_a_plumb_line_ends_on_top_of_a_ball_and_its_shadow_lies_there(
-    axis: np.ndarray, share: float, turn: float
-) -> None:
-    """A ball of 20 mm, however it is turned: at height sqrt(r^2 - d^2), upright on its radius; beside it, on nothing.
-
-    Its triangles have 9 degrees each way, so they lie within 2 r (1 - cos 4.5 degrees) = 0.12 mm of it, which is
-    0.28 mm of height where it is as steep as at 0.9 r; their normals within 2 * 4.5 degrees.
-    """
+def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn: float) -> None:
+    """On a ball of 20 mm in any rotation the foot is at height sqrt(r^2 - d^2) with the normal of the ball. Triangles
+    have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball, which is 0.28
+    mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees."""
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
     turned = axis_angle_rotation(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
@@ -273,8 +263,8 @@ def test_a_plumb_line_ends_on_top_of_a_ball_and_its_shadow_lies_there(
     assert bodies.below(centre + 1.01 * radius * np.array([cos(turn), sin(turn), 5.0])) is None
 
 
-def test_a_plumb_line_ends_on_what_is_highest_and_goes_along_with_it() -> None:
-    """On a box in place of the floor; once that has been moved away, on the floor."""
+def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
+    """It ends on a box instead of the floor, and on the floor once the box has moved away."""
     material = {"stiffness_n_per_m": 1000.0}
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
     floor = {"shape": "plane", "name": "floor"}
@@ -290,7 +280,7 @@ def test_a_plumb_line_ends_on_what_is_highest_and_goes_along_with_it() -> None:
 
 
 def tick(**values: float) -> np.ndarray:
-    """A record with these columns."""
+    """Return a record with the given columns."""
     row = np.zeros(RECORD_SIZE)
     for name, value in values.items():
         row[getattr(AT, name)] = value
@@ -308,8 +298,8 @@ def tick(**values: float) -> np.ndarray:
         ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, ContactState.SLIDING),
     ],
 )
-def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: ContactState) -> None:
-    """From two ticks a tenth of a second apart; one that has just begun, or of which one tick is seen, sticks."""
+def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: ContactState) -> None:
+    """Two ticks 0.1 s apart give the state; a new contact, or a single tick, is sticking."""
     before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
     assert classify_contact(before, now, 0.01) == state
     if state in (ContactState.ROLLING, ContactState.SPINNING):
@@ -321,8 +311,8 @@ def test_a_contact_is_called_by_what_it_does(after: dict[str, float], state: Con
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
-def test_an_arrow_stays_on_the_screen(force: float, asked: float) -> None:
-    """Of the scale that is asked for where that fits, else of the next round figure that does, at most 2.5 times it."""
+def test_an_arrow_fits_on_the_screen(force: float, asked: float) -> None:
+    """The scale is the requested one, or the next round one at which the arrow fits, at most 2.5 times larger."""
     scale = Looks(newtons_per_cm=asked).arrow(force)
     assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= asked
     if force / asked > ARROW_MAX_CM:
@@ -338,30 +328,30 @@ GRABBED = np.array([0.01, -0.01, 0.02])
 
 
 def pointer(to: np.ndarray) -> np.ndarray:
-    """Where the pointer is on a plane that faces the camera, when it looks at `to`."""
+    """Return the pointer's position, on a plane that faces the camera, for a look at `to`."""
     look = GRABBED - EYE
     found = intersect_plane(EYE, to, GRABBED, look)
     assert found is not None
     return found
 
 
-def test_a_drag_moves_level() -> None:
-    """The point that was grabbed follows the mouse in its level plane, and the hand with it, unturned."""
+def test_a_drag_moves_horizontally() -> None:
+    """The grabbed point follows the mouse in its horizontal plane, and the hand moves along without turning."""
     to = GRABBED + np.array([0.02, 0.01, 0.0])
     target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
     assert target is not None and target.orientation == IDENTITY
     np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
-def test_a_drag_presses_upright() -> None:
-    """With shift the hand goes straight down by as much as the mouse."""
+def test_a_drag_with_shift_presses_vertically() -> None:
+    """The hand moves straight down by the displacement of the mouse."""
     target = drag_target(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
 
 
 def test_a_drag_rolls_like_a_ball() -> None:
-    """A quarter of the circumference along +x is a quarter turn about +y, without slip."""
+    """A displacement of a quarter circumference along +x is a quarter turn about +y, without slip."""
     way = 0.5 * pi * 0.01
     target = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
     assert target is not None
@@ -370,7 +360,7 @@ def test_a_drag_rolls_like_a_ball() -> None:
 
 
 def test_a_nudge_moves_rolls_and_spins() -> None:
-    """Straight on without a turn; a quarter of the circumference is a quarter turn; a spin stays where it is."""
+    """A move does not turn, a roll by a quarter circumference is a quarter turn, and a spin does not move."""
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
     assert on.orientation == pytest.approx(IDENTITY)
@@ -383,8 +373,8 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
     assert spun.orientation == pytest.approx((sqrt(0.5), 0.0, 0.0, sqrt(0.5)))
 
 
-def test_a_board_has_every_other_square() -> None:
-    """Of 13 by 13 the 85 that a chessboard has dark, level, their area a square centimetre, none beside another."""
+def test_a_board_has_the_dark_squares_of_a_chessboard() -> None:
+    """13 by 13 squares have 85 dark ones, level, with an area of 1 square centimetre, none adjacent."""
     corners = squares(13.0, 13)
     assert corners.shape == (85, 4, 3) and (corners[..., 2] == 0.0).all()
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
@@ -394,8 +384,8 @@ def test_a_board_has_every_other_square() -> None:
     assert apart[apart > 0.0].min() == pytest.approx(2.0) and np.abs(middles).max() == pytest.approx(6.0)
 
 
-def test_a_look_along_a_plane_tells_nothing() -> None:
-    """Straight down there is no upright plane, along the table no level one: the hand stays."""
+def test_a_view_along_a_plane_gives_no_target() -> None:
+    """A view from above has no upright plane, and a view along the table no horizontal one, so there is no target."""
     above = GRABBED + np.array([0.0, 0.0, 0.5])
     assert drag_target(START, above, GRABBED, GRABBED, "press", 0.01) is None
     beside = GRABBED + np.array([0.0, -0.5, 0.0])
@@ -404,22 +394,20 @@ def test_a_look_along_a_plane_tells_nothing() -> None:
 
 
 def test_angles_are_about_the_axes_of_the_world() -> None:
-    """Spin comes last: a roll about x, spun by 90 degrees, is one about y."""
+    """Spin is applied last: a roll about x, spun by 90 degrees, is a roll about y."""
     rolled = rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
     np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)
 
 
-def test_the_tip_of_a_finger_is_what_is_rendered() -> None:
-    """Closed, outwards; no corner is inside the ellipsoid, and all that point down or sideways are on it.
-
-    The nail lies outside, by the 2 % of its shell at most at its lower end.
-    """
+def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
+    """The mesh is closed and faces outwards; no vertex is inside the ellipsoid, and all that point down or sideways are
+    on it. The nail is outside everywhere."""
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
     assert volume(mesh) > 4 / 3 * pi * radii.prod()
     unit = mesh.vertices / radii
     distance = np.linalg.norm(unit, axis=1)
     assert distance.min() > 1.0 - 1e-12
-    lower = unit @ (0.0, sin(radians(45.0)), cos(radians(45.0))) <= 1e-12  # of the axis, tilted by 45 degrees
+    lower = unit @ (0.0, sin(radians(45.0)), cos(radians(45.0))) <= 1e-12  # relative to the axis, tilted by 45 degrees
     assert lower.any() and np.allclose(distance[lower], 1.0, rtol=1e-12)
     assert (np.linalg.norm(nail(radii).vertices / radii, axis=1) > 1.0).all()

@@ -1,5 +1,4 @@
-"""Buttons of the page, pressed in a browser, play what they say, which is felt in the telemetry; gap, the scale of
-arrows, and light or dark are shown."""
+"""Buttons of the page, tested in a browser with telemetry: gestures, gap, scale of arrows, light and dark."""
 
 from __future__ import annotations
 
@@ -28,14 +27,14 @@ RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://12
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """A hand that waits to be led, above the paper's plane."""
+    """Run a hand that can be controlled, above the paper's plane."""
     with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
         running.start()
         yield running
 
 
 class Felt:
-    """The most of what the ticks since the last `forget` told."""
+    """Maxima over the ticks since the last `forget`."""
 
     def __init__(self) -> None:
         self.closing = False
@@ -65,7 +64,7 @@ class Felt:
 
 @contextmanager
 def felt(daemon: Daemon) -> Iterator[Felt]:
-    """What is felt meanwhile."""
+    """Collect maxima of the telemetry during the block."""
     found = Felt()
     thread = threading.Thread(target=found.listen, args=(daemon.publisher.endpoint,))
     thread.start()
@@ -77,7 +76,7 @@ def felt(daemon: Daemon) -> Iterator[Felt]:
 
 
 def play(screen: Screen, name: str, found: Felt) -> None:
-    """Press the button, by the keyboard, and wait until the finger has left the plane again."""
+    """Press the button with the keyboard and wait until the finger has left the plane."""
     screen.tab("Hand")
     found.forget()
     button = screen.page.get_by_role("button", name=name, exact=True)
@@ -86,27 +85,27 @@ def play(screen: Screen, name: str, found: Felt) -> None:
     assert eventually(lambda: found.freed), name
 
 
-def test_each_button_plays_what_it_says(screen: Screen, daemon: Daemon) -> None:
-    """A press has neither roll, spin nor slide; of these each has its own. Between two pictures the hand goes on by at
-    most 1 mm, half a newton; the page of a busy machine may see the force some pictures late."""
+def test_each_button_plays_its_gesture(screen: Screen, daemon: Daemon) -> None:
+    """A press neither rolls, spins nor slides; the other gestures each do one of these. Between two pictures the hand
+    moves by at most 1 mm, which is 0.5 N; the page of a busy machine may receive the force some pictures late."""
     with felt(daemon) as found:
         play(screen, "press", found)
         assert PRESS_N <= found.normal < 4.0 * PRESS_N
         assert (found.rolled, found.slid) == (0.0, 0.0) and found.torsion < 1e-4
         play(screen, "roll", found)
-        # A ball of 10 mm that rolls so far turns by way / radius, and as much on its way back.
+        # A ball of 10 mm turns by displacement / radius, and as much on the way back.
         assert found.rolled == pytest.approx(2.0 * ROLL_M / 0.01, rel=0.05)
         assert found.normal > 0.5 * PRESS_N and found.torsion < 1e-3
         play(screen, "slide", found)
-        # The drag of the finger, and the hand, which the friction holds back, take some millimetres of 50.
+        # The drag of the finger and the lag of the hand due to friction reduce the 50 mm by some millimetres.
         assert found.slid > 0.02
         play(screen, "spin", found)
         # 70 degrees are far more than the 0.08 rad at which 1 N spins: torsion reaches friction_length times the load.
         assert found.torsion > 0.5 * 0.004 * PRESS_N
 
 
-def test_a_person_who_leads_ends_the_gesture(screen: Screen, client: Client) -> None:
-    """A stroke of a key up, and the press that has just begun never comes."""
+def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
+    """A stroke upwards cancels the press that has just started."""
     screen.tab("Hand")
     start = client.get_state().position[2]
     screen.page.get_by_role("button", name="press", exact=True).click()
@@ -117,14 +116,14 @@ def test_a_person_who_leads_ends_the_gesture(screen: Screen, client: Client) -> 
 
 
 def _rests(client: Client) -> bool:
-    """Whether the hand has not moved by more than a tenth of a millimetre over 1000 ticks."""
+    """Return True if the hand moved less than 0.1 mm over 1000 ticks."""
     before = client.get_state()
     eventually(lambda: client.get_state().sequence > before.sequence + 1000)
     return float(np.linalg.norm(np.subtract(client.get_state().position, before.position))) < 1e-4
 
 
-def test_a_box_is_not_lifted_by_one_finger(screen: Screen) -> None:
-    """The button says what has one."""
+def test_lifting_a_box_needs_two_fingers(screen: Screen) -> None:
+    """With one finger the button shows the command of a scene with two."""
     screen.tab("Hand")
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: screen.shows("it takes two fingers and a box"))
@@ -132,10 +131,10 @@ def test_a_box_is_not_lifted_by_one_finger(screen: Screen) -> None:
 
 
 def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
-    """The gap is the telemetry's; straight below the ball it is dark; the scale grows with the force."""
+    """The gap equals that of the telemetry, the shadow is below the ball, and the scale grows with the force."""
 
     def is_right() -> bool:
-        """The device's friction holds the hand some hundredths of a millimetre beside its goal, on either side."""
+        """Friction of the device stops the hand some hundredths of a millimetre from its target."""
         (shown,) = re.findall(r"gap (\d+\.\d) mm", screen.page.inner_text("body"))
         height = 1e3 * (client.get_state().position[2] - RADIUS_M)
         return height > 19.0 and float(shown) == pytest.approx(height, abs=0.06)
@@ -147,7 +146,7 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
     box = screen.page.locator("canvas").first.bounding_box()
 
     def shaded() -> bool:
-        """A shadow has some 1000 pixels here; lines, which have its colour, some hundred."""
+        """A shadow has about 1000 pixels here; lines of its colour have some hundred."""
         row, column = round(y - box["y"]), round(x - box["x"])
         part = screen.picture()[max(row - 40, 0) : row + 40, max(column - 40, 0) : column + 40]
         return int(((part.max(axis=2) < 150) & (np.ptp(part, axis=2) < 40)).sum()) > 300
@@ -155,19 +154,19 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
     assert eventually(shaded)
     client.hand((0.0, 0.0, 0.006), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: screen.shows("gap 0.0 mm"))
-    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # as hard as the guard lets it: 12 N, 60 mm with 2 N per 10 mm
+    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # limited by the guard to 12 N: 60 mm at 2 N per 10 mm
     assert eventually(lambda: client.get_state().force[2] > 10.1)
     assert eventually(lambda: screen.shows("arrow: 5 N per 10 mm"))
     client.hand((0.0, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0))
 
 
 def brightness(screen: Screen) -> float:
-    """Of the corner of the picture, where nothing is drawn."""
+    """Return the mean brightness of the empty corner of the picture."""
     return float(screen.picture()[:20, :20].mean())
 
 
-def test_light_and_dark_as_the_browser_prefers_until_the_switch_is_used(screen: Screen) -> None:
-    """By the keyboard; what it says is remembered when the page is opened again, whatever the browser prefers."""
+def test_light_and_dark_follow_the_browser_until_the_switch_is_used(screen: Screen) -> None:
+    """The choice is remembered when the page is reloaded, regardless of the browser's preference."""
     page = screen.page
     switch = page.get_by_role("switch", name="dark look")
     page.emulate_media(color_scheme="light")
@@ -186,13 +185,9 @@ def test_light_and_dark_as_the_browser_prefers_until_the_switch_is_used(screen: 
     assert eventually(lambda: brightness(screen) < 40)
 
 
-def test_in_deep_contact_a_press_plays_and_without_force_none_is_shown(
-    screen: Screen, daemon: Daemon, client: Client
-) -> None:
-    """The goal of the hand is 20 mm inside the plane: a press begins at the proxy, which is above it, and lifts off.
-
-    With the force off the contact is computed, and the hand feels nothing.
-    """
+def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, daemon: Daemon, client: Client) -> None:
+    """With a target 20 mm inside the plane, a press starts at the proxy on the plane and lifts off. While the force is
+    off, the page shows no force."""
     client.hand((0.0, 0.0, -0.02), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 5.0)
     client.ask("disarm")
@@ -206,7 +201,7 @@ def test_in_deep_contact_a_press_plays_and_without_force_none_is_shown(
 
 
 def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
-    """A press ends higher than it began: the slider shows where."""
+    """After a press, which ends higher than it started, the slider shows the height."""
     screen.tab("Hand")
     client.hand((0.0, 0.0, 0.012), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: abs(client.get_state().position[2] - 0.012) < 3e-4)
@@ -216,8 +211,8 @@ def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
     assert eventually(lambda: seen.add(float(field.input_value())) or (min(seen) < 10.0 and max(seen) > 20.0))
 
 
-def test_on_a_phone_the_picture_is_free(screen: Screen) -> None:
-    """At 390 px the sheet of controls is folded, and covers a tenth of the window; opened, it is as wide as that."""
+def test_on_a_phone_the_picture_is_not_covered(screen: Screen) -> None:
+    """At 390 px the controls are folded to a tenth of the window; unfolded they have its width."""
     page = screen.page
     page.set_viewport_size({"width": 390, "height": 844})
     page.reload()

@@ -1,4 +1,4 @@
-"""Several fingers, and an object that is driven, in a real browser: where the page has them is where the daemon has."""
+"""Several fingers and a driven object in a browser: the page draws the poses of the daemon."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ LID = {
     "material": MATERIAL,
 }
 NODE = "name => window.__viserMutable.nodeRefFromName[name]?.position.toArray()"
-"""What is drawn, not what was sent."""
+"""Position of the drawn node, not of the message."""
 
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Two hands to be led, a table, and a lid above it."""
+    """Run two hands that can be controlled, a table, and a lid above it."""
     hand = {"driver": "simulated", "recording": "tap", "loop": True}
     rig = two_devices(hand, hand, commands={"endpoint": "tcp://127.0.0.1:*"})
     with Daemon(rig, two_fingers(object=[TABLE, LID]), scene_name="two") as running:
@@ -42,13 +42,13 @@ def daemon() -> Iterator[Daemon]:
 
 
 def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
-    """Whether a node of the page is there, below its parent, and at a place (3,) m."""
+    """Return True if a node of the page exists and is at `place` (3,) m, relative to its parent."""
     found: Any = screen.page.evaluate(NODE, node)
     return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=within_m))
 
 
-def test_each_finger_has_a_ball_that_is_led_by_itself(screen: Screen, client: Client) -> None:
-    """Both are told of in words; each goes where its hand is asked to be, and the other stays where it was."""
+def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client: Client) -> None:
+    """The page names both fingers; each moves to the target of its hand."""
     assert eventually(lambda: all(screen.shows(f"{name}: ") for name in NAMES))
     places = {"thumb": [0.03, 0.0, 0.04], "index": [-0.03, 0.01, 0.05]}
     for name, place in places.items():
@@ -60,7 +60,7 @@ def test_each_finger_has_a_ball_that_is_led_by_itself(screen: Screen, client: Cl
 
 
 def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> None:
-    """To where the command drove it, and the other stays."""
+    """The driven object moves to the commanded position, and the table does not move."""
     assert eventually(lambda: stands(screen, "/objects/1", [0.0, 0.0, 0.06], 1e-6))
     for x in (0.01, 0.025):
         client.ask("drive", {"object": "lid", "position_m": [x, 0.0, 0.06]})
@@ -69,7 +69,7 @@ def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> No
 
 
 def lid(client: Client) -> list[float]:
-    """Where the daemon has the lid."""
+    """Return the daemon's position of the lid."""
     found: list[float] = client.describe()["scene"]["object"][1]["position_m"]
     return found
 
@@ -81,8 +81,8 @@ def pull(screen: Screen, client: Client) -> None:
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:
-    """None at first; switched on, a drag of the arrow along x drives the lid that way alone, and it is drawn where the
-    daemon has it; of the table, which is not driven, there are none."""
+    """Handles are hidden at first. After the switch, a drag of the arrow along x drives the lid only along x, and the
+    page draws the daemon's position. The table, which is not driven, has no handles."""
     client.ask("drive", {"object": "lid", "position_m": [-0.02, 0.0, 0.03]})
     assert eventually(lambda: stands(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
     assert screen.page.evaluate(NODE, "/handles/1") is None

@@ -1,4 +1,4 @@
-"""What feeds the page: recordings of every kind, and a daemon whose scene, events and refusals are heard."""
+"""Inputs of the page: recordings of every kind, and a daemon with its scene, events and refusals."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def results() -> np.ndarray:
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
-def test_results_are_shown_as_they_are(tmp_path: Path, results: np.ndarray, ending: str) -> None:
-    """To the bit, of one finger, on the scene that is named."""
+def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending: str) -> None:
+    """Records of one finger are equal bit for bit, on the named scene."""
     file = tmp_path / f"run{ending}"
     write_results(file, results)
     shown = load(str(file), None)
@@ -52,12 +52,11 @@ def test_results_are_shown_as_they_are(tmp_path: Path, results: np.ndarray, endi
 
 
 def test_poses_are_rendered_first(results: np.ndarray) -> None:
-    """A shipped recording's name, and what the daemon would make of it."""
+    """The name of a shipped recording gives the records that the daemon would compute."""
     assert load("tap", None).fingers[""].tobytes() == results.tobytes()
 
 
-def test_what_is_no_recording_is_told(tmp_path: Path) -> None:
-    """A file of something else, and fingers that the scene does not have."""
+def test_a_file_without_a_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / "no.mcap").write_bytes(b"no recording")
     with pytest.raises(RecordingError, match=r"no\.mcap"):
         load(str(tmp_path / "no.mcap"), None)
@@ -66,8 +65,7 @@ def test_what_is_no_recording_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
-def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
-    """The page is an extra."""
+def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
     code = f"import sys; sys.modules['viser'] = None; from softfinger.server.cli import main; sys.exit(main({words}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in done.stderr
@@ -76,14 +74,14 @@ def test_without_viser_one_line_says_what_to_install(words: list[str]) -> None:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """A page that no browser has opened."""
+    """Page that no browser has opened."""
     page = Page("127.0.0.1", 8300)
     yield page
     page.close()
 
 
 def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.ndarray) -> None:
-    """Played on, all ticks come once; a jump brings the ticks before it; behind the end it begins anew."""
+    """Playing returns each tick once, a jump also returns the ticks before it, and after the end it starts again."""
     file = tmp_path / "run.npz"
     write_results(file, results)
     player = Player(page.server.gui, load(str(file), None), tick=0)
@@ -104,7 +102,7 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
 
 
 def fed(live: LivePage, until: Any) -> bool:
-    """Step until something is true."""
+    """Step until a condition is true; return False after WAIT_S."""
     end = time.monotonic() + WAIT_S
     while not until():
         if time.monotonic() > end:
@@ -115,7 +113,7 @@ def fed(live: LivePage, until: Any) -> bool:
 
 
 def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> None:
-    """It draws the described scene, hears what others change, and says why something is not done."""
+    """It draws the described scene, follows changes by other clients, and shows why a command is refused."""
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page.fingers)
@@ -133,8 +131,8 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         live.close()
 
 
-def test_ticks_and_scenes_come_in_any_order(page: Page) -> None:
-    """A tick that touches a body which the page does not have draws no trace there, and the next ticks are drawn."""
+def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
+    """A tick that touches an unknown object draws no trace, and later ticks are drawn."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1100]
     assert (rows[:, AT.contact_mode] > 0).all()
     page.add_views()
@@ -145,8 +143,8 @@ def test_ticks_and_scenes_come_in_any_order(page: Page) -> None:
     assert set(page.fingers[""]._object_traces) == {0}
 
 
-def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
-    """A hundredth of a mN m is half a degree as it is drawn, half of one 30 degrees."""
+def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
+    """0.01 mN m is drawn as half a degree, 0.5 mN m as 30 degrees."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1001]
     page.add_views()
     page.change(load_scene("paper-plane"), BEGAN)
@@ -156,8 +154,8 @@ def test_a_moment_too_small_for_an_arc_has_no_tip_either(page: Page) -> None:
         assert page.fingers[""]._arc.visible is drawn
 
 
-def test_ticks_of_a_scene_before_are_not_drawn_in_this_one(page: Page, endpoints: tuple[str, str]) -> None:
-    """They are told from those of this one by its first tick."""
+def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, endpoints: tuple[str, str]) -> None:
+    """The first tick of the new scene distinguishes them."""
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page._newest)
@@ -174,15 +172,15 @@ HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
 def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
-    """What a browser tells of a drag of the first object's handles through these positions, cm, but for its end."""
+    """Simulate a drag of the first object's handles through these positions (cm), without its end."""
     node = handles._nodes[0]
     for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
         node.position = position
         handles._on_drag(0, SimpleNamespace(target=node, phase=phase))
 
 
-def test_many_pulls_are_one_request(page: Page) -> None:
-    """The newest of them in a frame, none in the next; whoever pulls keeps the handles, until they are let go."""
+def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
+    """A frame sends only the last drag, and the next frame none. The handles follow the drag until it ends."""
     sent: list[Any] = []
     handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
@@ -200,8 +198,8 @@ def test_many_pulls_are_one_request(page: Page) -> None:
     assert handles._nodes[0].position.tolist() == [2.0, 0.0, 1.0]
 
 
-def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
-    """The daemon says why; handles and object stand where it has the object, and one that it can do is done."""
+def test_an_excessive_drag_is_refused_and_reset(page: Page) -> None:
+    """The page shows the daemon's reason and the object's old pose; a valid drag then succeeds."""
     ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
     scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
     with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
@@ -226,8 +224,8 @@ def test_a_pull_too_far_is_refused_and_taken_back(page: Page) -> None:
             live.close()
 
 
-def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
-    """Of an omega.3, which senses no rotation and is asked for none: 2 mm down by a key, and nothing is refused."""
+def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
+    """The omega.3 senses no rotation, so none is requested: a key moves it by 2 mm, and nothing is refused."""
     ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
     rig = load_rig("simulated-omega-3", ends | {"servo.realtime": "off"})
     with Servant(rig, load_scene("paper-plane"), scene_name="plane") as running:
@@ -244,8 +242,8 @@ def test_a_hand_without_a_wrist_is_led_as_well(page: Page) -> None:
             live.close()
 
 
-def test_sliders_follow_a_finger_that_something_else_leads(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Until the page leads it: then they show where it is asked to be, though the contact holds it elsewhere."""
+def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then they show its target, even if the contact stops the finger elsewhere."""
     monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731

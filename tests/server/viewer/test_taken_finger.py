@@ -1,4 +1,4 @@
-"""A finger taken, in a browser, from a rig whose hands lift a box by themselves: the box stays in the air."""
+"""A finger of simulated hands that lift a box, taken over in a browser: the box does not fall."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ HIGH_M = 0.06
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """The shipped hands, which lift the box and put it down again and again."""
+    """Run the shipped hands, which lift the box and put it down repeatedly."""
     with Daemon(load_rig("simulated-lift-a-box", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
         running.start()
         yield running
 
 
-def test_who_takes_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client: Client) -> None:
-    """A stroke of a key for the left finger, up in the air: seconds later the box hangs where it hung."""
+def test_taking_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client: Client) -> None:
+    """After a key for the left finger in the air, the height of the box no longer changes."""
     screen.tab("Hand")
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 
@@ -43,7 +43,7 @@ def test_who_takes_one_finger_holds_the_box(daemon: Daemon, screen: Screen, clie
             assert eventually(lambda: client.get_state().sequence > begin + count)
 
         def taken() -> bool:
-            """Whether the page was as fast as the hands, which put the box down soon."""
+            """Return True if the page was fast enough: the hands put the box down soon."""
             if height() < HIGH_M:
                 return False
             screen.page.keyboard.press("w")
@@ -56,5 +56,5 @@ def test_who_takes_one_finger_holds_the_box(daemon: Daemon, screen: Screen, clie
         assert eventually(taken, every_s=0.0)
         hangs = height()
         assert client.get_state().force[0] < -1.0
-        pass_ticks(3000)  # in which the hands by themselves put it down
+        pass_ticks(3000)  # long enough for the hands to put it down
         assert height() == pytest.approx(hangs, abs=2e-4)

@@ -1,4 +1,4 @@
-"""The band and the events of a recording, of one that is shipped and of ticks that are made up."""
+"""Timeline and events of recordings, on synthetic ticks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RADIUS = 0.01
 
 
 def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
-    """Ticks of 1 ms with these modes, that roll by so many rad each."""
+    """Return ticks of 1 ms with these modes that roll by `rolled` rad each."""
     made = np.zeros((len(modes), RECORD_SIZE))
     made[:, AT.tick] = np.arange(len(modes)) + 40
     made[:, AT.timestamp] = 0.001 * np.arange(len(modes))
@@ -25,7 +25,7 @@ def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
 
 
 def test_a_band_has_each_state_where_it_is() -> None:
-    """Free, sticking, then rolling, as soon as it is more than 2 mm/s over the tenth of a second before."""
+    """Free, sticking, then rolling once it exceeds 2 mm/s over the preceding 0.1 s."""
     made = rows([FREE] * 200 + [ROLLING] * 400)
     made[400:, AT.contact_rolled] = 0.01 * np.arange(200)
     assert find_state_runs(made, RADIUS) == [
@@ -35,8 +35,7 @@ def test_a_band_has_each_state_where_it_is() -> None:
     ]
 
 
-def test_a_slide_shorter_than_a_column_is_seen() -> None:
-    """One tick of ten thousand."""
+def test_a_slide_shorter_than_a_column_is_visible() -> None:
     modes = [ROLLING] * (20 * COLUMNS)
     modes[5555] = SLIDING
     found = find_state_runs(rows(modes), RADIUS)
@@ -45,7 +44,7 @@ def test_a_slide_shorter_than_a_column_is_seen() -> None:
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
-    """A box for each run, as wide as it lasts; a name that is no HTML; the pointer half way."""
+    """Each run is a box as wide as it is long; names are escaped; the pointer is in the middle."""
     drawn = band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
     free, sliding = (f"rgb{COLOURS[state]}" for state in (ContactState.FREE, ContactState.SLIDING))
     assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
@@ -53,8 +52,8 @@ def test_the_band_and_its_pointer_as_html() -> None:
     assert "margin-left: 50.00%" in pointer(0.5)
 
 
-def test_events_are_jumped_to_from_either_side() -> None:
-    """By tick, in order, the newest told first; none before the first or after the last."""
+def test_events_can_be_reached_from_both_sides() -> None:
+    """Events are sorted by tick, the latest is printed first, and there is none before the first or after the last."""
     told = (
         {"tick": 60, "kind": "mark", "name": "mark", "label": "<here>"},
         {"tick": 45, "kind": "contact", "name": "touch", "cause": "touch"},
@@ -69,16 +68,16 @@ def test_events_are_jumped_to_from_either_side() -> None:
     assert "<here>" not in text
 
 
-def test_events_follow_from_the_ticks_where_none_were_kept() -> None:
-    """A release, told by the cause that its tick has."""
+def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
+    """The cause of a tick gives a release."""
     made = rows([ROLLING] * 10 + [FREE] * 10)
     made[10, AT.contact_cause] = 6
     events = Events({"": made}, (), 1000.0)
     assert events.after(0) == 10 and "release" in events.format_html(10)
 
 
-def test_an_event_is_told_in_a_few_words() -> None:
-    """Its cause where that is not its name."""
+def test_the_description_of_an_event_is_short() -> None:
+    """It contains the cause only if it differs from the name."""
     assert (
         describe_event({"kind": "contact", "name": "slip", "cause": "drag", "finger": "", "count": 0})
         == "contact slip, cause drag"

@@ -1,6 +1,6 @@
-"""A box lifted from the page, in a browser: by the button, by one mouse with a wheel, and by two hands on keys.
+"""A box lifted from the page in a browser: by the button, by the mouse with its wheel, and by keys for two hands.
 
-Compiles the scene `lift-a-box`, as it is shipped.
+Compiles the shipped scene `lift-a-box`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 GRIP_N, NOTCHES = 2.0, 20
-"""Of the wheel, or strokes of a key, 1 mm each: 10 to the box, and 10 into it, against 3 mm/N of contact and hand."""
+"""Notches of the wheel, or key strokes, of 1 mm: 10 to the box and 10 into it, at 3 mm/N of contact and hand."""
 RESTS_M = 0.02
-"""Height of the middle of the box on the floor."""
+"""Height of the centre of the box on the floor."""
 
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Two hands that wait to be led, beside the box."""
+    """Run two hands that can be controlled, next to the box."""
     with Daemon(load_rig("simulated-hands", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
         running.start()
         yield running
@@ -40,7 +40,7 @@ def daemon() -> Iterator[Daemon]:
 
 @pytest.fixture
 def heights(daemon: Daemon) -> Iterator[object]:
-    """How high the middle of the box is, m, whenever it is called."""
+    """Return a function that returns the height (m) of the centre of the box."""
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 
         def height() -> float:
@@ -54,11 +54,9 @@ def heights(daemon: Daemon) -> Iterator[object]:
 
 @pytest.fixture(autouse=True)
 def beside(client: Client, screen: Screen) -> None:
-    """Each begins with the box on the floor and the hands beside it, and the camera where it was.
-
-    The page may still lead: a gesture opens the hands after the box is down, and the end of a drag may come late. So
-    the hands are put there until they stay for longer than the page remembers where it led them.
-    """
+    """Each test starts with the box on the floor and the hands next to it. The page may still move the hands: a gesture
+    opens them after the box is down, and the end of a drag may arrive late. So the fixture repeats until they stay
+    longer than the page remembers its targets."""
 
     def stay() -> bool:
         for name, x in (("thumb", -0.04), ("index", 0.04)):
@@ -71,15 +69,15 @@ def beside(client: Client, screen: Screen) -> None:
     screen.tab("Hand")
 
 
-def test_the_button_lifts_it(screen: Screen, heights) -> None:  # type: ignore[no-untyped-def]
-    """As high as it says but for what the friction gives, and down again; the hands leave it."""
+def test_the_button_lifts_the_box(screen: Screen, heights) -> None:  # type: ignore[no-untyped-def]
+    """It lifts the box to at least 80 % of the nominal height, which friction reduces, and puts it down."""
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: heights() > RESTS_M + 0.8 * LIFT_M)
     assert eventually(lambda: heights() < RESTS_M + 1e-3)
 
 
-def test_a_pinch_on_the_wheel_lifts_it(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """A ball is held with shift, the wheel closes both fingers, the mouse goes up, and the camera stays where it is."""
+def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+    """A drag with shift moves the ball up while the wheel closes both fingers; the camera does not move."""
     mouse, keyboard = screen.page.mouse, screen.page.keyboard
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     corner = screen.at((0.0, 0.0, 0.0))
@@ -102,8 +100,8 @@ def test_a_pinch_on_the_wheel_lifts_it(screen: Screen, client: Client, heights) 
     keyboard.up("Shift")
 
 
-def test_a_drag_goes_on_while_the_world_is_put_back(screen: Screen, client: Client) -> None:
-    """What the mouse holds is not drawn anew: the finger goes on with it."""
+def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Client) -> None:
+    """The dragged ball is not recreated, so the finger still follows the mouse."""
     mouse = screen.page.mouse
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     mouse.move(x, y)
@@ -114,15 +112,15 @@ def test_a_drag_goes_on_while_the_world_is_put_back(screen: Screen, client: Clie
     began = client.describe()["since"]
     client.reset_world()
     assert eventually(lambda: client.describe()["since"] > began)
-    screen.page.wait_for_timeout(1000.0)  # in which it would be
+    screen.page.wait_for_timeout(1000.0)  # time in which it would be recreated
     for way in (16, 20, 24):
         mouse.move(x - way, y)
     assert eventually(lambda: client.get_state().position[0] < -0.046)
     mouse.up()
 
 
-def test_two_hands_on_keys_lift_it(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """D and J squeeze, E and U held together lift; none of them moves the camera."""
+def test_two_hands_on_keys_lift_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+    """D and J squeeze, E and U together lift; none of these keys moves the camera."""
     keyboard = screen.page.keyboard
     corner = screen.at((0.0, 0.0, 0.0))
     for _ in range(NOTCHES):

@@ -1,7 +1,7 @@
-"""Two plates side by side, felt apart in the browser: each drags as its friction in the library says.
+"""Two plates side by side in the browser: the drag of each is its friction in the library.
 
-A file of its own, since the daemon begins with the plates: to choose them on the page would have them compiled beside a
-browser that is painted by a processor.
+The daemon of this file starts with the plates. Choosing them on the page would compile them while a processor renders
+the browser.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool
 
 RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 FELT = ("paper", "rubber")
-"""Neighbours in the scene, of which rubber has more than twice the kinetic friction."""
+"""Neighbours in the scene; rubber has more than twice the kinetic friction."""
 STROKE_S = 0.05
-"""Between two keys: each leads the hand a millimetre on."""
+"""Time between two keys, each of which moves the hand by 1 mm."""
 
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """A hand above the near end of the first of the two: from the middle of the scene, keys would have a long way."""
+    """Run a hand above the near end of the first plate, because keys would need long from the middle of the scene."""
     scene = load_scene("plates")
     x, y, _ = next(plate.position_m for plate in scene.object if plate.name == FELT[0])
     rig = load_rig("simulated-hand", RIG | {"device.position_m": [x, y - 0.02, 0.01]})
@@ -39,7 +39,8 @@ def daemon() -> Iterator[Daemon]:
 
 
 def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    """Drag by normal force in ticks in which a pressed plate slides, while keys stroke it away from the person."""
+    """Return drag / normal force of ticks in which a pressed plate slides, while keys stroke it away from the
+    person."""
     found = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
@@ -56,9 +57,8 @@ def drags(screen: Screen, client: Client, number: int) -> list[float]:
 
 
 @pytest.mark.exhaustive
-def test_two_plates_side_by_side_are_felt_apart(screen: Screen, client: Client) -> None:
-    """Pressed and stroked by keys: where a plate slides, the drag is its kinetic friction times the normal force,
-    whatever the speed; rubber's is more than twice that of paper."""
+def test_two_plates_have_different_drags(screen: Screen, client: Client) -> None:
+    """The drag is kinetic friction times normal force at every speed; rubber's is more than twice that of paper."""
 
     def lead(key: str, until: Callable[[], bool]) -> None:
         assert eventually(lambda: until() or screen.page.keyboard.press(key), every_s=STROKE_S)
@@ -74,6 +74,6 @@ def test_two_plates_side_by_side_are_felt_apart(screen: Screen, client: Client) 
         lead("k", lambda: place()[1] < -0.015)
         lead("o", lambda: client.get_state().force[2] > 0.5)
         friction = materials()[plate.name].values["friction"]["kinetic"]
-        # The coupling swings on for some ticks where sliding begins, hence the middle one of all; 2 % is far below the
-        # half between static and kinetic friction, and the difference of the two plates.
+        # The coupling oscillates for some ticks when sliding starts, so the median is used. 2 % is far below the
+        # difference of static and kinetic friction and that of the plates.
         assert np.median(drags(screen, client, number)) == pytest.approx(friction, rel=0.02)

@@ -1,4 +1,4 @@
-"""Bodies of a [world] on the page: those that fingers touch, and the others beside them."""
+"""Bodies of a [world] on the page: with and without contacts."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
 
 
-def test_boxes_that_no_finger_touches_are_drawn_where_their_bodies_are() -> None:
-    """On `stack-boxes` fingers touch the floor and one box; the page has the other two as well, and moves them."""
+def test_boxes_without_contacts_are_drawn_at_their_poses() -> None:
+    """In `stack-boxes` fingers can touch the floor and one box; the page draws and moves the other two as well."""
     scene = load_scene("stack-boxes")
     assert [thing.name for thing in scene.object] == ["floor", "top"]
     assert [thing.name for thing in visual_geoms(scene)] == ["bottom", "middle"]
@@ -24,15 +24,15 @@ def test_boxes_that_no_finger_touches_are_drawn_where_their_bodies_are() -> None
         upright = (1.0, 0.0, 0.0, 0.0)
         bodies.move_bodies(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
         assert [place[0] for place in bodies.poses[2:]] == [(0.0, 0.1, 0.2)] * 2
-        for point, height in (((0.1, 0.0, 0.1), 0.0), ((0.0, 0.1, 0.3), 0.215)):  # beside them, on one of 30 mm
+        for point, height in (((0.1, 0.0, 0.1), 0.0), ((0.0, 0.1, 0.3), 0.215)):  # next to them, and on one of 30 mm
             foot = bodies.below(np.array(point))
             assert foot is not None and foot.point.tolist() == pytest.approx([*point[:2], height])
     finally:
         server.stop()
 
 
-def test_a_model_that_is_not_here_draws_nothing_more() -> None:
-    """As of a daemon on another machine."""
+def test_a_missing_model_draws_no_more_bodies() -> None:
+    """The model may be missing if the daemon runs on another machine."""
     scene = load_scene("stack-boxes")
     assert scene.world is not None
     elsewhere = msgspec.structs.replace(scene.world, model="/no/such/place.xml")
