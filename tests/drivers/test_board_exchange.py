@@ -218,8 +218,7 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
 
 def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
     """The first read discards queued samples, then wakes the board at once and every AWAITING ns. The sample that
-    follows has the time since opening.
-    """
+    follows has the time since opening."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
     board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
@@ -253,8 +252,7 @@ def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
 @pytest.mark.parametrize(("misread", "status"), [(0, TIMEOUT), (7, TIMEOUT), (8, PROTOCOL), (9, PROTOCOL)])
 def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
     """The read fails once TIMEOUT_NS have passed: PROTOCOL if at least as many bytes as an answer were misread since
-    the start of the wait, otherwise TIMEOUT.
-    """
+    the start of the wait, otherwise TIMEOUT."""
     board.word[BOARD.misread_bytes] = 100
     begun = board.word[BOARD.misread_bytes]
     real = board_exchange.drain
@@ -283,8 +281,7 @@ def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, boa
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
     """The read waits RESUME_WAIT_NS and one poll more, then repeats the old sample. The board counts as silent until
-    the next sample, but the pause does not count toward the time-out.
-    """
+    the next sample, but the pause does not count toward the time-out."""
     board.heard()
     board.now += 150 * MS
     begun, before = board.now, board.sample.copy()
@@ -348,8 +345,7 @@ def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: i
 
 def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
     """The first wake follows a silence longer than QUIET if the last wake is at least KICK ago; further wakes follow
-    every KICK.
-    """
+    every KICK."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
@@ -386,8 +382,7 @@ def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None
 
 def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
     """If the wake cleared a force, the read returns WITHHELD once, with or without a sample, so that the force fades
-    in.
-    """
+    in."""
     board.heard()
     assert board.write(FORCE) == OK
     board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
@@ -404,8 +399,7 @@ def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
 @pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
 def test_a_force_is_sent_and_the_driver_status_returned(status: int, board: Board) -> None:
     """The force is passed unchanged to a board whose last sample is at most QUIET old, and the driver's status is
-    returned.
-    """
+    returned."""
     board.heard()
     board.later(QUIET)
     board.force = status
@@ -470,8 +464,7 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
 @pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
 def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
     """`silence` succeeds once the zero is sent completely or the device is lost; otherwise it has to be repeated. It
-    disarms the device.
-    """
+    disarms the device."""
     board.heard()
     board.zero, board.word[BOARD.unsent_bytes] = status, left
     assert board.silence() == done and board.done == ["zero"]

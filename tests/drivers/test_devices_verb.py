@@ -61,8 +61,7 @@ def plug_hid(root: Path, number: int, ids: str, name: str = "Puck") -> str:
 
 def plug_serial(root: Path, name: str, vendor: str, number: str, serial: str = "", product: str = "Teensy") -> str:
     """Add a USB serial port as the kernel lists it, and return its name in the table. A converter (ttyUSB) has an extra
-    folder inside that of its interface.
-    """
+    folder inside that of its interface."""
     device = root / "sys/devices/usb1" / f"1-{name}"
     port = device / "1-1:1.0" / (name if name.startswith("ttyUSB") else "")
     port.mkdir(parents=True)
@@ -79,8 +78,7 @@ def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: disco
 
 def test_tables_are_read(root: Path) -> None:
     """Devices are listed with ids, name, serial number and node; hubs, interfaces, duplicates and damaged entries are
-    not.
-    """
+    not."""
     plug_usb(root, "usb1", "1d6b", "0002", bDeviceClass="09")
     plug_usb(root, "1-1", "2109", "2813", bDeviceClass="09")
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00", product="omega.x haptic device", serial="0042")
@@ -188,8 +186,7 @@ def test_missing_nodes_are_diagnosed(root: Path) -> None:
 
 def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
     """A generic Teensy port needs the rig to name it. Haply's boards are claimed by the haply driver, which needs the
-    maker's service.
-    """
+    maker's service."""
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
@@ -215,8 +212,7 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
     """The debug channel of a Teensy is not claimed. An LPC1768 is claimed by the rigs of its firmware, or by all rigs
-    with its ids if the system has no descriptor.
-    """
+    with its ids if the system has no descriptor."""
     teensy, *_ = BOARDS.values()
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
     claim = find_claim(raw)

@@ -65,8 +65,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 def test_rows_contain_every_sample_in_order() -> None:
     """Each row has the next pose of the recording; device time advances by one period; all durations are positive and
-    ticks do not overlap.
-    """
+    ticks do not overlap."""
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
@@ -167,8 +166,7 @@ def test_a_hanging_device_is_stopped() -> None:
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
     """A new compilation calls neither allocator nor interpreter. Its five calls through pointers are the device's two
-    functions, the two empty ones and the last zero.
-    """
+    functions, the two empty ones and the last zero."""
     compile_exchange()
     (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
     fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]

@@ -209,8 +209,7 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
 
 def test_devices_reports_running_firmware() -> None:
     """`devices` reports that the Falcon needs firmware without touching it; with `--ask` the device reports that
-    firmware runs.
-    """
+    firmware runs."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         done, saw = beside({}, *words, *more)

@@ -66,8 +66,7 @@ def test_published_torques() -> None:
 @pytest.mark.scaled
 def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
     """The angles of a position give it back, from the centre or up to a millimetre away: 5000 positions, 10^5 in `make
-    test-all`.
-    """
+    test-all`."""
     count = cases(5000, 100_000)
     near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (count, 3))
     worst = 0.0
@@ -155,8 +154,7 @@ RECORDED = {
 
 def test_motors_turn_as_in_recorded_packets() -> None:
     """With the shipped rig each count has the recorded sign. The recording lacks the knob's position, but within 2 cm
-    of the centre the signs do not depend on it.
-    """
+    of the centre the signs do not depend on it."""
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():

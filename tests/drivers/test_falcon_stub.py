@@ -85,8 +85,7 @@ def columns(records: np.ndarray, at: int, number: int = 3) -> np.ndarray:
 
 def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: FalconBench) -> None:
     """Press, slide and release: each tick has a new reply, sensed positions equal the knob's, and modes and forces
-    equal the engine's for these positions.
-    """
+    equal the engine's for these positions."""
     stub.update(**STROKE)
     with bench.open() as device:
         stub["logged"] = 0
@@ -141,8 +140,7 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
 @pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
 def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
     """With all replies one tick late every tick but the first has one. With two ticks, packets are held back instead of
-    queued, so some ticks have none.
-    """
+    queued, so some ticks have none."""
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
@@ -153,8 +151,7 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
 
 def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
     """Each 50th reply is lost. The first of two costs one tick; the second leaves two packets unanswered, which count
-    as lost after 5 ms.
-    """
+    as lost after 5 ms."""
     with bench.open() as device:
         stub.update(lose_every=50)
         ended, records = run(device, 1000)
@@ -166,8 +163,7 @@ def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
 @pytest.mark.parametrize("piece", [1, 2, 5, 16])
 def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> None:
     """Replies split over short transfers are assembled; a reply with more transfers than a tick handles is completed in
-    the next tick.
-    """
+    the next tick."""
     with bench.open() as device:
         stub.update(piece=piece)
         servo = Servo(device)
@@ -203,8 +199,7 @@ def test_faults_leave_no_transfer_pending(
     fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
 ) -> None:
     """Each fault ends the servo with its status. All transfers are freed, motors are zero if the bus still accepts
-    packets, and no packet is pending once the fault is removed.
-    """
+    packets, and no packet is pending once the fault is removed."""
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -224,8 +219,7 @@ def test_faults_leave_no_transfer_pending(
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
     """After a pause longer than the time-out, a slow device does not fail: the old sample is repeated and forces are
-    withheld until a new reply.
-    """
+    withheld until a new reply."""
     with bench.open(timeout_s=1.0, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -243,8 +237,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: F
 
 def test_a_pause_that_sends_a_zero_is_reported(stub: UsbStub, bench: FalconBench) -> None:
     """After a pause the read requests a reply with a zero. It returns WITHHELD even if the reply is immediate, so that
-    the force fades in.
-    """
+    the force fades in."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -294,8 +287,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
     timeout_s: float, stub: UsbStub, bench: FalconBench
 ) -> None:
     """The device does not receive a force whose packet hung: `stop` cancels the packet and sends zero when the device
-    accepts packets again, also with a `timeout_s` longer than the duration of the stop.
-    """
+    accepts packets again, also with a `timeout_s` longer than the duration of the stop."""
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -347,8 +339,7 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
     """While one thread handles events for 0.1 s, a stop by another waits for it and sends the zero: never two threads
-    in libusb.
-    """
+    in libusb."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -368,8 +359,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     """If libusb does not return to the loop, `close` logs that the device remains open; it succeeds after libusb has
-    returned.
-    """
+    returned."""
     device = bench.open()
     servo = Servo(device)
     servo.read()
@@ -405,8 +395,7 @@ def test_a_failed_opening_frees_everything(
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
     """A new device gets the firmware again after a wrong echo; after homing by hand the sensed position equals the
-    knob's.
-    """
+    knob's."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(bytes(range(250)) * 6)
     stub.update(firmware=1500, spoil=1, homed=0)
@@ -422,8 +411,7 @@ def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) 
 @pytest.mark.scaled
 def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int, int], int]) -> None:
     """Noise, truncated and damaged packets and impossible counts between valid replies: each position belongs to the
-    counts of a complete packet by the stand-in's kinematics, or is NaN and no force follows it.
-    """
+    counts of a complete packet by the stand-in's kinematics, or is NaN and no force follows it."""
     number = cases(20_000, 1_000_000)
     with bench.open() as device:
         stub.update(still=1, fuzz=1)
@@ -439,8 +427,7 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
     """Both are open at once in two loops of one process, each exchange is with its knob, and closing one does not
-    affect the second. Without a serial number none is opened.
-    """
+    affect the second. Without a serial number none is opened."""
     stub.update(z=0.03)
     stub[1, "attached"] = 1
     stub[1, "z"], stub[1, "x"] = 0.045, 0.02
@@ -504,8 +491,7 @@ FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/0
 
 def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
     """With `--ask` the device reports if its firmware runs, in JSON and text; a Falcon with running firmware needs no
-    file.
-    """
+    file."""
     claim = find_claim(FALCON)
     assert claim is not None
     diagnosis, said = devices.identify_device(FALCON, claim)

@@ -93,8 +93,7 @@ def test_models_are_those_of_the_header() -> None:
 
 def test_causes_and_status_words_are_those_of_the_header() -> None:
     """Force, error and cause are words 5, 9 and 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead
-    man.
-    """
+    man."""
     assert (exchange.STATUS_FORCE, exchange.STATUS_ERROR, exchange.STATUS_CAUSE) == (5, 9, 14)
     words = ("button", "velocity", "watchdog", "library", "USB", "dead-man")
     assert len(library.FORCE_OFF_CAUSES) == 6
@@ -121,8 +120,7 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBen
 
 def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
     """By default nothing moves, gravity is not compensated and the threshold is unchanged; expert calls happen only in
-    expert mode. After closing, force is off and brakes are on, as the maker's library leaves them.
-    """
+    expert mode. After closing, force is off and brakes are on, as the maker's library leaves them."""
     with bench.open():
         seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
         assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
@@ -169,8 +167,7 @@ def test_brakes_that_cannot_be_released_are_logged(
 
 def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBench) -> None:
     """Opening enables neither force nor watchdog; `arm` enables both, however long after opening. Before, reads work
-    and forces are withheld.
-    """
+    and forces are withheld."""
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
         servo = Servo(device, arm=False)
@@ -207,8 +204,7 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
 
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
     """If the library hangs while it enables the force, `stop` returns, and the arming thread disables the force as soon
-    as the library returns.
-    """
+    as the library returns."""
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
         arming = threading.Thread(target=device.arm)
@@ -224,8 +220,7 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
 @pytest.mark.parametrize("code", [2, 6, 7])
 def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) -> None:
     """If the firmware rejects the watchdog, opening fails with instructions and the device is closed outside expert
-    mode; with `watchdog_s = 0` it opens.
-    """
+    mode; with `watchdog_s = 0` it opens."""
     stub["refuse_watchdog"] = code
     with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
         bench.open(watchdog_s=0.03)
@@ -241,8 +236,7 @@ def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) ->
 
 def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench) -> None:
     """The library documents frames for devices with a wrist. An omega.3 without one is read by its position in a single
-    call; with a wrist a failed frame is a failure.
-    """
+    call; with a wrist a failed frame is a failure."""
     stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     with bench.open() as device:
         servo = Servo(device)
@@ -265,8 +259,7 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     """An unknown type opens with a warning and with lower limits than any known device, and gets no torque; a rig for a
-    certain model rejects it.
-    """
+    certain model rejects it."""
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"
@@ -285,8 +278,7 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
 
 def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench: StubBench) -> None:
     """Without `calibrate` an uncalibrated device is closed unmoved, and the error warns about the motion of
-    calibration.
-    """
+    calibration."""
     stub["initialized"] = 0
     with pytest.raises(DeviceError, match=r"not calibrated.*calibrate = true.*MOVES"):
         bench.open()
@@ -332,8 +324,7 @@ def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBenc
 
 def test_a_device_is_identified_without_force(stub: Stub) -> None:
     """`devices --ask` reports model, serial number, system type and calibration without motion or force, and closes the
-    device. A device of another program is busy.
-    """
+    device. A device of another program is busy."""
     claim = Claim("forcedimension", "usb", 0x1451, None)
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
@@ -371,8 +362,7 @@ def test_options_outside_their_range_are_refused_by_name() -> None:
 
 def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None:
     """The error lists the searched paths, the unset variables and the source of the library, and also the attached
-    devices.
-    """
+    devices."""
     environ = {"FDSDK": str(tmp_path / "sdk"), "HOME": str(tmp_path)}
     with pytest.raises(DeviceNotFound) as caught:
         library.load(None, environ)
@@ -399,8 +389,7 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
 def test_the_library_is_found_in_the_folders_of_the_sdk(variable: str, stub_library: Path, tmp_path: Path) -> None:
     """The library is found in the SDK's folder through either variable and in ~/.local/lib; of two versions the newer
-    is loaded.
-    """
+    is loaded."""
     folder = tmp_path / (".local/lib" if variable == "HOME" else f"lib/release/lin-{os.uname().machine}-gcc")
     folder.mkdir(parents=True)
     (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
@@ -432,8 +421,7 @@ def test_unusable_library_is_named(tmp_path: Path) -> None:
 
 def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
     """Result and parameter types of each function are declared: by default ctypes would truncate a double and reject a
-    char.
-    """
+    char."""
     loaded = library.load(str(stub_library))
     for name, (result, parameters) in library.PROTOTYPES.items():
         function = getattr(loaded, name)
@@ -447,8 +435,7 @@ def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
 
 def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
     """If the USB node is not writable, the error contains the command. If it is writable, the library does not see the
-    device.
-    """
+    device."""
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
@@ -495,8 +482,7 @@ def matrix_of(q: Any) -> np.ndarray:
 
 def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
     """Towards the user is -y, right is x, up is z: position, orientation, force and torque equal a computation by
-    matrices.
-    """
+    matrices."""
     assert np.linalg.det(TURN) == 1.0
     stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     for axis in range(3):
@@ -543,8 +529,7 @@ def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
 
 def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
     """A guarded reading and saturated motors give STALE and are counted; the pose is the previous one. A guarded force
-    gives HELD, because the device keeps the previous force.
-    """
+    gives HELD, because the device keeps the previous force."""
     with bench.open() as device:
         servo = Servo(device)
         stub.update(guard_reads=4, guard_writes=5, reads=0, writes=0)
@@ -597,8 +582,7 @@ def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> N
 
 def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
     """A mirrored or stretched matrix gives an orientation of NaN, and a NaN position is passed on; the guard rejects
-    both, but the read succeeds. A matrix off by rounding is accepted.
-    """
+    both, but the read succeeds. A matrix off by rounding is accepted."""
     for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
         stub[name] = value
         with bench.open() as device:
@@ -636,8 +620,7 @@ def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any,
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int, int], int]) -> None:
     """For any bits from the library, reads return OK or STALE, orientations are NaN or of unit length, and forces are
-    finite and within the device's limit.
-    """
+    finite and within the device's limit."""
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)

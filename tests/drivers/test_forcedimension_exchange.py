@@ -96,8 +96,7 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
     """Position and rotation are in the world frame; the sample also has 32 buttons, the gripper's angle and the time
-    since opening.
-    """
+    since opening."""
     library.rotation = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1)
     library.gives["get_buttons"] = -2  # an int32 of a mask
     status, sample = library.read()
@@ -163,8 +162,7 @@ def test_a_repeated_reading_is_stale(library: Library) -> None:
 
 def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
     """While another thread has the lock, the last sample is repeated and forces are withheld, without calling the
-    library.
-    """
+    library."""
     _, before = library.read()
     library.place += 1.0
     library.word[AT.lock] = 1
@@ -190,8 +188,7 @@ def test_a_device_that_is_closed_is_lost(library: Library) -> None:
 @pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
 def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
     """The library's timeout gives TIMEOUT; any other error gives LOST and the device's status is read. A gripper angle
-    repeated by the time guard is no failure.
-    """
+    repeated by the time guard is no failure."""
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
     assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"

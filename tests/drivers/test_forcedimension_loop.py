@@ -56,8 +56,7 @@ def fd_rig(stub: Stub, **changes: Any) -> Rig:
 
 def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
     """A hand presses, rolls, slides and releases through the daemon: forces and modes equal the engine's on the sensed
-    poses, the gripper is recorded, the wall stops the handle, and never two threads are in the library.
-    """
+    poses, the gripper is recorded, the wall stops the handle, and never two threads are in the library."""
     stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
     scene = load_scene("paper-plane")
     records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
@@ -108,8 +107,7 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -> bool:
     """Run 300 ticks with the default watchdog after `late`; return True if they finish, False if the watchdog ends
-    them.
-    """
+    them."""
     stub.reset()
     stub.update(**PRESSING)
     options = build(forcedimension.Options, {"library_file": str(stub.path)}, "[device]")
@@ -128,8 +126,7 @@ def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -
 
 def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
     """Half a second between opening and the first tick (compiling, real-time settings) does not trigger the default
-    watchdog. A stall of the machine may, so one in five runs has to finish.
-    """
+    watchdog. A stall of the machine may, so one in five runs has to finish."""
 
     def late() -> Callable[[], None]:
         time.sleep(0.5)
@@ -140,8 +137,7 @@ def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
 
 def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_path: Path) -> None:
     """`softfinger run` with real-time settings and publisher finishes with the default watchdog in one of five runs, as
-    above.
-    """
+    above."""
     rig = tmp_path / "rig.toml"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n'
@@ -188,8 +184,7 @@ def test_stop_while_a_transfer_hangs(
     exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     """`stop` from another thread waits briefly for a hanging exchange, then disables the force. If the library blocks
-    all calls, it returns with a message, and the force is disabled once the library returns.
-    """
+    all calls, it returns with a message, and the force is disabled once the library returns."""
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
@@ -233,8 +228,7 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
     """A signal to the daemon in contact ends it with exit code 0; the device was zeroed, disabled and closed, with
-    expert mode off.
-    """
+    expert mode off."""
     rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'

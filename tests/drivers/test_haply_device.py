@@ -141,8 +141,7 @@ def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
     """Cursor position, grip orientation and force are converted between the service's frame and the world, also with a
-    mounting; buttons a, b and c are bits 0 to 2.
-    """
+    mounting; buttons a, b and c are bits 0 to 2."""
     half = math.sqrt(0.5)
     turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
@@ -179,8 +178,7 @@ def test_a_wired_grip_has_one_button() -> None:
 
 def test_a_force_past_the_largest_is_limited(service: Service) -> None:
     """A force beyond the rig's maximum is scaled to it and the write returns STALE; a force that is not finite becomes
-    zero.
-    """
+    zero."""
     with opened(service, force_max_n=2.0) as device:
         servo = Servo(device)
         fresh(servo)
@@ -196,8 +194,7 @@ def test_a_force_past_the_largest_is_limited(service: Service) -> None:
 
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
     """A message is sent only after the last is answered, however often the loop writes. Forces written in between are
-    HELD; the device receives the accepted ones once each and in order.
-    """
+    HELD; the device receives the accepted ones once each and in order."""
     service.set(late_s=0.02)
     with opened(service) as device:
         servo = Servo(device)
@@ -245,8 +242,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
 )  # fmt: skip
 def test_a_service_of_another_version_is_rejected(page: str, told: str, service: Service) -> None:
     """A version outside of 3.1 to 3.x, or none, is rejected with instructions; the rig can set it if the service
-    reports none.
-    """
+    reports none."""
     service.set(pages={"/version": page})
     with pytest.raises(DeviceError, match=told):
         opened(service)
@@ -255,8 +251,7 @@ def test_a_service_of_another_version_is_rejected(page: str, told: str, service:
 
 def test_the_error_lists_available_devices() -> None:
     """If several devices or grips are listed, or none of that name, the error lists those available; a name selects
-    one.
-    """
+    one."""
     with Service(
         devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
     ) as two:
@@ -280,8 +275,7 @@ def test_the_error_lists_available_devices() -> None:
 
 def test_the_error_without_a_service_names_the_one_to_start() -> None:
     """Without a service on the port the error names the service to start; port 10000 is rejected, because it has an
-    unsupported format.
-    """
+    unsupported format."""
     with Service() as ended:
         port = ended.port
     with pytest.raises(
@@ -303,8 +297,7 @@ def test_opening_at_a_silent_service_times_out(service: Service) -> None:
 
 def test_filters_are_set_as_in_the_rig(service: Service) -> None:
     """Opening sets the service's filters as in the rig: home return is always off, the rest is set if different, force
-    gate and damping per session. A refusal is an error.
-    """
+    gate and damping per session. A refusal is an error."""
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
     found = service.do("settings", id=ID)
@@ -322,8 +315,7 @@ def test_filters_are_set_as_in_the_rig(service: Service) -> None:
 @pytest.mark.parametrize("enveloped", [False, True])
 def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
     """Version and applied filters are read at top level or below `data`. A plain answer with another value than the
-    posted one is a refusal, as is `ok: false`.
-    """
+    posted one is a refusal, as is `ok: false`."""
     service.set(enveloped=enveloped, version_enveloped=enveloped)
     opened(service, filters={"torque_scaling": False}).close()
     assert not service.do("settings", id=ID)["torque_scaling"]["enabled"]
@@ -344,8 +336,7 @@ def test_a_wrong_version_in_the_rig_is_rejected(service: Service) -> None:
 
 def test_another_kind_of_device_is_refused() -> None:
     """Limits and workspace of a rig are for its models, which come from `config.type`, or else from the list of the
-    device. Of several devices the one of a model of the rig is selected.
-    """
+    device. Of several devices the one of a model of the rig is selected."""
     with Service(devices=("minverse:0A11",)) as mini:
         with pytest.raises(DeviceNotFound, match=r"lists minverse 0A11.*for inverse3, inverse3x.*haply-minverse"):
             opened(mini)
@@ -362,8 +353,7 @@ def test_another_kind_of_device_is_refused() -> None:
 
 def test_filters_of_an_older_service() -> None:
     """A service before 3.5 has separate pages for gravity compensation and torque scaling; settings it lacks are an
-    error.
-    """
+    error."""
     with Service("3.3.0") as old:
         opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
         found = old.do("settings", id=ID)
@@ -375,8 +365,7 @@ def test_filters_of_an_older_service() -> None:
 
 def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
     """A mount that rotates, moves or scales positions would also affect forces, so it is rejected, at top level and
-    below `transform`, as is one of unknown form. An empty mount is accepted.
-    """
+    below `transform`, as is one of unknown form. An empty mount is accepted."""
     still = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
     none, doubled = ({**still, "scale": dict.fromkeys("xyz", size)} for size in (1, 2))
     for mount in (doubled, {"transform": doubled}, {"transform": still}, {"offset": 1}):
@@ -501,8 +490,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> No
 )
 def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
     """A coordinate that is null (as the maker's JSON writes NaN) or out of bounds gives a sample of NaN, for which the
-    guard commands zero; a number beyond JSON's range is a protocol error.
-    """
+    guard commands zero; a number beyond JSON's range is a protocol error."""
     text = (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
         '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
@@ -545,8 +533,7 @@ BAD: dict[str, tuple[Any, int, str]] = {
 @pytest.mark.parametrize("case", BAD)
 def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
     """A malformed message ends the exchange with its status, a short reason and zero force; the device opens again
-    later.
-    """
+    later."""
     text, wanted, told = BAD[case]
     with opened(service) as device:
         servo = Servo(device)
@@ -601,8 +588,7 @@ def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
 
 def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     """With a stopped service (SIGSTOP) reads return TIMEOUT, `stop` and `close` return in time with an unconfirmed
-    zero, and the messages read after SIGCONT end with a zero.
-    """
+    zero, and the messages read after SIGCONT end with a zero."""
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)
@@ -670,8 +656,7 @@ def test_the_service_of_a_rig_is_queried_without_usb(
 
 def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
     """Python's switch interval is short from the opening of the first device to the closing of the last, in any order,
-    and is then restored.
-    """
+    and is then restored."""
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)

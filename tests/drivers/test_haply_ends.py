@@ -125,8 +125,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
 @pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
 def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
     """After any end by the service, the last force it received for each device is zero before any `stop`, and the zero
-    is confirmed.
-    """
+    is confirmed."""
     raw = (BREACHES | GOODBYES)[case]
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
@@ -176,8 +175,7 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
 
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
     """A service that stops reading receives at most one more force, followed by zeros, however long the loop writes.
-    The zero of a stop is not confirmed, and only the first `stop` waits for it.
-    """
+    The zero of a stop is not confirmed, and only the first `stop` waits for it."""
     service.set(deaf=True)
     deaf_at = time.monotonic()
     servos = [Servo(device, arm=False) for device in pushing]
@@ -208,8 +206,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
     """Unexpected states look like answers, but the send queue of the connection grows: forces are withheld with a
     warning until the unexpected states end the exchange. At most the messages in the service's receive buffer are still
-    read.
-    """
+    read."""
     room = 2048
     with Service(room=room) as service, opened(service) as device:
         servo = Servo(device)

@@ -98,8 +98,7 @@ def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
 
 def test_silence_ends_forces_then_the_run(device: Device) -> None:
     """After more than `quiet_s` without a state forces are withheld; after more than `timeout_s` the read returns
-    TIMEOUT.
-    """
+    TIMEOUT."""
     device.clock.now += QUIET
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -117,8 +116,7 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
 
 def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
     """More than 30 ms without a read are a pause: the device does not time out, and only a state received within
-    `quiet_s` before the read counts as current.
-    """
+    `quiet_s` before the read counts as current."""
     device.clock.now += 2 * TIMEOUT_NS
     assert device.read()[0] == STALE
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -177,8 +175,7 @@ def test_a_force_dropped_by_the_thread_is_reported_once(device: Device) -> None:
 
 def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
     """The force is stored in the service's frame with time and number and wakes the thread; beyond the maximum it is
-    scaled and the write returns STALE.
-    """
+    scaled and the write returns STALE."""
     before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
@@ -219,8 +216,7 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
 
 def test_withheld_forces(device: Device) -> None:
     """Forces are withheld from a device that is not armed, closed or being stopped; the zero of a stop is not
-    overwritten.
-    """
+    overwritten."""
     device.word[AT.armed] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert device.given()[:3] == [0.0, 0.0, 0.0]
@@ -240,8 +236,7 @@ def test_withheld_forces(device: Device) -> None:
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     """While a force waits to be sent, the next is HELD, so that no accepted force is skipped; a zero, or a force that
-    becomes one, replaces it.
-    """
+    becomes one, replaces it."""
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
     first = device.given()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]

@@ -107,8 +107,7 @@ class TestContract(driver_contract.DriverContract):
 
 def test_a_board_that_sends_continuously() -> None:
     """The firmware of woody-experimental sends a report in each USB frame: after a second without reads, the sample is
-    current, and forces reach the board.
-    """
+    current, and forces reach the board."""
     arm = Woody("woody-2015", 1, lambda _: (0.01, 0.0, 0.0))
     fd, end = ends()
     end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
@@ -148,8 +147,7 @@ def test_a_board_that_sends_continuously() -> None:
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
     """`arm` requests a new report, whatever was queued since opening; a board that no longer answers raises
-    DeviceTimeout.
-    """
+    DeviceTimeout."""
     with woody() as (device, arm, answering):
         servo = Servo(device)
         servo.read()
@@ -207,8 +205,7 @@ def test_wrist_buttons_and_mounting() -> None:
 
 def test_a_force_past_the_motors_is_limited() -> None:
     """Currents are scaled to the rig's maximum, which preserves the direction, and the write returns STALE. A force
-    that is not finite becomes zero.
-    """
+    that is not finite becomes zero."""
     with woody(current := "woodenhaptics-2015", intention=lambda _: (0.0, 0.0, 0.0)) as (device, arm, answering):
         assert rig_options(current).kinematics.current_max_a == 2.0
         servo = Servo(device)
@@ -263,8 +260,7 @@ def test_a_sleeping_device_is_woken() -> None:
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
     """After a pause longer than the time-out, a slow device does not time out: the old sample is repeated and forces
-    are withheld until a new report.
-    """
+    are withheld until a new report."""
     with woody(timeout_s=1.0) as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -306,8 +302,7 @@ def test_a_report_of_another_length_is_a_fault(size: int) -> None:
 
 def test_unplugging_is_a_loss() -> None:
     """Reads and writes of an unplugged device return LOST, `stop` and `close` raise nothing, and the zero is not
-    confirmed.
-    """
+    confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
@@ -343,8 +338,7 @@ def test_every_shutdown_ends_with_zero() -> None:
 
 def test_the_last_report_ends_the_force() -> None:
     """`last_word` is the node with a report that ends the arm's force, for another process to write; without a node it
-    is None.
-    """
+    is None."""
     with woody() as (device, arm, answering):
         assert device.last_word() is None
         device._node = "/dev/hidraw7"
@@ -570,8 +564,7 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
 
 def test_a_pantograph_on_hid() -> None:
     """Reports of joint angles and torques: the position is the intersection of two circles, only the force in the plane
-    is displayed, and the device has two degrees of freedom.
-    """
+    is displayed, and the device has two degrees of freedom."""
     base, inner, outer = LINKS
     fields = {"input": ("a", "b"), "output": ("torque_a", "torque_b")}
     reports = {

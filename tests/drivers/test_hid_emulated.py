@@ -195,8 +195,7 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
 )
 def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_path: Path) -> None:
     """With the descriptors of real boards, the arm's interface of several with one serial number is opened, the rest
-    get no report, and forces reach the arm.
-    """
+    get no report, and forces reach the arm."""
     bus, through = WAYS[way]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
@@ -250,8 +249,7 @@ for name in sys.argv[1:]:
 
 def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
     """If hidraw lists a node that does not exist, as in a container with only the bus, the bus is used unless the rig
-    requires the node.
-    """
+    requires the node."""
     tries: list[tuple[dict[str, object], str]] = [
         ({}, "opened"),
         ({"through": "thread", "serial": "SN42"}, "opened"),
