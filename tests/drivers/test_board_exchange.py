@@ -270,7 +270,8 @@ def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
 
 @pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
-    """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used at once."""
+    """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used at
+    once."""
     board.heard()
     board.now += ns
     board.comes = [1, 0, 1]

@@ -109,7 +109,8 @@ def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
 
 
 def test_unreadable_tables_give_no_devices(root: Path) -> None:
-    """If tables or the folder of a driver's file are not readable, the result is empty or a diagnosis, not a traceback."""
+    """If tables or the folder of a driver's file are not readable, the result is empty or a diagnosis, not a
+    traceback."""
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
     hidden = root / "hidden"
     hidden.mkdir()

@@ -146,7 +146,8 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 
 
 def test_homing(tmp_path: Path) -> None:
-    """A Falcon without homing is used only after the knob was pulled out and pushed in; then its positions are correct."""
+    """A Falcon without homing is used only after the knob was pulled out and pushed in; then its positions are
+    correct."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
     done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr

@@ -568,7 +568,8 @@ def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
 
 
 def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
-    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; after `timeout_s` it returns TIMEOUT."""
+    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; after `timeout_s` it returns
+    TIMEOUT."""
     usb.read(reply(1))
     usb.write(*PULL)
     usb.word[AT.stale_replies] = 1

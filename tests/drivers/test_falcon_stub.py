@@ -306,7 +306,8 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
 
 
 def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture) -> None:
-    """If the zero of a stop is not transmitted, a message is logged; closing cancels the packet, so it never arrives."""
+    """If the zero of a stop is not transmitted, a message is logged; closing cancels the packet, so it never
+    arrives."""
     device = bench.open(timeout_s=0.05, kick_s=0.02)
     servo = Servo(device)
     servo.read()

@@ -102,7 +102,8 @@ def test_causes_and_status_words_are_those_of_the_header() -> None:
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
 def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Each system type opens under its name, with its limits; three axes are actuated, or six if the wrist has motors."""
+    """Each system type opens under its name, with its limits; three axes are actuated, or six if the wrist has
+    motors."""
     name = MODELS[kind].name
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)
@@ -600,7 +601,8 @@ def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBen
 
 @entry
 def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, times: int) -> None:
-    """Read and write `times`; count read statuses except OK and STALE, and orientations that are neither NaN nor unit."""
+    """Read and write `times`; count read statuses except OK and STALE, and orientations that are neither NaN nor
+    unit."""
     for _ in range(times):
         status = call_device(read, handle, sample)
         if status != 0 and status != 1:

@@ -112,7 +112,8 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
 
 
 def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
-    """The position is in the world frame and the orientation is the identity; without a gripper its angle is not read."""
+    """The position is in the world frame and the orientation is the identity; without a gripper its angle is not
+    read."""
     library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
     library.rotation = turned(2, 0.3)
     status, sample = library.read()

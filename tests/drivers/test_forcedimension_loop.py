@@ -89,7 +89,8 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
 ) -> None:
-    """The daemon raises the error of each fault with its cause, the motors have no force, and the device opens again."""
+    """The daemon raises the error of each fault with its cause, the motors have no force, and the device opens
+    again."""
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
     if "watchdog" in words:

@@ -26,7 +26,8 @@ MAX = 262_144
 
 
 def frame(opcode: int, payload: bytes = b"", fin: bool = True, bits: int = 0, claims: int | None = None) -> bytes:
-    """Return a frame as a server sends it (RFC 6455, 5.2); `bits` are the reserved bits, `claims` the announced length."""
+    """Return a frame as a server sends it (RFC 6455, 5.2); `bits` are the reserved bits, `claims` the announced
+    length."""
     size = len(payload) if claims is None else claims
     if size < 126:
         length = bytes([size])

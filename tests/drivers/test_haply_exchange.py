@@ -74,7 +74,8 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Device:
 
 
 def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
-    """The pose is in the world frame, time counts from opening and there is no gripper. A state is OK once, then STALE."""
+    """The pose is in the world frame, time counts from opening and there is no gripper. A state is OK once, then
+    STALE."""
     device.clock.now += 5 * MS
     device.state(0.25, 0.5, -0.125, 3.0)
     device.clock.now += 1 * MS

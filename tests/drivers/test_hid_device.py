@@ -241,7 +241,8 @@ def test_silence_is_kicked_and_then_given_up() -> None:
 
 
 def test_a_sleeping_device_is_woken() -> None:
-    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded for a new one."""
+    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded for a new
+    one."""
     with woody() as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
