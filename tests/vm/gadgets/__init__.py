@@ -1,1 +1,2 @@
-"""Devices of the guest: the emulated mechanisms behind its kernel's own USB and HID. Python's library alone."""
+"""Devices of the guest: emulated mechanisms behind its kernel's USB and HID. They need only Python's standard
+library."""
