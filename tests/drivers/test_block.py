@@ -75,8 +75,7 @@ def test_every_field_has_a_description() -> None:
 
 
 def test_kernels_and_python_address_the_same_data() -> None:
-    """Python reads by name the values that a kernel wrote by name, and `counts` lists counters in order of
-    declaration."""
+    """Kernels and Python access the same fields by name, and `counts` lists counters in order of declaration."""
     block = Block(FRONT, AT)
     block.set_address(AT.table, np.array([0.5, 0.25]))
     gc.collect()  # only the block references the table now

@@ -270,8 +270,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
 
 @pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
-    """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used at
-    once."""
+    """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used."""
     board.heard()
     board.now += ns
     board.comes = [1, 0, 1]
@@ -345,8 +344,7 @@ def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: i
 
 
 def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
-    """The first wake follows a silence longer than QUIET if the last wake is at least KICK ago; further wakes follow
-    every KICK."""
+    """Wakes start after a silence longer than QUIET and are at least KICK apart."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
@@ -382,8 +380,7 @@ def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None
 
 
 def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
-    """If the wake cleared a force, the read returns WITHHELD once, with or without a sample, so that the force fades
-    in."""
+    """If the wake cleared a force, the read returns WITHHELD once, so that the force fades in."""
     board.heard()
     assert board.write(FORCE) == OK
     board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
@@ -399,8 +396,7 @@ def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
 
 @pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
 def test_a_force_is_sent_and_the_driver_status_returned(status: int, board: Board) -> None:
-    """The force is passed unchanged to a board whose last sample is at most QUIET old, and the driver's status is
-    returned."""
+    """A force is sent unchanged if the last sample is at most QUIET old, and the driver's status is returned."""
     board.heard()
     board.later(QUIET)
     board.force = status
@@ -464,8 +460,7 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
 
 @pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
 def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
-    """`silence` succeeds once the zero is sent completely or the device is lost; otherwise it has to be repeated. It
-    disarms the device."""
+    """`silence` succeeds once the zero is sent completely or the device is lost. It always disarms the device."""
     board.heard()
     board.zero, board.word[BOARD.unsent_bytes] = status, left
     assert board.silence() == done and board.done == ["zero"]

@@ -60,8 +60,7 @@ def plug_hid(root: Path, number: int, ids: str, name: str = "Puck") -> str:
 
 
 def plug_serial(root: Path, name: str, vendor: str, number: str, serial: str = "", product: str = "Teensy") -> str:
-    """Add a USB serial port as the kernel lists it, and return its name in the table. A converter (ttyUSB) has an extra
-    folder inside that of its interface."""
+    """Add a USB serial port as the kernel lists it (converters, ttyUSB, in an extra folder); return its name."""
     device = root / "sys/devices/usb1" / f"1-{name}"
     port = device / "1-1:1.0" / (name if name.startswith("ttyUSB") else "")
     port.mkdir(parents=True)
@@ -77,8 +76,7 @@ def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: disco
 
 
 def test_tables_are_read(root: Path) -> None:
-    """Devices are listed with ids, name, serial number and node; hubs, interfaces, duplicates and damaged entries are
-    not."""
+    """Devices have ids, name, serial number and node; hubs, interfaces, duplicates and damaged entries are left out."""
     plug_usb(root, "usb1", "1d6b", "0002", bDeviceClass="09")
     plug_usb(root, "1-1", "2109", "2813", bDeviceClass="09")
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00", product="omega.x haptic device", serial="0042")
@@ -109,8 +107,7 @@ def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
 
 
 def test_unreadable_tables_give_no_devices(root: Path) -> None:
-    """If tables or the folder of a driver's file are not readable, the result is empty or a diagnosis, not a
-    traceback."""
+    """If the tables or a driver's file are not readable, the result is empty or a diagnosis, not a traceback."""
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
     hidden = root / "hidden"
     hidden.mkdir()
@@ -186,8 +183,7 @@ def test_missing_nodes_are_diagnosed(root: Path) -> None:
 
 
 def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
-    """A generic Teensy port needs the rig to name it. Haply's boards are claimed by the haply driver, which needs the
-    maker's service."""
+    """The rig has to name a generic Teensy's port. The haply driver claims Haply's boards and needs the service."""
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")

@@ -105,8 +105,7 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
 
 
 def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`registry.add` registers a module as a driver for this process, and rejects modules that are no driver and names
-    in use."""
+    """`registry.add` registers a module for this process, and rejects modules that are no driver and names in use."""
     monkeypatch.setattr(registry, "_registered", {})
     replay = registry.load("replay")
     registry.add("mine", replay)
@@ -131,8 +130,7 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
 
 @pytest.mark.exhaustive
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
-    """With the package installed its rig passes `check` and runs, and a wrong option is named. Without it the driver is
-    unknown."""
+    """With the package its rig passes `check` and runs, and a wrong option is named; without it `check` fails."""
     rig = str(OUTSIDE / "lissajous.toml")
 
     def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:

@@ -64,8 +64,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 
 def test_rows_contain_every_sample_in_order() -> None:
-    """Each row has the next pose of the recording; device time advances by one period; all durations are positive and
-    ticks do not overlap."""
+    """Rows have successive poses of the recording, device time advances by one period, and ticks do not overlap."""
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)

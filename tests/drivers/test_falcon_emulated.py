@@ -146,8 +146,7 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 
 
 def test_homing(tmp_path: Path) -> None:
-    """A Falcon without homing is used only after the knob was pulled out and pushed in; then its positions are
-    correct."""
+    """A Falcon without homing is used only after the knob was pulled out and pushed in; then positions are correct."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
     done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr
@@ -209,8 +208,8 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
 
 
 def test_devices_reports_running_firmware() -> None:
-    """`devices` reports that the Falcon needs firmware without touching it; with `--ask` the device reports that
-    firmware runs."""
+    """`devices` reports missing firmware without touching the device; with `--ask` the device reports running
+    firmware."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         done, saw = beside({}, *words, *more)

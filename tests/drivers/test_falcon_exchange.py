@@ -218,8 +218,7 @@ def test_the_first_read_times_out(opened: Usb) -> None:
 
 
 def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
-    """After a pause, queued replies and replies to earlier packets are discarded. The read sends a zero and returns
-    WITHHELD."""
+    """After a pause, replies to earlier packets are discarded; the read sends a zero and returns WITHHELD."""
     assert usb.write(*PULL) == OK
     assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
@@ -254,8 +253,8 @@ def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
-    """After a pause the read waits 0.1 s for an answer, then repeats the old sample and withholds forces. The silence
-    is measured from that read on."""
+    """After a pause the read waits 0.1 s, then repeats the old sample; forces are withheld. The silence restarts
+    there."""
     before = usb.read(reply(5))[1].tolist()
     usb.got()
     usb.clock.now += 3 * TIMEOUT_NS
@@ -306,8 +305,7 @@ def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
 
 
 def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
-    """A reply gives OK without waiting, then the sample is repeated with STALE. A reply in pieces counts once it is
-    complete."""
+    """A reply gives OK without waiting, then STALE repeats. A reply in pieces counts once it is complete."""
     status, first = usb.read(reply(5))
     assert status == OK
     assert set(usb.waits) == {0}
@@ -320,8 +318,7 @@ def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
 
 
 def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
-    """The last of several replies is used and the earlier ones are counted as `passed`. The chip's two status bytes are
-    skipped."""
+    """The last of several replies is used, earlier ones are counted as `passed`, and status bytes are skipped."""
     assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK
     assert usb.word[AT.counts] == 3
     assert usb.counts() == {"replies": 3, "passed": 2}
@@ -438,8 +435,7 @@ def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
 
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A single count at any motor marks the device as pushing, and the zero that ends it is sent even if packets are
-    unanswered."""
+    """A single count at any motor is a force, and the zero that ends it is sent even if packets are unanswered."""
     counts = [0, 0, 0]
     counts[leg] = 1
     monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
@@ -459,8 +455,7 @@ def test_a_force_past_the_motors_is_limited(usb: Usb) -> None:
 
 
 def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
-    """The third force in flight is held back, but one zero is sent; a second zero is skipped. Answers allow new
-    packets."""
+    """The third force in flight is held back, but one zero is sent. Answers allow new packets."""
     assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD]
     assert usb.write(*ZERO) == OK
     assert usb.write(*ZERO) == STALE
@@ -568,8 +563,7 @@ def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
 
 
 def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
-    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; after `timeout_s` it returns
-    TIMEOUT."""
+    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; `timeout_s` gives TIMEOUT."""
     usb.read(reply(1))
     usb.write(*PULL)
     usb.word[AT.stale_replies] = 1
@@ -637,8 +631,7 @@ def stop(usb: Usb) -> int:
 
 
 def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
-    """The stop waits until the pending force is transmitted, sends a zero and disarms the device. It sends no second
-    zero, and none to a closed device."""
+    """The stop waits for the pending force, sends one zero and disarms the device; a closed device gets none."""
     usb.write(*PULL)
     usb.got()
     assert stop(usb) == 0

@@ -139,8 +139,8 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
 
 @pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
 def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
-    """With all replies one tick late every tick but the first has one. With two ticks, packets are held back instead of
-    queued, so some ticks have none."""
+    """If all replies are one tick late, every tick but the first has one; if two, packets are held back and ticks go
+    without."""
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
@@ -150,8 +150,7 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
 
 
 def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
-    """Each 50th reply is lost. The first of two costs one tick; the second leaves two packets unanswered, which count
-    as lost after 5 ms."""
+    """Of two lost replies the first costs one tick; the second leaves two packets unanswered for 5 ms."""
     with bench.open() as device:
         stub.update(lose_every=50)
         ended, records = run(device, 1000)
@@ -162,8 +161,7 @@ def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
 
 @pytest.mark.parametrize("piece", [1, 2, 5, 16])
 def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> None:
-    """Replies split over short transfers are assembled; a reply with more transfers than a tick handles is completed in
-    the next tick."""
+    """Replies split over short transfers are assembled, if necessary in the next tick."""
     with bench.open() as device:
         stub.update(piece=piece)
         servo = Servo(device)
@@ -218,8 +216,8 @@ def test_faults_leave_no_transfer_pending(
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause longer than the time-out, a slow device does not fail: the old sample is repeated and forces are
-    withheld until a new reply."""
+    """After a pause, a slow device does not time out: the old sample is repeated and forces are withheld until a
+    reply."""
     with bench.open(timeout_s=1.0, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -236,8 +234,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: F
 
 
 def test_a_pause_that_sends_a_zero_is_reported(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause the read requests a reply with a zero. It returns WITHHELD even if the reply is immediate, so that
-    the force fades in."""
+    """After a pause the read sends a zero and returns WITHHELD even if the reply is immediate: the force fades in."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -306,8 +303,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
 
 
 def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture) -> None:
-    """If the zero of a stop is not transmitted, a message is logged; closing cancels the packet, so it never
-    arrives."""
+    """If the zero of a stop is not transmitted, a message is logged; closing cancels the pending packet."""
     device = bench.open(timeout_s=0.05, kick_s=0.02)
     servo = Servo(device)
     servo.read()
@@ -339,8 +335,7 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
 
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
-    """While one thread handles events for 0.1 s, a stop by another waits for it and sends the zero: never two threads
-    in libusb."""
+    """While one thread handles events for 0.1 s, a stop waits for it, then sends the zero: never two in libusb."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -359,8 +354,7 @@ def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBen
 def test_closing_under_a_loop_that_hangs_in_libusb(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If libusb does not return to the loop, `close` logs that the device remains open; it succeeds after libusb has
-    returned."""
+    """If libusb does not return to the loop, `close` logs that the device remains open; later it succeeds."""
     device = bench.open()
     servo = Servo(device)
     servo.read()
@@ -395,8 +389,7 @@ def test_a_failed_opening_frees_everything(
 
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
-    """A new device gets the firmware again after a wrong echo; after homing by hand the sensed position equals the
-    knob's."""
+    """Firmware is sent again after a wrong echo; after homing by hand the sensed position equals the knob's."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(bytes(range(250)) * 6)
     stub.update(firmware=1500, spoil=1, homed=0)
@@ -491,8 +484,7 @@ FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/0
 
 
 def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
-    """With `--ask` the device reports if its firmware runs, in JSON and text; a Falcon with running firmware needs no
-    file."""
+    """With `--ask` the device reports if its firmware runs, in JSON and text, and then needs no file."""
     claim = find_claim(FALCON)
     assert claim is not None
     diagnosis, said = devices.identify_device(FALCON, claim)

@@ -25,8 +25,7 @@ PULL_N = 4.0
 SLEW_N = 0.2
 """Slew limit of the guard per tick, small enough that several ticks in one step show."""
 STEP_N = 2 * 0.01
-"""Half a motor count at each leg is 4 mN at the knob, which moves for a millisecond before the exchange; at both
-ends."""
+"""Half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange; at both ends."""
 RAMP_S = 0.2
 LOGGED = 8192
 
@@ -85,8 +84,7 @@ def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
 
 @pytest.mark.parametrize("late", [2, 4])
 def test_a_force_that_waits_is_no_wider_step(late: int, stub: UsbStub) -> None:
-    """If forces are held back because replies are late, the next force is within the slew limit of the last one
-    sent."""
+    """If late replies hold forces back, the next force is within the slew limit of the last one sent."""
     with running(stub, 0.01, late=late):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         forces = pull(stub)

@@ -92,8 +92,7 @@ def test_models_are_those_of_the_header() -> None:
 
 
 def test_causes_and_status_words_are_those_of_the_header() -> None:
-    """Force, error and cause are words 5, 9 and 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead
-    man."""
+    """Force, error, cause are words 5, 9, 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead man."""
     assert (exchange.STATUS_FORCE, exchange.STATUS_ERROR, exchange.STATUS_CAUSE) == (5, 9, 14)
     words = ("button", "velocity", "watchdog", "library", "USB", "dead-man")
     assert len(library.FORCE_OFF_CAUSES) == 6
@@ -102,8 +101,8 @@ def test_causes_and_status_words_are_those_of_the_header() -> None:
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
 def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Each system type opens under its name, with its limits; three axes are actuated, or six if the wrist has
-    motors."""
+    """Each system type opens under its name with its limits; six axes are actuated if the wrist has motors, else
+    three."""
     name = MODELS[kind].name
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)
@@ -167,8 +166,7 @@ def test_brakes_that_cannot_be_released_are_logged(
 
 
 def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBench) -> None:
-    """Opening enables neither force nor watchdog; `arm` enables both, however long after opening. Before, reads work
-    and forces are withheld."""
+    """`arm`, not opening, enables force and watchdog. Before, reads work and forces are withheld."""
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
         servo = Servo(device, arm=False)
@@ -204,8 +202,7 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
 
 
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
-    """If the library hangs while it enables the force, `stop` returns, and the arming thread disables the force as soon
-    as the library returns."""
+    """If the library hangs during arming, `stop` returns, and the arming thread then disables the force."""
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
         arming = threading.Thread(target=device.arm)
@@ -220,8 +217,7 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
 
 @pytest.mark.parametrize("code", [2, 6, 7])
 def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) -> None:
-    """If the firmware rejects the watchdog, opening fails with instructions and the device is closed outside expert
-    mode; with `watchdog_s = 0` it opens."""
+    """If the firmware rejects the watchdog, opening fails and closes the device; with `watchdog_s = 0` it opens."""
     stub["refuse_watchdog"] = code
     with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
         bench.open(watchdog_s=0.03)
@@ -259,8 +255,7 @@ def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench)
 def test_a_device_of_unknown_type_has_the_lowest_limits(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An unknown type opens with a warning and with lower limits than any known device, and gets no torque; a rig for a
-    certain model rejects it."""
+    """An unknown type opens with a warning, the lowest limits and no torque; a rig for a certain model rejects it."""
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"
@@ -278,8 +273,7 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
 
 
 def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench: StubBench) -> None:
-    """Without `calibrate` an uncalibrated device is closed unmoved, and the error warns about the motion of
-    calibration."""
+    """Without `calibrate` an uncalibrated device is closed unmoved; the error warns that calibration moves it."""
     stub["initialized"] = 0
     with pytest.raises(DeviceError, match=r"not calibrated.*calibrate = true.*MOVES"):
         bench.open()
@@ -362,8 +356,7 @@ def test_options_outside_their_range_are_refused_by_name() -> None:
 
 
 def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None:
-    """The error lists the searched paths, the unset variables and the source of the library, and also the attached
-    devices."""
+    """The error lists searched paths, unset variables, the source of the library, and the attached devices."""
     environ = {"FDSDK": str(tmp_path / "sdk"), "HOME": str(tmp_path)}
     with pytest.raises(DeviceNotFound) as caught:
         library.load(None, environ)
@@ -389,8 +382,7 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
 def test_the_library_is_found_in_the_folders_of_the_sdk(variable: str, stub_library: Path, tmp_path: Path) -> None:
-    """The library is found in the SDK's folder through either variable and in ~/.local/lib; of two versions the newer
-    is loaded."""
+    """The library is found through both variables and in ~/.local/lib; of two versions the newer is loaded."""
     folder = tmp_path / (".local/lib" if variable == "HOME" else f"lib/release/lin-{os.uname().machine}-gcc")
     folder.mkdir(parents=True)
     (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
@@ -421,8 +413,7 @@ def test_unusable_library_is_named(tmp_path: Path) -> None:
 
 
 def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
-    """Result and parameter types of each function are declared: by default ctypes would truncate a double and reject a
-    char."""
+    """All result and parameter types are declared: by default ctypes would truncate a double and reject a char."""
     loaded = library.load(str(stub_library))
     for name, (result, parameters) in library.PROTOTYPES.items():
         function = getattr(loaded, name)
@@ -435,8 +426,7 @@ def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
 
 
 def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
-    """If the USB node is not writable, the error contains the command. If it is writable, the library does not see the
-    device."""
+    """A USB node without permission gives the command; otherwise the library does not see the device."""
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
@@ -482,8 +472,7 @@ def matrix_of(q: Any) -> np.ndarray:
 
 
 def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
-    """Towards the user is -y, right is x, up is z: position, orientation, force and torque equal a computation by
-    matrices."""
+    """Towards the user is -y, right is x, up is z: poses and wrenches equal a computation by matrices."""
     assert np.linalg.det(TURN) == 1.0
     stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     for axis in range(3):
@@ -601,8 +590,7 @@ def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBen
 
 @entry
 def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, times: int) -> None:
-    """Read and write `times`; count read statuses except OK and STALE, and orientations that are neither NaN nor
-    unit."""
+    """Read and write `times`; count statuses except OK and STALE, and orientations neither NaN nor unit."""
     for _ in range(times):
         status = call_device(read, handle, sample)
         if status != 0 and status != 1:
@@ -621,8 +609,7 @@ def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any,
 
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int, int], int]) -> None:
-    """For any bits from the library, reads return OK or STALE, orientations are NaN or of unit length, and forces are
-    finite and within the device's limit."""
+    """For any bits from the library, reads are OK or STALE, orientations NaN or unit, and forces within the limit."""
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)

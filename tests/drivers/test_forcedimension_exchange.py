@@ -95,8 +95,7 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
 
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
-    """Position and rotation are in the world frame; the sample also has 32 buttons, the gripper's angle and the time
-    since opening."""
+    """Position and rotation are in the world frame; the sample has 32 buttons, the gripper's angle and the time."""
     library.rotation = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1)
     library.gives["get_buttons"] = -2  # an int32 of a mask
     status, sample = library.read()
@@ -112,8 +111,7 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
 
 
 def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
-    """The position is in the world frame and the orientation is the identity; without a gripper its angle is not
-    read."""
+    """The position is in the world frame, the orientation is the identity; without a gripper no angle is read."""
     library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
     library.rotation = turned(2, 0.3)
     status, sample = library.read()
@@ -162,8 +160,7 @@ def test_a_repeated_reading_is_stale(library: Library) -> None:
 
 
 def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
-    """While another thread has the lock, the last sample is repeated and forces are withheld, without calling the
-    library."""
+    """While another thread has the lock, samples repeat and forces are withheld, without calling the library."""
     _, before = library.read()
     library.place += 1.0
     library.word[AT.lock] = 1

@@ -89,8 +89,7 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
 ) -> None:
-    """The daemon raises the error of each fault with its cause, the motors have no force, and the device opens
-    again."""
+    """The daemon raises the error of each fault with its cause, motors have no force, and the device opens again."""
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
     if "watchdog" in words:
@@ -107,8 +106,7 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 
 def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -> bool:
-    """Run 300 ticks with the default watchdog after `late`; return True if they finish, False if the watchdog ends
-    them."""
+    """Run 300 ticks with the default watchdog after `late`; return False if the watchdog ends them."""
     stub.reset()
     stub.update(**PRESSING)
     options = build(forcedimension.Options, {"library_file": str(stub.path)}, "[device]")
@@ -137,8 +135,7 @@ def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
 
 
 def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_path: Path) -> None:
-    """`softfinger run` with real-time settings and publisher finishes with the default watchdog in one of five runs, as
-    above."""
+    """`softfinger run` with real-time settings and publisher finishes in one of five runs, as above."""
     rig = tmp_path / "rig.toml"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n'
@@ -228,8 +225,7 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
-    """A signal to the daemon in contact ends it with exit code 0; the device was zeroed, disabled and closed, with
-    expert mode off."""
+    """A signal in contact ends the daemon with code 0; the device was zeroed, disabled and closed."""
     rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'

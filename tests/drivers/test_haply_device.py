@@ -177,8 +177,7 @@ def test_a_wired_grip_has_one_button() -> None:
 
 
 def test_a_force_past_the_largest_is_limited(service: Service) -> None:
-    """A force beyond the rig's maximum is scaled to it and the write returns STALE; a force that is not finite becomes
-    zero."""
+    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
     with opened(service, force_max_n=2.0) as device:
         servo = Servo(device)
         fresh(servo)
@@ -241,8 +240,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     ids=["old", "next", "no number", "a list", "nothing", "deep"],
 )  # fmt: skip
 def test_a_service_of_another_version_is_rejected(page: str, told: str, service: Service) -> None:
-    """A version outside of 3.1 to 3.x, or none, is rejected with instructions; the rig can set it if the service
-    reports none."""
+    """A version outside of 3.1 to 3.x, or none, is rejected; the rig can set it if the service reports none."""
     service.set(pages={"/version": page})
     with pytest.raises(DeviceError, match=told):
         opened(service)
@@ -250,8 +248,7 @@ def test_a_service_of_another_version_is_rejected(page: str, told: str, service:
 
 
 def test_the_error_lists_available_devices() -> None:
-    """If several devices or grips are listed, or none of that name, the error lists those available; a name selects
-    one."""
+    """Without a unique match the error lists the available devices or grips; a name selects one."""
     with Service(
         devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
     ) as two:
@@ -274,8 +271,7 @@ def test_the_error_lists_available_devices() -> None:
 
 
 def test_the_error_without_a_service_names_the_one_to_start() -> None:
-    """Without a service on the port the error names the service to start; port 10000 is rejected, because it has an
-    unsupported format."""
+    """Without a service the error names the one to start; port 10000 is rejected for its unsupported format."""
     with Service() as ended:
         port = ended.port
     with pytest.raises(
@@ -352,8 +348,7 @@ def test_another_kind_of_device_is_refused() -> None:
 
 
 def test_filters_of_an_older_service() -> None:
-    """A service before 3.5 has separate pages for gravity compensation and torque scaling; settings it lacks are an
-    error."""
+    """A service before 3.5 has separate pages for two of the filters; settings it lacks are an error."""
     with Service("3.3.0") as old:
         opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
         found = old.do("settings", id=ID)
@@ -532,8 +527,7 @@ BAD: dict[str, tuple[Any, int, str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
-    """A malformed message ends the exchange with its status, a short reason and zero force; the device opens again
-    later."""
+    """A malformed message ends the exchange with its status, a short reason and zero force; the device opens again."""
     text, wanted, told = BAD[case]
     with opened(service) as device:
         servo = Servo(device)
@@ -655,8 +649,7 @@ def test_the_service_of_a_rig_is_queried_without_usb(
 
 
 def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
-    """Python's switch interval is short from the opening of the first device to the closing of the last, in any order,
-    and is then restored."""
+    """Python's switch interval is short from the first opening to the last closing, and then restored."""
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)

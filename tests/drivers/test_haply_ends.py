@@ -26,8 +26,7 @@ MAX = 262_144
 
 
 def frame(opcode: int, payload: bytes = b"", fin: bool = True, bits: int = 0, claims: int | None = None) -> bytes:
-    """Return a frame as a server sends it (RFC 6455, 5.2); `bits` are the reserved bits, `claims` the announced
-    length."""
+    """Return a frame of a server (RFC 6455, 5.2); `bits` are the reserved bits, `claims` the announced length."""
     size = len(payload) if claims is None else claims
     if size < 126:
         length = bytes([size])
@@ -125,8 +124,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
 
 @pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
 def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
-    """After any end by the service, the last force it received for each device is zero before any `stop`, and the zero
-    is confirmed."""
+    """After any end by the service, each device's last force is zero before any `stop`, and it is confirmed."""
     raw = (BREACHES | GOODBYES)[case]
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
@@ -206,8 +204,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
 
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
     """Unexpected states look like answers, but the send queue of the connection grows: forces are withheld with a
-    warning until the unexpected states end the exchange. At most the messages in the service's receive buffer are still
-    read."""
+    warning until the states end the exchange. At most the messages in the service's receive buffer are still read."""
     room = 2048
     with Service(room=room) as service, opened(service) as device:
         servo = Servo(device)

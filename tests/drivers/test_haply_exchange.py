@@ -74,8 +74,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Device:
 
 
 def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
-    """The pose is in the world frame, time counts from opening and there is no gripper. A state is OK once, then
-    STALE."""
+    """The pose is in the world frame, time counts from opening, no gripper. A state is OK once, then STALE."""
     device.clock.now += 5 * MS
     device.state(0.25, 0.5, -0.125, 3.0)
     device.clock.now += 1 * MS
@@ -98,8 +97,7 @@ def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
 
 
 def test_silence_ends_forces_then_the_run(device: Device) -> None:
-    """After more than `quiet_s` without a state forces are withheld; after more than `timeout_s` the read returns
-    TIMEOUT."""
+    """A silence longer than `quiet_s` withholds forces; one longer than `timeout_s` gives TIMEOUT."""
     device.clock.now += QUIET
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -175,8 +173,7 @@ def test_a_force_dropped_by_the_thread_is_reported_once(device: Device) -> None:
 
 
 def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
-    """The force is stored in the service's frame with time and number and wakes the thread; beyond the maximum it is
-    scaled and the write returns STALE."""
+    """The force is stored in the service's frame and wakes the thread; beyond the maximum it is scaled."""
     before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
@@ -216,8 +213,7 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
 
 
 def test_withheld_forces(device: Device) -> None:
-    """Forces are withheld from a device that is not armed, closed or being stopped; the zero of a stop is not
-    overwritten."""
+    """Forces are withheld unless armed, open and not being stopped; the zero of a stop is not overwritten."""
     device.word[AT.armed] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert device.given()[:3] == [0.0, 0.0, 0.0]
@@ -236,8 +232,7 @@ def test_withheld_forces(device: Device) -> None:
 
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
-    """While a force waits to be sent, the next is HELD, so that no accepted force is skipped; a zero, or a force that
-    becomes one, replaces it."""
+    """While a force waits to be sent, the next is HELD; a zero, or a force that becomes one, replaces it."""
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
     first = device.given()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]

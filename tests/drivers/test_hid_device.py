@@ -106,8 +106,7 @@ class TestContract(driver_contract.DriverContract):
 
 
 def test_a_board_that_sends_continuously() -> None:
-    """The firmware of woody-experimental sends a report in each USB frame: after a second without reads, the sample is
-    current, and forces reach the board."""
+    """Firmware of woody-experimental reports in each USB frame: after a second without reads the sample is current."""
     arm = Woody("woody-2015", 1, lambda _: (0.01, 0.0, 0.0))
     fd, end = ends()
     end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
@@ -146,8 +145,7 @@ def test_a_board_that_sends_continuously() -> None:
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
-    """`arm` requests a new report, whatever was queued since opening; a board that no longer answers raises
-    DeviceTimeout."""
+    """`arm` requests a new report, whatever is queued; a board that no longer answers raises DeviceTimeout."""
     with woody() as (device, arm, answering):
         servo = Servo(device)
         servo.read()
@@ -204,8 +202,7 @@ def test_wrist_buttons_and_mounting() -> None:
 
 
 def test_a_force_past_the_motors_is_limited() -> None:
-    """Currents are scaled to the rig's maximum, which preserves the direction, and the write returns STALE. A force
-    that is not finite becomes zero."""
+    """Currents are scaled to the rig's maximum and the write returns STALE; a force that is not finite becomes zero."""
     with woody(current := "woodenhaptics-2015", intention=lambda _: (0.0, 0.0, 0.0)) as (device, arm, answering):
         assert rig_options(current).kinematics.current_max_a == 2.0
         servo = Servo(device)
@@ -241,8 +238,7 @@ def test_silence_is_kicked_and_then_given_up() -> None:
 
 
 def test_a_sleeping_device_is_woken() -> None:
-    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded for a new
-    one."""
+    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded."""
     with woody() as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -260,8 +256,8 @@ def test_a_sleeping_device_is_woken() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause longer than the time-out, a slow device does not time out: the old sample is repeated and forces
-    are withheld until a new report."""
+    """After a pause, a slow device does not time out: the old sample is repeated and forces are withheld until a
+    report."""
     with woody(timeout_s=1.0) as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -302,8 +298,7 @@ def test_a_report_of_another_length_is_a_fault(size: int) -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of an unplugged device return LOST, `stop` and `close` raise nothing, and the zero is not
-    confirmed."""
+    """An unplugged device gives LOST, `stop` and `close` raise nothing, and the zero is not confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
@@ -338,8 +333,7 @@ def test_every_shutdown_ends_with_zero() -> None:
 
 
 def test_the_last_report_ends_the_force() -> None:
-    """`last_word` is the node with a report that ends the arm's force, for another process to write; without a node it
-    is None."""
+    """`last_word` is the node and a report that ends the arm's force, for another process; without a node None."""
     with woody() as (device, arm, answering):
         assert device.last_word() is None
         device._node = "/dev/hidraw7"

@@ -248,8 +248,7 @@ for name in sys.argv[1:]:
 
 
 def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
-    """If hidraw lists a node that does not exist, as in a container with only the bus, the bus is used unless the rig
-    requires the node."""
+    """If a listed node does not exist, as in a container, the bus is used unless the rig requires the node."""
     tries: list[tuple[dict[str, object], str]] = [
         ({}, "opened"),
         ({"through": "thread", "serial": "SN42"}, "opened"),

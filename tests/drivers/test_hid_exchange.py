@@ -108,8 +108,7 @@ def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
 
 
 def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
-    """The last of several reports is used, earlier ones are counted as drained and other kinds as foreign. The next
-    tick has none."""
+    """The last of several reports is used, earlier ones are counted as drained, other kinds as foreign."""
     comes = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
     status, sample = board.read(comes[0], b"\x07not ours, and longer than ours is", comes[1], comes[2])
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
@@ -166,8 +165,7 @@ def test_reports_without_an_id_start_with_their_data(monkeypatch: pytest.MonkeyP
 
 
 def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
-    """Forces are in mN in the device's frame; beyond the maximum they are scaled and the write returns STALE; a zero is
-    a report of zeros."""
+    """Forces are in mN in the device's frame; beyond the maximum they are scaled and the write returns STALE."""
     assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert board.word[BOARD.has_force] == 1
     assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
@@ -267,8 +265,7 @@ def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
 
 
 def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the links of a pantograph in line the torque is zero; elsewhere torques are limited to the motors'. Counters
-    distinguish the two."""
+    """With the links of a pantograph in line the torque is zero; elsewhere it is limited, with another counter."""
     links = {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01}
     board = Board(monkeypatch, **mechanism(links, "ab"))
     assert board.read(struct.pack("<2f", np.pi, 0.0))[0] == OK

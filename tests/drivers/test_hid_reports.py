@@ -59,8 +59,7 @@ def test_woodenhaptics_v1_layout() -> None:
 
 
 def test_woodenhaptics_v2_layout() -> None:
-    """Fourteen of 64 bytes in, wrist encoders in reverse order, the button in the first of them; preset is command
-    1."""
+    """Fourteen of 64 bytes in, wrist encoders reversed, the button in the first of them; preset is command 1."""
     wire = rig_options("woodenhaptics-polhem-v1").reports
     usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(64, b"\xff"))
     assert usable
@@ -145,8 +144,7 @@ def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
 
 
 def test_descriptors_give_report_lengths() -> None:
-    """Handmade descriptors give the lengths of reports with and without ids; a truncated descriptor raises
-    ValueError."""
+    """Handmade descriptors give report lengths with and without ids; a truncated one raises ValueError."""
     raw = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
     assert parse_descriptor(raw) == ({0: 64}, {0: 64})
     # Two input reports (ids 1 and 2; 6 bytes, and 12 bits padded to 2 bytes) and no output report; a pushed size.

@@ -105,8 +105,7 @@ def test_reports_are_transferred_byte_for_byte() -> None:
 
 
 def test_one_force_is_queued_behind_another() -> None:
-    """During a slow write one more force is queued and further ones are HELD; zeros are queued behind a force at once,
-    but not behind another zero."""
+    """During a slow write one force is queued, further ones are HELD; a zero follows a force, but not another zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
@@ -123,8 +122,8 @@ def test_one_force_is_queued_behind_another() -> None:
 
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
-    """The device retains its force during a hanging write, and still sends reports. The loop, which commands zero, ends
-    with TIMEOUT before `timeout_s`."""
+    """A hanging write leaves the device its force; the loop, which commands zero, ends with TIMEOUT before
+    `timeout_s`."""
     with Linked(timeout_s=2.0) as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -203,8 +202,7 @@ def test_old_reports_fit_into_one_tick() -> None:
 
 
 def test_stop_returns_after_the_zero() -> None:
-    """When `stop` returns, the device has received the zero and gets no force after it, however slowly it accepts
-    reports."""
+    """When `stop` returns, a slow device has received the zero, and it gets no force afterwards."""
     for _ in range(10):
         with Linked() as linked:
             written: list[bytes] = []
@@ -289,8 +287,7 @@ def test_a_hanging_preset_raises_an_error() -> None:
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])
 def test_a_device_that_is_gone_is_a_loss(way: str) -> None:
-    """Unplugging or a failure in one direction gives LOST with hidapi's message; a device that still accepts reports
-    gets its zero."""
+    """Unplugging or a failure in one direction gives LOST; a device that accepts reports gets its zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -360,8 +357,7 @@ def test_silence_is_kicked_and_then_given_up() -> None:
 
 
 def test_random_reports_give_a_finite_pose_or_a_fault() -> None:
-    """3 000 random reports of random lengths and ids through the threads give a finite pose with a unit quaternion, or
-    a status below 0."""
+    """3 000 random reports through the threads give a finite pose with a unit quaternion, or a status below 0."""
     generator = np.random.default_rng(12)
     with Linked() as linked:
         linked.until(lambda status: status == OK)

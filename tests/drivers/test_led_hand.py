@@ -36,8 +36,7 @@ def read(servo: Servo, count: int) -> np.ndarray:
 
 
 def test_it_goes_where_it_is_asked_to_be_no_faster_than_a_hand_and_stays() -> None:
-    """The hand moves 40 mm and a quarter turn within both speed limits, arrives after some tenths of a second and
-    remains there."""
+    """The hand moves 40 mm and a quarter turn within both speed limits, arrives and remains there."""
     turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
@@ -88,8 +87,7 @@ def test_a_recording_ends_also_if_the_hand_is_led() -> None:
 
 
 def test_impossible_leads_raise_errors() -> None:
-    """An unreachable position, an orientation without a wrist, a zero quaternion and a device without a simulated hand
-    raise errors with the reason."""
+    """Unreachable positions, impossible orientations and a device without a simulated hand raise errors."""
     rig = load_rig("replay")
     with opened(position_m=AT) as device, opened(position_m=AT, preset="omega.3") as wristless:
         with pytest.raises(ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is out of reach of simulated omega.6"):

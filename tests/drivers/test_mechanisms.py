@@ -90,8 +90,7 @@ def along(of: Callable[[Any], np.ndarray], at: Any, way: Any, t: float) -> np.nd
 
 
 def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
-    """Return the derivative at 0 by central differences of the eighth order: error h^8 of the ninth derivative, and
-    rounding / h."""
+    """Return the derivative at 0 by central differences of order 8: error h^8 of the 9th derivative, rounding / h."""
     weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
     return sum(w * (of(k * h) - of(-k * h)) for k, w in enumerate(weights, 1)) / h
 
@@ -218,8 +217,7 @@ def test_aligned_links_give_no_force() -> None:
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    """Legs that cannot meet, or align with their rods, give a position of NaN and SINGULAR; angles of a possible pose
-    are solved again afterwards."""
+    """Legs that cannot meet, or align with their rods, give NaN and SINGULAR; a possible pose is found again."""
     given = GIVEN["delta"]
     assert isinstance(given, options.Delta)
     ask = Ask(given)
@@ -235,8 +233,7 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
 
 
 def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
-    """If three rods approach one plane, they cannot support the end across it: the torque is zero and marked as such
-    for determinants up to DET_MIN."""
+    """If the rods approach one plane, they cannot support the end: up to DET_MIN the torque is zero."""
     d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
     seen = set()
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows

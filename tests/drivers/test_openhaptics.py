@@ -127,8 +127,7 @@ def test_unknown_model_runs_with_the_least_limits(
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, hd: HdStub, bench: TouchBench) -> None:
-    """Positions (mm to m), orientations, forces and torques (N m to mN m) are converted between the library's frame and
-    the world, on a model with torques."""
+    """Positions (mm), orientations, forces and torques (mN m) are converted to the world frame and SI units."""
     place = np.array([11.0, 22.0, -33.0])
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
@@ -231,8 +230,7 @@ def test_calibration_in_the_inkwell_waits_for_the_user(
 
 
 def test_encoders_are_reset_only_if_the_rig_allows_it(hd: HdStub, bench: TouchBench) -> None:
-    """A reset of the encoders assumes that the handle is in its reset position, so without `reset_encoders` opening
-    fails."""
+    """Resetting encoders assumes the handle in its reset position, so opening fails without `reset_encoders`."""
     hd.update(style=library.ENCODER_RESET, calibration=library.NEEDS_UPDATE)
     with pytest.raises(DeviceError, match=r"reset position.*reset_encoders = true"):
         bench.open()
@@ -271,8 +269,7 @@ def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> 
 
 
 def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None:
-    """A missing file, an unusable file and a library without a required function raise errors with the file and
-    instructions."""
+    """A missing or unusable file and a library without a required function raise errors with instructions."""
     with pytest.raises(DeviceNotFound, match=r"library_file = '/no/libHD.so'.*OpenHaptics"):
         bench.open(library_file="/no/libHD.so")
     (tmp_path / "libHD.so").write_text("no library")
@@ -284,8 +281,7 @@ def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None
 
 
 def test_search_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hd_library: Path) -> None:
-    """The newest file of the first folder that contains one is loaded; without any, the error lists the search
-    paths."""
+    """The newest file of the first folder with one is loaded; without any, the error lists the search paths."""
     monkeypatch.setattr(library, "FOLDERS", (tmp_path / "a", tmp_path / "b"))
     with pytest.raises(
         DeviceNotFound, match=rf"{tmp_path}/a/libHD.so\*.*{tmp_path}/b/libHD.so\*.*libHD.so.3.4 by the loader"
@@ -306,8 +302,7 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`devices` names driver and rig and reports the missing library and its source; `install` writes a rule for the
-    port, which ModemManager then ignores."""
+    """`devices` names driver and rig and the missing library; `install` writes a rule that ModemManager respects."""
     claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
@@ -380,8 +375,7 @@ def test_a_device_that_usb_does_not_list_is_identified(
 
 
 def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
-    """If the servo stalls, its force ends after `force_age_max_s` and two ticks at most; the next write returns
-    WITHHELD, and also gives zero."""
+    """If the servo stalls, its force ends after `force_age_max_s` and two ticks; one write returns WITHHELD."""
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
         servo = Servo(device)
@@ -465,8 +459,7 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
     ],
 )  # fmt: skip
 def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
-    """The read has the status of the error, the reason has its text with the codes of library and device, and the
-    motors have zero."""
+    """The read has the status of the error, the reason its text and codes, and the motors have zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -518,8 +511,7 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
-    """If the library drops the callback, its motors retain the force: the read returns TIMEOUT, and `stop` itself
-    writes zero."""
+    """After a dropped callback the motors retain the force: reads return TIMEOUT, and `stop` writes zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -532,8 +524,7 @@ def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
-    """During a hanging frame `stop` from another thread writes zero without waiting; the motors remain off
-    afterwards."""
+    """During a hanging frame `stop` writes zero without waiting; the motors remain off afterwards."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -560,8 +551,7 @@ def test_invalid_poses_are_nan(hd: HdStub, bench: TouchBench) -> None:
 
 @entry
 def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, count: int) -> None:
-    """Run frames, reads and writes in turn; count statuses except OK and STALE, orientations that are neither NaN nor
-    of unit length, and poses."""
+    """Run frames, reads and writes; count unexpected statuses, orientations neither NaN nor unit, and poses."""
     for _ in range(count):
         call_int32(callback, (handle,))
         status = call_device(read, handle, sample)

@@ -184,8 +184,7 @@ def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
 
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
-    """The pose is in m and in the world frame, the matrix is read by columns; the sample has 32 buttons and the time
-    since opening."""
+    """The pose is in m in the world frame, the matrix is read by columns; 32 buttons, time since opening."""
     library.rotation, library.buttons = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1), -2
     library.frame()
     status, sample = library.read()
@@ -305,8 +304,7 @@ def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
 
 
 def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
-    """A recent force was computed for the pose before the pause, so it ends; frames have zero until a wrench written
-    after the servo has detected it."""
+    """A force computed before the pause ends; frames have zero until the servo has detected the pause and writes."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -322,8 +320,7 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
 
 
 def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
-    """With frames 6 ms apart and a limit of 5 ms, the motors have zero and forces are withheld until the first frame in
-    time."""
+    """With frames 6 ms apart and a limit of 5 ms, forces are withheld until the first frame in time."""
     statuses = []
     for _ in range(5):
         for _ in range(6):
@@ -354,8 +351,7 @@ def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> N
 
 
 def test_writes_while_frames_have_stopped(library: Library) -> None:
-    """If frames stop while the motors have a force, forces and zeros are HELD until a frame writes zero; if the motors
-    have zero, forces are withheld."""
+    """If frames stop, writes are HELD while the motors have a force; if they have zero, forces are withheld."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -569,8 +565,7 @@ def test_a_frame_reads_eight_errors(library: Library) -> None:
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
 def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Library) -> None:
-    """A rejected first query is no failure: in the first frame it disables the inkwell, in the second the
-    temperature."""
+    """A rejected first query is no failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 1, OK]

@@ -100,8 +100,7 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 @pytest.mark.exhaustive
 def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> None:
-    """One finger is 1 mm larger and so 1 mm deeper: each device displays only forces of its finger, and both end at
-    zero."""
+    """One finger is 1 mm larger and deeper: each device displays only forces of its finger, and both end at zero."""
     hd["devices"] = 2
     hd.update(**DEEP)
     scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"

@@ -262,8 +262,7 @@ def test_resampling_has_no_velocity_step_and_no_overshoot() -> None:
 
 
 def test_rotations_take_the_short_arc_for_any_sign() -> None:
-    """A quaternion and its negative are the same orientation: the rotation between samples equals scipy's for either
-    sign."""
+    """q and -q are the same orientation: the rotation between samples equals scipy's for either sign."""
     t, half = np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.2, 0.5])
     turned = np.stack((np.cos(half), np.sin(half), 0 * half, 0 * half), axis=1)
     samples = resample(Poses(t, np.zeros((3, 3)), turned * [[1.0], [-1.0], [1.0]]), 1000.0)
@@ -284,8 +283,7 @@ def test_resampling_rejects_too_short_and_too_long_recordings() -> None:
 
 
 def steps(loop: np.ndarray) -> tuple[float, float, float, float]:
-    """Return the largest velocity and change of velocity per tick, linear (m/s) and angular (rad/s), over two
-    rounds."""
+    """Return the largest velocity and its change per tick, linear (m/s) and angular (rad/s), over two rounds."""
     twice = np.vstack((loop, loop))
     velocity = np.diff(twice[:, :3], axis=0) * 1000.0
     rotation = Rotation.from_quat(twice[:, [4, 5, 6, 3]])
@@ -295,8 +293,7 @@ def steps(loop: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def test_loop_of_an_open_motion_has_no_jump() -> None:
-    """A motion that ends at another pose while moving and rotating is closed with bounded speed and without a step in
-    velocity."""
+    """A motion with another end pose is closed with bounded speed and without a step in velocity."""
     k = np.arange(1001) / 1000.0
     turned = Rotation.from_rotvec(np.outer(k, [0.9, -0.4, 0.2])) * Rotation.from_rotvec([0.1, 0.2, 2.0])
     samples = np.column_stack((0.05 * k, 0.01 * np.sin(9 * k), 0 * k, turned.as_quat()[:, [3, 0, 1, 2]]))

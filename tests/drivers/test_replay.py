@@ -175,8 +175,7 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
 def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
-    """The newly compiled body calls nothing except llvm.mem functions and always returns status 0, so it never reaches
-    numba's error path."""
+    """The compiled body calls only llvm.mem functions and always returns 0: it never reaches numba's error path."""
     fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)
     code = fresh.inspect_llvm()
     bodies = re.findall(r"^define [^\n]*?@(\S+?)\(.*?^}", code, re.M | re.S)

@@ -157,8 +157,7 @@ def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
 
 
 def test_pose_and_force_of_a_2diy() -> None:
-    """The position is the intersection of two circles, in the plane of the rig; only the force in that plane is
-    displayed."""
+    """The position is the intersection of two circles in the rig's plane; only the force in it is displayed."""
     with two_diy() as (servo, device, board, _):
         fresh(servo)
         x, y = place(*REST)
@@ -261,8 +260,7 @@ def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
 
 
 def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() -> None:
-    """After a reset the motors retain their force and the board ignores torques: the run ends, and closing repeats the
-    setup to zero it."""
+    """After a reset the motors retain their force and torques are ignored: the run ends, and closing zeroes them."""
     with two_diy(quiet_s=0.02, timeout_s=0.3) as (servo, device, board, _):
         fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -328,8 +326,7 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
 
 
 def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
-    """The handle's position follows the joint, also across jumps of the sensor; crc8 rejects bytes that are missing,
-    repeated or changed."""
+    """The position follows the joint, also across jumps of the sensor; crc8 rejects damaged frames."""
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)

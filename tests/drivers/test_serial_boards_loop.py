@@ -34,8 +34,7 @@ from softfinger.server.app import Daemon
 pytestmark = pytest.mark.real_time
 
 FLOOR = (168.0, 12.0)
-"""Angles of the 2DIY's links at which its rig has the handle 64 mm above the floor; the fingertip has a radius of
-10."""
+"""Link angles at which the 2DIY's rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
 ZEROS = bytes.fromhex("5a0000a3") * 2
 """Two frames to a Hapkit, without torque."""
 DEEP = (142.0, 38.0)
@@ -167,8 +166,7 @@ SIGNALS = [
 
 @pytest.mark.parametrize(("number", "code"), SIGNALS)
 def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, tmp_path: Path) -> None:
-    """Each catchable signal ends the daemon with its code and a zero at the board; a second program meanwhile fails
-    because the port is in use."""
+    """A catchable signal ends the daemon with its code and zero; a second program finds the port in use."""
     board = Firmware()
     with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
         press(board, process)

@@ -135,8 +135,7 @@ def test_pose_and_force_in_the_world(mounted: bool) -> None:
 
 
 def test_a_force_past_the_largest_is_limited() -> None:
-    """A force beyond the rig's maximum is scaled to it and the write returns STALE; a force that is not finite becomes
-    zero."""
+    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
     with board(force_max_n=5.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -174,8 +173,8 @@ def test_a_frame_waits_for_the_answer_to_the_last() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause longer than the time-out, a slow board does not time out: the old sample is repeated and forces are
-    withheld until a new frame."""
+    """After a pause, a slow board does not time out: the old sample is repeated and forces are withheld until a
+    frame."""
     with board(timeout_s=1.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -350,8 +349,7 @@ def test_a_blocked_port_does_not_block_the_loop() -> None:
 
 
 def test_an_empty_port_is_not_read() -> None:
-    """A read of an empty terminal waits for a kernel thread. Here a pipe replaces the terminal, where such a read would
-    block for ever."""
+    """A read of an empty terminal waits for a kernel thread; a pipe in its place would block for ever."""
     with board(quiet_s=0.2, timeout_s=2.0) as (device, itself, _):
         servo = Servo(device)
         fresh(servo)
@@ -374,8 +372,7 @@ def test_an_empty_port_is_not_read() -> None:
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
-    """After a write of which the port accepted 20 bytes, the rest is sent before the next frame, so that no number is
-    truncated."""
+    """After a partial write of 20 bytes the rest is sent before the next frame, so no number is truncated."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -452,8 +449,8 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 
 def test_a_sleeping_board_is_woken_at_opening() -> None:
-    """A board that starts slowly is woken until it answers; one that never answers and one that sends garbage raise
-    different errors."""
+    """A slow board is woken until it answers; one that never answers and one that sends garbage raise different
+    errors."""
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
         threading.Timer(0.3, cable.mute.clear).start()

@@ -104,8 +104,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
 
 
 def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
-    """The pose has R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE) in the world frame; info is a word of 16 bits; time counts from
-    opening."""
+    """The world pose has R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE); info has 16 bits; time counts from opening."""
     a, b, d, e = 0.3, 0.5, 0.7, -1.1
     status, sample = board.read(frame(10.0, 20.0, -15.0, a, b, d, e, -2))
     assert status == OK
@@ -123,8 +122,7 @@ def test_every_bit_of_info_is_a_button(board: Board) -> None:
 
 
 def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
-    """The last of several frames is used and earlier ones are counted as drained. Other bytes are counted as misread
-    until the next frame."""
+    """The last of several frames is used, earlier ones are counted as drained, other bytes as misread."""
     status, sample = board.read(frame(1.0, 0.0, 0.0) + frame(2.0, 0.0, 0.0) + frame(3.0, 0.0, 0.0))
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
@@ -185,8 +183,7 @@ def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
-    """With 63 of the 64 bytes received, forces are HELD and a second zero is skipped; the zero after a force is
-    sent."""
+    """With 63 of 64 bytes received, forces are HELD and a second zero is skipped, but a force is ended."""
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     board.read(frame(0.0, 0.0, 0.0)[:63])
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
@@ -320,8 +317,7 @@ def test_a_frame_received_byte_by_byte(board: Board) -> None:
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
-    """After `quiet_s` the board is woken, and after `timeout_s` the read fails: with PROTOCOL if enough bytes were
-    received that made no frame."""
+    """After `quiet_s` the board is woken; after `timeout_s` enough bytes without a frame give PROTOCOL."""
     board.clock.now += 21 * MS
     board.word[BOARD.read_at] = board.clock.now
     board.word[BOARD.kicked_at] = START_NS - 100 * MS
@@ -387,8 +383,7 @@ def other(monkeypatch: pytest.MonkeyPatch) -> Board:
 
 
 def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
-    """Position and orientation follow the mounting, buttons and gripper are unchanged; a zero quaternion is a protocol
-    error."""
+    """The pose follows the mounting, buttons and gripper are unchanged; a zero quaternion is a protocol error."""
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
@@ -399,8 +394,7 @@ def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
 
 
 def test_a_force_is_written_as_described(other: Board) -> None:
-    """Forces are in the board's frame, with start bytes and constants. Forces beyond motor or field are limited and
-    counted; a zero is a frame of zeros."""
+    """Forces are in the board's frame, with start bytes and constants; those beyond motor or field are limited."""
     other.read(answer(0.0, 0.0, 0.0))
     assert other.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert other.sent() == given(-10000, -5000, 20000)
@@ -431,8 +425,7 @@ def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPat
 
 
 def test_resync_bytes_follow_an_unanswered_frame(other: Board) -> None:
-    """After an unanswered frame, the next is preceded by resync bytes, which end a torn frame; otherwise none are
-    sent."""
+    """A frame after an unanswered one is preceded by resync bytes, which end a torn frame."""
     assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert other.sent() == given(0, 0, 10000)
     assert other.write(*ZERO) == OK
@@ -469,8 +462,7 @@ def test_bytes_before_a_request_are_discarded(other: Board) -> None:
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])
 def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame with marks is also found if it started before the last request; in a stream, forces do not wait for
-    answers."""
+    """A frame with marks is also found if it started before the request; streams do not delay forces."""
     fields = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
     marked = {"mode": mode, "input": {"bytes": 14, "start": [7], "end": [9], "field": fields}}
     board = Board(described(frames=marked), monkeypatch)
@@ -499,8 +491,7 @@ PANTOGRAPH = {
 
 
 def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the links in line the torque is zero; elsewhere torques are limited to the motors'. Counters distinguish the
-    two."""
+    """With the links in line the torque is zero; elsewhere it is limited, with another counter."""
     board = Board(described(**PANTOGRAPH), monkeypatch)
     # both inner links outward along the line of their joints: their ends are 0.178 m apart, beyond the reach of the
     # outer links

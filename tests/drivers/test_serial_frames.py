@@ -36,8 +36,7 @@ def decode_all(given: Any, values: Any, usable: Any) -> None:
 
 @entry
 def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
-    """Process a stream in pieces of these sizes; store the numbers of each piece's last frame in `found`. `scratch` has
-    the numbers of two frames."""
+    """Process a stream in pieces; store the numbers of each piece's last frame in `found`. `scratch` has two rows."""
     at = came = 0
     newest = scratch[1]
     for size in sizes:
@@ -127,8 +126,7 @@ def test_a_frame_ends_with_a_newline() -> None:
 
 @pytest.mark.scaled
 def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
-    """Frames with random bytes replaced are decoded within bounds or rejected; a part of them is compared with
-    Python."""
+    """Frames with random bytes are decoded within bounds or rejected; a part is compared with Python."""
     generator = np.random.default_rng(17)
     alphabet = np.frombuffer(b"0123456789" * 4 + b" .-+ .-+einfax,\n\r\0\xff\x80", np.uint8)
     base = np.frombuffer(framed(PUBLISHED) + framed(PUBLISHED + b"\n"), np.uint8).reshape(2, FRAME_BYTES)

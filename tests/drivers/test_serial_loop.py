@@ -113,8 +113,7 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 
 
 def test_the_command_line_on_a_port(tmp_path: Path) -> None:
-    """`run` starts on a rig that names the port, a second run fails because the port is in use, and a signal ends the
-    first with zero force."""
+    """`run` uses the rig's port, a second run finds it in use, and a signal ends the first with zero force."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"

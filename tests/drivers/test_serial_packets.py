@@ -23,8 +23,7 @@ pytestmark = pytest.mark.plain
 
 DIGITS = b"123456789"
 PUBLISHED = {"sum8": 0xDD, "xor8": 0x31, "crc8": 0xF4, "crc16-ccitt": 0x29B1, "crc16-modbus": 0x4B37}
-"""Checksums of the digits 1 to 9; the CRCs are CRC-8/SMBUS, CRC-16/IBM-3740 and CRC-16/MODBUS of the reveng
-catalogue."""
+"""Of the digits 1 to 9; the CRCs are CRC-8/SMBUS, CRC-16/IBM-3740 and CRC-16/MODBUS of the reveng catalogue."""
 
 
 @entry
@@ -63,8 +62,7 @@ def found_in(frame: InputFrame, stream: bytes, sizes: Any, aligned: bool = False
 @pytest.mark.parametrize("kind", CHECKS)
 @pytest.mark.parametrize("big", [False, True])
 def test_checksums_of_the_catalogue(kind: Any, big: bool) -> None:
-    """Each checksum of the digits 1 to 9 equals its published value in the frame's byte order; a changed byte is
-    rejected."""
+    """Each checksum of the digits 1 to 9 equals its published value in both byte orders; damage is rejected."""
     frame = Frame(bytes=12, check=Checksum(kind=kind, offset=10, first=1))
     shape = packets.make_shape(frame, big)
     data = np.frombuffer(b"!" + DIGITS + b"\0\0", np.uint8).copy()
@@ -138,8 +136,7 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
 
 
 def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
-    """Exactly the bytes of an answer, in any pieces, are an answer; one more or less, or a number out of range, is
-    none."""
+    """Exactly the bytes of an answer, in any pieces, are one; another length or a number out of range is none."""
     frame = InputFrame(bytes=9, start=(5,), field=build_fields("float32", 5, least=-4.0, most=4.0))
     answer = b"\x05" + struct.pack("<ff", 1.0, 0.5)
     assert found_in(frame, answer, [9], aligned=True) == [0.5]
@@ -155,8 +152,7 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
 
 @pytest.mark.scaled
 def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
-    """Random bytes in pieces of any size: no value outside a field's range is decoded, and with a checksum next to
-    none."""
+    """Random bytes in any pieces give no value outside a field's range, and with a checksum next to none."""
     rng = np.random.default_rng(43)
     count = cases(5000, 1_000_000)
     stream = rng.bytes(count)

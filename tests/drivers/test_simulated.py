@@ -174,8 +174,7 @@ def test_shipped_rigs_open_their_device() -> None:
 
 
 def test_read_neither_allocates_nor_raises() -> None:
-    """The newly compiled body calls only mathematical functions and returns status 0, so it never reaches numba's error
-    path."""
+    """The compiled body calls only mathematical functions and returns 0: it never reaches numba's error path."""
     function = simulated._read
     code = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc).inspect_llvm()
     bodies = [part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0]]

@@ -214,8 +214,7 @@ def test_nothing_gains_energy_without_a_command():
 
 
 def test_orientation_follows_directly_or_with_its_lag():
-    """Without lag the orientation equals the hand's; with lag tau the angle to a constant goal decreases as exp(-t /
-    tau)."""
+    """Without lag the orientation equals the hand's; with lag tau the angle decreases as exp(-t / tau)."""
     angle, tau = 1.2, 0.02
     turned = (np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0)
     turns = np.array([STILL] + [turned] * 100)

@@ -41,8 +41,8 @@ PAST = 350 - 15
 
 
 class PuckBench(Bench):
-    """Bench with a puck at the end of a packet socket, which preserves the borders of reports like a hidraw node;
-    refusals come from a plain file."""
+    """Bench with a puck at a packet socket, which preserves reports like a hidraw node; refusals come from a plain
+    file."""
 
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 
@@ -214,8 +214,7 @@ def test_buttons_and_lamp() -> None:
 
 
 def test_a_silent_puck_stops_moving_the_fingertip() -> None:
-    """If reports stop during a deflection, the fingertip moves for `hold_s` more; a button report does not extend
-    that."""
+    """If reports stop, the fingertip moves for `hold_s` more; a button report does not extend that."""
     with puck(hold_s=0.05) as (_, servo, end):
         end.send(emulated.combined(right=350)[0])
         servo.read()
@@ -259,8 +258,7 @@ def test_short_reports_and_foreign_ones() -> None:
 
 
 def test_random_reports_give_a_pose_or_a_fault() -> None:
-    """20 000 random reports of random lengths and kinds give a pose in the box with a unit quaternion, or a protocol
-    error."""
+    """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
     generator = np.random.default_rng(5)
     seen = {OK: 0, PROTOCOL: 0}
     with puck() as (_, servo, end):
@@ -300,8 +298,7 @@ def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.nda
 
 @pytest.mark.scaled
 def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> None:
-    """Reports of random bytes, lengths and kinds give counts of int16, buttons exact in float64, a position in the box
-    and a unit quaternion."""
+    """Random reports give counts of int16, buttons exact in float64, and a valid pose in the box."""
     generator = np.random.default_rng(8)
     total = np.zeros(3, np.int64)
     deflection, buttons = np.zeros(6), np.zeros(1)
@@ -340,8 +337,7 @@ def test_a_closed_device_reads_as_lost() -> None:
 
 @pytest.mark.real_time
 def test_a_puck_touches_a_scene() -> None:
-    """A push down onto the plane through the servo loop makes contact, and each force equals the engine's on the same
-    poses."""
+    """A push onto the plane through the servo loop makes contact; forces equal the engine's on the same poses."""
     scene, rig = load_scene("paper-plane"), load_rig("spacemouse")
     fd, end = ends()
     options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
@@ -381,8 +377,7 @@ def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
 
 
 def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
-    """After 300 ticks of deflection and a release, the handle rests at gain times time in position and angle,
-    independent of the clock."""
+    """After 300 ticks of deflection the handle rests at gain times time, independent of the clock."""
     with led(**FREE) as (_, servo, end):
         servo.read()
         end.send(emulated.combined(right=350, clockwise=350)[0])

@@ -79,8 +79,7 @@ def test_a_signal_in_contact_ends_the_force_within_a_second(
 
 
 class Fault(NamedTuple):
-    """Action on a device in contact, exit code and error text, and if the device then has zero: not if it is
-    unreachable."""
+    """Action on a device in contact, exit code and error text; `zero` unless the device is then unreachable."""
 
     act: Callable[[Far], object]
     code: int
@@ -100,8 +99,7 @@ def as_text(far: Far) -> None:
 
 
 def turned_round(far: Far) -> None:
-    """Turn the handle beyond its range, as fast as a hand: the sketch does not detect half a turn if the sensor
-    jumps."""
+    """Turn the handle beyond its range as fast as a hand: the sketch misses half a turn if the sensor jumps."""
     slowly(lambda share: far.device.turn(0.05 + 1.95 * share))
 
 

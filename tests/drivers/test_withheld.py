@@ -163,8 +163,7 @@ def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
 
 @pytest.mark.parametrize("way", ["serial", "hid thread"])
 def test_a_force_that_waits_is_no_wider_step(way: str) -> None:
-    """If each frame takes four ticks, the board has the previous force for that time; the next is within the slew limit
-    of it."""
+    """If each frame takes four ticks, the next force is within the slew limit of the previous one."""
     with WAYS[way]() as line:
         line.late(0.004)
         with running(line, 0.01):

@@ -35,8 +35,7 @@ class Board(NamedTuple):
 
 
 def raw_hid(size: int) -> bytes:
-    """Return a descriptor of one input and one output report of `size` bytes, without ids, as in both makers'
-    sources."""
+    """Return a descriptor of one input and one output report of `size` bytes, without ids, as in both sources."""
     head = bytes.fromhex("06abff 0a0002 a101 7508 1500 26ff00")
     return head + bytes([0x95, size, 0x09, 0x01, 0x81, 0x02, 0x95, size, 0x09, 0x02, 0x91, 0x02, 0xC0])
 

@@ -25,8 +25,7 @@ INDEX = 700
 
 
 def leg_angle(leg: float, place: Vector) -> float:
-    """Return the angle (rad) of a driven arm, from the triangle of arm, parallelogram and the line between their
-    ends."""
+    """Return the angle (rad) of a driven arm, from the triangle of arm, parallelogram and connecting line."""
     x, y, z = place
     turn = radians(leg)
     u = x * cos(turn) + y * sin(turn) - BASE_U + SHIFT_U
@@ -48,8 +47,7 @@ def encoders(place: Vector) -> tuple[int, int, int]:
 
 
 def force(place: Vector, torques: Vector) -> Vector:
-    """Return the force (N) on the knob for leg torques (N m): virtual work, with the angles' change from
-    differences."""
+    """Return the force (N) on the knob for leg torques (N m): virtual work, with differences of the angles."""
     h, out = 1e-6, []
     for axis in range(3):
         ahead, behind = list(place), list(place)

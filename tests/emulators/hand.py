@@ -43,7 +43,7 @@ class Handle:
 
 
 def stroke(place: Vector, press: float, drag: float) -> Callable[[float], Vector]:
-    """Return a motion from `place` down by `press` m in 0.3 s, along x by `drag` m and back in 0.6 s, up in 0.3 s,
+    """Return a motion from `place`: `press` m down in 0.3 s, `drag` m along x and back in 0.6 s, up in 0.3 s,
     repeated."""
 
     def smooth(share: float) -> float:

@@ -138,8 +138,7 @@ class Service:
         self.types: dict[str, str] = {}
         """`config.type` by device, if it differs from the name of its list."""
         self.enveloped = True
-        """If set, answers to a POST and, with `version_enveloped`, to /version are `{ok, data}`, otherwise the plain
-        value."""
+        """If set, answers to a POST (to /version: `version_enveloped`) are `{ok, data}`, otherwise the plain value."""
         self.version_enveloped = False
         self.mute = False
         """If set, it receives but does not answer."""
@@ -167,8 +166,7 @@ class Service:
         self.said: list[str] = []
         """First message of each session."""
         self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
-        """Received forces (N) with their times (s, monotonic clock), in order, by device. The end of a session is not
-        included."""
+        """Received forces (N) with their times (s, monotonic clock), in order, by device; without ends of sessions."""
 
     @property
     def force_key(self) -> str:

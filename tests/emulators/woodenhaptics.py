@@ -108,8 +108,7 @@ def _solve(m: list[list[float]], v: list[float]) -> Vector:
 
 
 class Woody(Handle):
-    """Arm with a hand on it; `name` is a row of the table, `report_bytes` 8 of the first generation, and 64 or 14 of
-    the second's boards."""
+    """Arm with a hand on it; `name` is a row of the table, `report_bytes` 8 (generation 1), 64 or 14 (generation 2)."""
 
     def __init__(
         self, name: str, generation: int, intention: Callable[[float], Vector], report_bytes: int | None = None

@@ -41,8 +41,7 @@ def closest_on_cone(shape: Cone, x: Any) -> Any:
 
 @curvature.of(Cone)
 def curvature_of_cone(shape: Cone, radius: float, point: Any, normal: Any) -> Any:
-    """Return the curvature about the axis, and zero along the flank; on the apex that of the fingertip, whose centre
-    moves on a ball."""
+    """Return the curvature about the axis, and zero along the flank; on the apex that of the fingertip."""
     _, radial = direction((normal[0], normal[1], 0.0), X_AXIS)
     around = (-radial[1], radial[0], 0.0)
     down = shape.sine * (point[0] * radial[0] + point[1] * radial[1]) - shape.cosine * point[2]

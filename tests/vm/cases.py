@@ -84,8 +84,7 @@ class Cases:
         self.agrees(np.load(kept), saw)
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
-        """Check that the records have all modes and the engine's forces, that these reached the device, and that the
-        last is zero."""
+        """Check that all modes and the engine's forces are recorded and reached the device, and the last is zero."""
         assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
         assert max(saw["most"]) > self.felt
         assert not any(saw[self.force])
@@ -100,8 +99,7 @@ class Cases:
             assert not any(pressed.seen()[self.force])
 
     def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
-        """Unplugging in contact ends the daemon with device lost; another daemon logs removal and return; the device
-        opens again."""
+        """Unplugged in contact, the device is lost; another daemon logs removal and return; it opens again."""
         told = f"{self.name} ({':'.join(self.ids)}) at /dev/"
         with other_daemon() as other, pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make lost")

@@ -52,8 +52,7 @@ class TestCases(Cases):
         ],
     )
     def test_faults_of_an_endpoint(self, case: str, message: str, pressed: Gadget, rig: str) -> None:
-        """An endpoint that accepts nothing and one that is halted end the daemon with different errors; after a replug
-        the device works again."""
+        """An endpoint that accepts nothing and a halted one end the daemon with different errors; a replug helps."""
         ended = self.faulty(case, pressed, rig)
         assert ended.code == 4 and re.search(message, ended.err), ended.err
         for line in ("mend", "make lost", "mend"):
@@ -73,8 +72,7 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
-    """A device without firmware is rejected until the rig names a file; then the file is sent byte for byte, and the
-    device runs."""
+    """A device without firmware is rejected until the rig names a file, which is sent byte for byte."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     with gadget("falcon", firmware=FIRMWARE_BYTES, spoil=1) as falcon:

@@ -32,8 +32,7 @@ class TestCases(Cases):
     forbidden = r"/dev/hidraw\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:
-        """`devices` lists it by its node under its driver, usable with the rigs of its ids, and no longer once it is
-        unplugged."""
+        """`devices` lists it by its node, usable with the rigs of its ids, and no longer once unplugged."""
         with gadget("woodenhaptics"):
             (found,) = self.listed()
         assert (found["driver"], found["state"], found["bus"]) == ("hid", "usable", self.bus)

@@ -44,8 +44,7 @@ class TestCases(Cases):
         assert saw["faults"] == []
 
     def test_a_board_that_reads_no_more(self, pressed: Gadget, rig: str) -> None:
-        """A board that stops reading ends the daemon with a timeout, and works again when it reads; closing the port
-        discards the unread bytes."""
+        """A board that stops reading ends the daemon with a timeout; closing discards unread bytes; it works again."""
         ended = self.faulty("blocked", pressed, rig)
         assert ended.code == 4, ended.err
         assert re.search("no answer to a (read|write) in time", ended.err), ended.err

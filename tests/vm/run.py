@@ -117,8 +117,7 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
 
 
 def guest_environment() -> dict[str, str]:
-    """Return the variables of the guest. Kernels compiled on this machine for a generic processor also run in the
-    guest."""
+    """Return the variables of the guest. Kernels compiled for a generic processor run here and in the guest."""
     keys = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "VIRTUAL_ENV")
     kept = {key: os.environ[key] for key in keys if key in os.environ}
     return kept | {

@@ -142,8 +142,7 @@ def test_installing_creates_the_account_and_reloads_systemd() -> None:
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    """The service is ready with a tick, runs as the account without capabilities, has real-time threads, and its socket
-    belongs to the group."""
+    """The service ticks as its account, without capabilities, with real-time threads and a socket of the group."""
     assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
     assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
@@ -159,8 +158,7 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
 
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
-    """Nodes of an attached device belong to the group; processes of the service may open them, and no nodes the service
-    does not need."""
+    """Nodes of a device belong to the group; the service may open them, and none that it does not need."""
     for pattern in ("hidraw*", "bus/usb/*/*"):
         assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")

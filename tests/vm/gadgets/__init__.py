@@ -1,2 +1,1 @@
-"""Devices of the guest: emulated mechanisms behind its kernel's USB and HID. They need only Python's standard
-library."""
+"""Devices of the guest: emulated mechanisms behind its kernel's USB and HID, with only the standard library."""

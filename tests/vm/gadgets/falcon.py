@@ -46,8 +46,7 @@ LATE_S = 0.02
 
 
 def descriptors() -> bytes:
-    """Return one vendor interface, bulk in 0x81 and out 0x02, of 64 bytes, or 512 at high speed, where that is
-    required."""
+    """Return one vendor interface, bulk in 0x81 and out 0x02, of 64 bytes (512 at high speed, as required)."""
     interface = bytes([9, 4, 0, 0, 2, 255, 255, 255, 1])
 
     def ends(size: int) -> bytes:

@@ -25,8 +25,7 @@ REPORT_PERIOD_S = 0.016
 
 
 def descriptor(combined: bool) -> bytes:
-    """Return a multi-axis controller: axes in report 1, or in 1 and 2, from -350 to 350; buttons in 3; the lamp in
-    4."""
+    """Return a multi-axis controller: axes in report 1, or in 1 and 2, -350 to 350; buttons in 3; lamp in 4."""
     limits = bytes.fromhex("16a2fe265e01")
 
     def axes(number: int, usages: str) -> bytes:
