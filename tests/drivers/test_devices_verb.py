@@ -163,7 +163,7 @@ def test_no_driver_claims_a_keyboard() -> None:
 
 
 def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
-    """A readable node is usable, without reason or remedy."""
+    """A node that can be opened is usable, without reason or remedy."""
     node = root / "hidraw0"
     node.write_bytes(b"")
     assert diagnose(at(node), find_claim(at(node))) == Diagnosis("usable")

@@ -208,8 +208,7 @@ def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
 
 
 def test_devices_reports_running_firmware() -> None:
-    """`devices` reports missing firmware without touching the device; with `--ask` the device reports running
-    firmware."""
+    """Without touching the device `devices` reports missing firmware; with `--ask` it reports running firmware."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         done, saw = beside({}, *words, *more)

@@ -253,8 +253,7 @@ def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
-    """After a pause the read waits 0.1 s, then repeats the old sample; forces are withheld. The silence restarts
-    there."""
+    """After a pause the read waits 0.1 s, then repeats the old sample and restarts the silence; no force is sent."""
     before = usb.read(reply(5))[1].tolist()
     usb.got()
     usb.clock.now += 3 * TIMEOUT_NS

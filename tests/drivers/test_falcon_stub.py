@@ -139,8 +139,7 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
 
 @pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
 def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
-    """If all replies are one tick late, every tick but the first has one; if two, packets are held back and ticks go
-    without."""
+    """If all replies are one tick late, each tick but the first has one; if two, packets are held back."""
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
@@ -216,8 +215,7 @@ def test_faults_leave_no_transfer_pending(
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause, a slow device does not time out: the old sample is repeated and forces are withheld until a
-    reply."""
+    """After a pause a slow device does not time out: until a reply the old sample repeats without forces."""
     with bench.open(timeout_s=1.0, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()

@@ -101,8 +101,7 @@ def test_causes_and_status_words_are_those_of_the_header() -> None:
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
 def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Each system type opens under its name with its limits; six axes are actuated if the wrist has motors, else
-    three."""
+    """Each system type opens under its name with its limits; a wrist with motors adds three actuated axes."""
     name = MODELS[kind].name
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)

@@ -95,8 +95,7 @@ def garble(service: Service) -> None:
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    """If device or service disappear, stop answering or send garbage in contact, the daemon raises the matching
-    error."""
+    """If device or service disappear, stop answering or send garbage, the daemon raises the matching error."""
     with Service() as service:
         service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
         with Daemon(rig(service), load_scene("paper-plane")) as daemon:

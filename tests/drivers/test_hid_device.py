@@ -256,8 +256,7 @@ def test_a_sleeping_device_is_woken() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause, a slow device does not time out: the old sample is repeated and forces are withheld until a
-    report."""
+    """After a pause a slow device does not time out: until a report the old sample repeats without forces."""
     with woody(timeout_s=1.0) as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK

@@ -122,8 +122,7 @@ def test_one_force_is_queued_behind_another() -> None:
 
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
-    """A hanging write leaves the device its force; the loop, which commands zero, ends with TIMEOUT before
-    `timeout_s`."""
+    """During a hanging write the device retains its force, so the loop ends with TIMEOUT before `timeout_s`."""
     with Linked(timeout_s=2.0) as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)

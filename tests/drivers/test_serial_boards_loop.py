@@ -223,7 +223,7 @@ UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
-    """A Hapkit that streams but reads nothing for a moment gets no old force, and then its force ramps up again. If the
+    """A Hapkit that streams but reads nothing for a moment gets no old force; then its force ramps up again. If the
     run ends while the board does not read, the exit code is 4, the log does not claim zero force, and only zeros wait
     for the board."""
     stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")

@@ -173,8 +173,7 @@ def test_a_frame_waits_for_the_answer_to_the_last() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause, a slow board does not time out: the old sample is repeated and forces are withheld until a
-    frame."""
+    """After a pause a slow board does not time out: until a frame the old sample repeats without forces."""
     with board(timeout_s=1.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -449,8 +448,7 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 
 def test_a_sleeping_board_is_woken_at_opening() -> None:
-    """A slow board is woken until it answers; one that never answers and one that sends garbage raise different
-    errors."""
+    """A slow board is woken until it answers; a silent board and one that sends garbage raise different errors."""
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
         threading.Timer(0.3, cable.mute.clear).start()

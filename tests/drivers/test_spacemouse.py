@@ -41,8 +41,7 @@ PAST = 350 - 15
 
 
 class PuckBench(Bench):
-    """Bench with a puck at a packet socket, which preserves reports like a hidraw node; refusals come from a plain
-    file."""
+    """Bench with a puck at a packet socket, which preserves reports; refusals come from a plain file."""
 
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 

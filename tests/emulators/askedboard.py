@@ -2,8 +2,8 @@
 
 Pure Python in real time, independent of the driver.
 
-request   55 54  torque_a  torque_b  crc16 (Modbus, high byte first)    int16, 0.1 mN m
-answer    7E  buttons  angle_a  angle_b  crc16 (CCITT)                  int16, 0.01 degrees
+    request   55 54  torque_a  torque_b  crc16 (Modbus, high byte first)    int16, 0.1 mN m
+    answer    7E  buttons  angle_a  angle_b  crc16 (CCITT)                  int16, 0.01 degrees
 
 Damaged requests are not answered. Not modelled: everything of a real board except these frames.
 """

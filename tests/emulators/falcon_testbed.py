@@ -1,6 +1,6 @@
 """Emulated Falcon as a USB device of umockdev, and a program that sees no other devices.
 
-umockdev-wrapper /usr/bin/python3 falcon_testbed.py '{"place": [0, 0, 0.01]}' program argument ...
+    umockdev-wrapper /usr/bin/python3 falcon_testbed.py '{"place": [0, 0, 0.01]}' program argument ...
 
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The exit code is the program's; the state of the emulated
 device is the last line of standard output, as JSON. The program reaches the device through the real libusb; this module

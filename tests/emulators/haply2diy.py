@@ -31,8 +31,7 @@ TREMOR = 3e-5
 
 
 def place(a: float, b: float) -> tuple[float, float]:
-    """Return the handle (m, from the axis of motor 1) for angles (degrees) of the inner links: two circles
-    intersect."""
+    """Return the handle (m, from the axis of motor 1) for angles (degrees) of the inner links."""
     base, inner, outer = LINKS
     xa, ya = inner * cos(radians(a)), inner * sin(radians(a))
     xb, yb = base + inner * cos(radians(b)), inner * sin(radians(b))

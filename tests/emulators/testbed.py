@@ -1,6 +1,6 @@
 """Emulated WoodenHaptics as a hidraw node of umockdev, and a program that sees no other devices.
 
-umockdev-wrapper /usr/bin/python3 testbed.py '{"arm": "woody-2019", "generation": 2}' program argument ...
+    umockdev-wrapper /usr/bin/python3 testbed.py '{"arm": "woody-2019", "generation": 2}' program argument ...
 
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The exit code is the program's; the state of the emulated
 arm is the last line of standard output, as JSON.

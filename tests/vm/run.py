@@ -1,6 +1,6 @@
 """Boot a Debian kernel in QEMU with this machine's files, and run the tests of tests/vm in it: `make test-vm`.
 
-python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
+    python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
 
 Needs no KVM, and for the drivers no privilege: the processor is emulated, some twenty times slower than this one. The
 tests of drivers (`on_*.py`) and those of the service (`under_systemd.py`), which need systemd as the first process and

@@ -1,6 +1,6 @@
 """Falcon as a USB device of the guest's kernel: its chip's requests and its two endpoints, through FunctionFS.
 
-python falcon.py SOCKET '{"place": [0, 0, 0.01]}'
+    python falcon.py SOCKET '{"place": [0, 0, 0.01]}'
 
 The case is that of the emulator (emulators/falcon.py), with serial. Lines over the socket: `displayed`, `place`,
 `seen`, `make CASE`, `mend`, `quit`; the cases:

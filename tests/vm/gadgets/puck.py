@@ -1,6 +1,6 @@
 """SpaceMouse in the guest's HID layer, which is deflected and reports it.
 
-python puck.py SOCKET '{"push": {"up": -350}, "buttons": 5}'
+    python puck.py SOCKET '{"push": {"up": -350}, "buttons": 5}'
 
 Keys of the case: push (deflection in counts, with the names of emulators/puck.py), buttons, reports: split or combined.
 Lines over the socket: `seen`, `make lost`, `mend`, `quit`.

@@ -1,6 +1,6 @@
 """WoodenHaptics' third generation as a USB serial port of the guest's kernel: f_acm at one end, cdc-acm at the other.
 
-python serialboard.py SOCKET '{"place": [0, 0, 0.01]}'
+    python serialboard.py SOCKET '{"place": [0, 0, 0.01]}'
 
 Keys of the case: place (m), press (m: downward motion of the hand), drag (m: sideways motion). Lines over the socket:
 `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the cases:

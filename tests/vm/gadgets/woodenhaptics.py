@@ -1,6 +1,6 @@
 """WoodenHaptics arm as a HID device of the guest's kernel.
 
-python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
+    python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
 
 Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: downward motion of the
 hand), drag (m: sideways motion). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the
