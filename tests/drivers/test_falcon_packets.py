@@ -91,7 +91,7 @@ def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
 
 @pytest.mark.scaled
 def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
-    """Random bytes contain no reply: 12 nibbles, half a byte of bits, 2 fixed bytes: once in 256^2 16^12 2."""
+    """Random bytes contain no reply, which occurs by chance at one byte in 256^2 16^12 2."""
     data = np.random.default_rng(4).integers(0, 256, cases(50_000, 10_000_000)).astype(np.uint8)
     word = blank()
     assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0

@@ -281,7 +281,7 @@ def test_a_hanging_preset_raises_an_error() -> None:
         link = link_by_threads(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
             HidDevice(options, link.fd, link.threads)
-    api.held.set()  # only now: an answer would clear it again
+    api.held.set()  # after the last answer, which would clear it again
 
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])

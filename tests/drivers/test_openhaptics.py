@@ -302,7 +302,7 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`devices` names driver and rig and the missing library; `install` writes a rule that ModemManager respects."""
+    """`devices` names driver, rig and the missing library; `install` writes a rule that excludes ModemManager."""
     claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
