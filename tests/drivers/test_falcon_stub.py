@@ -149,7 +149,7 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
 
 
 def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
-    """Of two lost replies the first costs one tick; after the second, both packets expire within 5 ms."""
+    """Of two lost replies the first costs one tick; the second makes both packets expire after 5 ms."""
     with bench.open() as device:
         stub.update(lose_every=50)
         ended, records = run(device, 1000)
