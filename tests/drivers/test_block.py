@@ -1,4 +1,4 @@
-"""A device's memory: each word has a place of its own, kernels and Python mean the same, and counters are found."""
+"""A device's memory block: no two fields overlap, kernels and Python address the same data, and counters are listed."""
 
 from __future__ import annotations
 
@@ -17,15 +17,11 @@ from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 
 
 class Front(NamedTuple):
-    """Fields of several devices."""
-
     ready: Annotated[int, word("whether it is")]
     sample: Annotated[int, numbers("the last one", 3)]
 
 
 class Own(NamedTuple):
-    """Fields of one."""
-
     came: Annotated[int, counter("what came")]
     text: Annotated[int, raw_bytes("what it said", 9)]
     lost: Annotated[int, counter("what did not")]
@@ -33,7 +29,7 @@ class Own(NamedTuple):
 
 
 class Leaves(NamedTuple):
-    """A tree."""
+    """Structure of floats."""
 
     pair: tuple[float, float]
     one: float
@@ -46,7 +42,7 @@ LIKE: Final = Leaves((0.0, 0.0), 0.0)
 
 @entry
 def _fill(handle: int) -> float:
-    """Write to each place by its name; what the table and the sample hold."""
+    """Write fields by name, and return a number computed from the table and the sample."""
     at = int64_at(handle)
     at[FRONT.ready] = 7
     at[AT.came] += 2
@@ -57,7 +53,7 @@ def _fill(handle: int) -> float:
 
 
 def taken(layouts: tuple[Any, ...]) -> list[int]:
-    """Every word that the layouts' fields stand for."""
+    """Return the indices of all 64-bit words that the fields of the layouts cover."""
     return [
         at + k
         for layout in layouts
@@ -66,23 +62,23 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
     ]
 
 
-def test_each_word_has_one_name() -> None:
-    """Layouts fill a block from its first word to its last, each word once, those of the drivers too."""
+def test_layouts_do_not_overlap() -> None:
+    """Layouts, also those of the drivers, cover each word of a block exactly once."""
     for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
         assert taken(layouts) == list(range(len(Block(*layouts).word)))
 
 
-def test_every_word_is_said_what_it_is() -> None:
-    """No field without a text."""
+def test_every_field_has_a_description() -> None:
+    """Each field of the drivers' layouts has a description."""
     for layout in (BOARD, serial.AT, hid.AT):
         assert all(place.doc for place in read_fields(type(layout)).values())
 
 
-def test_kernels_and_python_mean_the_same_places() -> None:
-    """What a kernel writes by name is read by name, and counters are counted in the order of their declaration."""
+def test_kernels_and_python_address_the_same_data() -> None:
+    """Kernels and Python access the same fields by name, and `counts` lists counters in order of declaration."""
     block = Block(FRONT, AT)
     block.set_address(AT.table, np.array([0.5, 0.25]))
-    gc.collect()  # the block alone keeps the table
+    gc.collect()  # only the block references the table now
     block.numbers(FRONT.sample, 3)[:] = flatten(Leaves((1.0, 2.0), 3.0))
     assert _fill(block.handle) == 0.25 + 1.0 + 20.0 + 300.0
     assert block.word[FRONT.ready] == 7

@@ -1,6 +1,6 @@
-"""What every conversation with a board does, call by call: a board by a script, and a clock that goes on as it says.
+"""The exchange shared by all board drivers, call by call, on a scripted board and a scripted clock.
 
-The emulated boards of the other tests answer in real time, which shows no limit to the nanosecond.
+The emulated boards of the other tests answer in real time, which cannot show limits to the nanosecond.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ FD = 7
 QUIET, KICK, AWAITING, TIMEOUT_NS = 20 * MS, 50 * MS, 25 * MS, 200 * MS
 TIMES = Times(0.02, 0.05, 0.025, 0.2)
 START = 10_000 * MS
-"""When the loop first reads, ns of the clock."""
+"""Clock at the first read of the loop (ns)."""
 OPENED = 9_000 * MS
 FORCE = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
 ZERO = (0.0,) * 6
 
 
 class Scripted(NamedTuple):
-    """Marks the kernels of a board by a script."""
+    """Selects the kernels of the scripted board."""
 
 
 class Board:
-    """What happens, and what was asked of it.
+    """Scripted board and the calls it received.
 
-    comes    how many samples a read finds, by what is left of the list; then none
-    arrives  when one comes (ns of the clock) that a read finds from then on
+    comes    number of samples found by each following read; none once the list is empty
+    arrives  times (ns of the clock) from which on a read finds one more sample
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Board:
         return self.block.word
 
     def read(self) -> int:
-        """The status of a read; the calls that it made are in `done`."""
+        """Return the status of a read; `done` then has the calls it made."""
         self.done = []
         return int(self._functions.read(self.block.handle, self.sample))
 
@@ -81,12 +81,12 @@ class Board:
         return int(self._functions.silence(self.block.handle))
 
     def heard(self) -> None:
-        """A first sample, as of a board that has been talked to for long."""
+        """Deliver a first sample, as from a board that has been running for long."""
         self.comes = [0, 0, 1]
         assert self.read() == OK
 
     def later(self, ns: int) -> None:
-        """So much time, in which the loop reads nothing but is no pause."""
+        """Advance the clock without a sample and without causing a pause of the loop."""
         self.now += ns
         self.word[BOARD.read_at] = self.now
 
@@ -125,7 +125,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
 
 
 SCRIPT: list[Board] = []
-"""The board of the test that runs: kernels know their handle alone."""
+"""Board of the running test: kernels receive only a handle."""
 
 
 def said(what: Any) -> None:
@@ -146,7 +146,7 @@ def _drain(driver: Scripted, handle: int) -> int:
 @board_exchange.pose.of(Scripted)
 def _pose(driver: Scripted, handle: int) -> bool:
     board = SCRIPT[0]
-    board.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each is another place
+    board.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each sample has another position
     return board.usable
 
 
@@ -182,15 +182,15 @@ def _wake(driver: Scripted, handle: int) -> int:
 
 
 def locked(board: Board) -> None:
-    """Who stops the device is writing."""
+    """Simulate another thread that holds the lock while it stops the device."""
     board.word[BOARD.lock] = 1
 
 
-# --- the first sample, and one after a pause ----------------------------------------------------------
+# --- first sample, and sample after a pause ---
 
 
-def test_the_words_of_a_conversation_are_what_was_given(board: Board) -> None:
-    """Spans in ns, the file, and a device that may be given a force."""
+def test_init_stores_times_and_arms_the_device(board: Board) -> None:
+    """Initialisation stores the times in ns and the file descriptor, and arms the device."""
     at = board.word
     assert [at[BOARD.quiet], at[BOARD.kick], at[BOARD.kick_awaiting], at[BOARD.timeout_after]] == [
         QUIET, KICK, AWAITING, TIMEOUT_NS,
@@ -205,7 +205,7 @@ def test_the_words_of_a_conversation_are_what_was_given(board: Board) -> None:
 
 
 def test_a_device_that_is_closed_is_lost(board: Board) -> None:
-    """Nothing is asked of a file that was closed; a zero is taken, a force withheld; 0 is the number of a file."""
+    """A closed device is lost, accepts zeros and withholds forces, without any call; descriptor 0 is valid."""
     board.word[BOARD.fd] = -1
     assert board.read() == LOST and board.done == []
     assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.done == []
@@ -216,9 +216,9 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     board.heard()
 
 
-def test_what_waited_is_thrown_away_and_a_first_sample_awaited(board: Board) -> None:
-    """Both reads before the first wait are of before; then the board is woken at once and every AWAITING ns. A sample
-    of now is told with the time of its reading since the opening."""
+def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
+    """The first read discards queued samples, then wakes the board at once and every AWAITING ns. The sample that
+    follows has the time since opening."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
     board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
@@ -234,8 +234,8 @@ def test_what_waited_is_thrown_away_and_a_first_sample_awaited(board: Board) -> 
 
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
-def test_a_device_that_goes_while_it_is_awaited_is_lost_at_once(reads: int, board: Board) -> None:
-    """In the first read, the second, or the one behind the wait: nothing more is asked of it."""
+def test_a_loss_during_the_first_read_is_reported_at_once(reads: int, board: Board) -> None:
+    """If the first, the second or the read after the wait reports a loss, no further call is made."""
     board.comes = [0] * reads + [LOST]
     assert board.read() == LOST
     calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START), "wait 10", "drain"]
@@ -244,17 +244,15 @@ def test_a_device_that_goes_while_it_is_awaited_is_lost_at_once(reads: int, boar
 
 @pytest.mark.parametrize("status", [LOST, OK, HELD])
 def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
-    """A status below 0 is the read's; a port that is full is woken again later."""
+    """A negative status ends the read; after a full port the board is woken again later."""
     board.woken, board.arrives = status, [START + 5 * MS]
     assert board.read() == (status if status < 0 else OK)
 
 
 @pytest.mark.parametrize(("misread", "status"), [(0, TIMEOUT), (7, TIMEOUT), (8, PROTOCOL), (9, PROTOCOL)])
-def test_a_board_that_says_nothing_of_use_is_given_up_once_its_time_is_over(
-    misread: int, status: int, board: Board
-) -> None:
-    """At the first look later than TIMEOUT_NS; bytes of as much as an answer, which make none, are no silence. What it
-    had said before does not count."""
+def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
+    """The read fails once TIMEOUT_NS have passed: PROTOCOL if at least as many bytes as an answer were misread since
+    the start of the wait, otherwise TIMEOUT."""
     board.word[BOARD.misread_bytes] = 100
     begun = board.word[BOARD.misread_bytes]
     real = board_exchange.drain
@@ -272,7 +270,7 @@ def test_a_board_that_says_nothing_of_use_is_given_up_once_its_time_is_over(
 
 @pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
-    """Then what waits is of before, and one of now is awaited; else the newest is taken."""
+    """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used."""
     board.heard()
     board.now += ns
     board.comes = [1, 0, 1]
@@ -282,8 +280,8 @@ def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, boa
 
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
-    """RESUME_WAIT_NS and a wait; the sample of before is repeated, and its board is deaf until it speaks again, though
-    the pause counts for no time-out."""
+    """The read waits RESUME_WAIT_NS and one poll more, then repeats the old sample. The board counts as silent until
+    the next sample, but the pause does not count toward the time-out."""
     board.heard()
     board.now += 150 * MS
     begun, before = board.now, board.sample.copy()
@@ -298,11 +296,11 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     assert board.read() == OK and board.write(FORCE) == OK and board.done == [FORCE]
 
 
-# --- tick by tick -------------------------------------------------------------------------------------
+# --- ticks ---
 
 
-def test_a_tick_takes_the_newest_and_waits_for_nothing(board: Board) -> None:
-    """A new sample is OK and has its time; without one the last is repeated, STALE, bit for bit."""
+def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
+    """A new sample gives OK and its time. Without one, the last is repeated bit for bit with STALE."""
     board.heard()
     board.later(MS)
     board.comes = [4]
@@ -315,8 +313,8 @@ def test_a_tick_takes_the_newest_and_waits_for_nothing(board: Board) -> None:
     assert board.sample.tolist() == kept.tolist()
 
 
-def test_ticks_that_come_slowly_are_no_pause(board: Board) -> None:
-    """Each counts from the one before."""
+def test_slow_ticks_are_no_pause(board: Board) -> None:
+    """The gap is measured from the previous read."""
     board.heard()
     for _ in range(3):
         board.now += RESUME_NS
@@ -324,8 +322,8 @@ def test_ticks_that_come_slowly_are_no_pause(board: Board) -> None:
         assert board.read() == OK and board.done == ["drain"]
 
 
-def test_a_sample_without_a_pose_is_not_in_the_protocol(board: Board) -> None:
-    """And so is what the driver says of a device that has gone."""
+def test_an_unusable_sample_is_a_protocol_error(board: Board) -> None:
+    """An unusable sample gives PROTOCOL, and a loss reported by the driver is returned."""
     board.heard()
     board.later(MS)
     board.comes, board.usable = [1], False
@@ -335,8 +333,8 @@ def test_a_sample_without_a_pose_is_not_in_the_protocol(board: Board) -> None:
 
 
 @pytest.mark.parametrize(("misread", "status"), [(7, TIMEOUT), (8, PROTOCOL)])
-def test_a_silence_longer_than_the_time_out_ends_it(misread: int, status: int, board: Board) -> None:
-    """Not one of just as long."""
+def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: int, board: Board) -> None:
+    """A silence of exactly the time-out is still STALE."""
     board.heard()
     board.word[BOARD.misread_bytes] = misread
     board.later(TIMEOUT_NS)
@@ -345,8 +343,8 @@ def test_a_silence_longer_than_the_time_out_ends_it(misread: int, status: int, b
     assert board.read() == status
 
 
-def test_a_silence_is_woken_into_once_it_is_quiet_and_every_kick(board: Board) -> None:
-    """Not at QUIET but behind it, and again from KICK on, at which there is one."""
+def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
+    """Wakes start after a silence longer than QUIET and are at least KICK apart."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
@@ -363,8 +361,8 @@ def test_a_silence_is_woken_into_once_it_is_quiet_and_every_kick(board: Board) -
     assert board.read() == LOST
 
 
-def test_who_stops_the_device_is_not_written_over(board: Board) -> None:
-    """While the lock is held neither a wake nor a force nor a second zero goes out, and the lock stays."""
+def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None:
+    """While another thread has the lock, no wake, force or zero is sent and the lock is not released."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET + 1)
@@ -381,8 +379,8 @@ def test_who_stops_the_device_is_not_written_over(board: Board) -> None:
     board.word[BOARD.lock] = 0
 
 
-def test_a_wake_that_ended_a_force_is_told(board: Board) -> None:
-    """The answer to it must not bring the force back at once: WITHHELD, once, be there a sample or none."""
+def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
+    """If the wake cleared a force, the read returns WITHHELD once, so that the force fades in."""
     board.heard()
     assert board.write(FORCE) == OK
     board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
@@ -393,12 +391,12 @@ def test_a_wake_that_ended_a_force_is_told(board: Board) -> None:
     assert board.read() == OK
 
 
-# --- forces -------------------------------------------------------------------------------------------
+# --- forces ---
 
 
 @pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
-def test_a_force_goes_out_and_the_driver_has_the_word(status: int, board: Board) -> None:
-    """Whole, to a board that was heard QUIET ago at the most."""
+def test_a_force_is_sent_and_the_driver_status_returned(status: int, board: Board) -> None:
+    """A force is sent unchanged if the last sample is at most QUIET old, and the driver's status is returned."""
     board.heard()
     board.later(QUIET)
     board.force = status
@@ -419,8 +417,8 @@ def unsensed(board: Board) -> None:
 
 @pytest.mark.parametrize("why", [deaf, unarmed, unsensed])
 @pytest.mark.parametrize("status", [OK, HELD, LOST])
-def test_a_force_that_may_not_go_out_is_a_zero(why: Callable[[Board], None], status: int, board: Board) -> None:
-    """And is told as withheld, but where the device is lost."""
+def test_a_zero_replaces_a_withheld_force(why: Callable[[Board], None], status: int, board: Board) -> None:
+    """The write returns WITHHELD, or the driver's status if that is negative."""
     board.heard()
     why(board)
     board.zero = status
@@ -431,7 +429,7 @@ def test_a_force_that_may_not_go_out_is_a_zero(why: Callable[[Board], None], sta
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("number", [nan, inf, -inf])
 def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: Board) -> None:
-    """In each of its three numbers; a torque, which no motor displays, may be anything."""
+    """Each of the three components is checked; a torque, which no motor displays, may have any value."""
     board.heard()
     wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     wrench[place] = number
@@ -442,15 +440,15 @@ def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: 
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_a_force_along_one_axis_is_none_of_zero(place: int, board: Board) -> None:
-    """However small."""
+def test_the_smallest_force_along_one_axis_is_sent(place: int, board: Board) -> None:
+    """The smallest positive component already counts as a force."""
     board.heard()
     wrench = tuple(5e-324 * (k == place) for k in range(6))
     assert board.write(wrench) == OK and board.done == [wrench]
 
 
-def test_a_zero_waits_for_a_board_that_is_busy_and_not_if_it_ends_a_force(board: Board) -> None:
-    """Nothing goes to one that has not answered, and that is no failure; the end of a force does."""
+def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
+    """A zero is skipped without an error while the board still owes an answer, but it is sent if it ends a force."""
     board.heard()
     board.busy = True
     assert board.write(ZERO) == OK and board.done == ["busy? hears"]
@@ -461,9 +459,8 @@ def test_a_zero_waits_for_a_board_that_is_busy_and_not_if_it_ends_a_force(board:
 
 
 @pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
-def test_silence_is_done_once_the_zero_is_gone(status: int, left: int, done: int, board: Board) -> None:
-    """Whole; one that was not taken, or in part, is tried again, and a device that has gone needs none. No force
-    follows."""
+def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
+    """`silence` succeeds once the zero is sent completely or the device is lost. It always disarms the device."""
     board.heard()
     board.zero, board.word[BOARD.unsent_bytes] = status, left
     assert board.silence() == done and board.done == ["zero"]
@@ -472,8 +469,8 @@ def test_silence_is_done_once_the_zero_is_gone(status: int, left: int, done: int
     assert board.write(FORCE) == WITHHELD
 
 
-def test_what_a_board_can_do_is_about_its_origin() -> None:
-    """A box of its radius to each side, its limits as the rig has them."""
+def test_info_of_a_board() -> None:
+    """The workspace is a box around the origin, and limits come from the rig."""
     rig = SimpleNamespace(
         mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
         stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,

@@ -1,4 +1,4 @@
-"""`devices` on tables of plain files, and on an emulated device: what is attached, whose it is, what is in the way."""
+"""`devices` on device tables made of plain files and on an emulated device: list, claim, permissions, busy devices."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COMMAND = (sys.executable, "-m", "softfinger.server.cli", "devices")
 
 @pytest.fixture
 def root() -> Iterator[Path]:
-    """Tables of a system without any device, in a folder that every user may enter."""
+    """Create empty device tables in a folder that every user may enter."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         Path(folder).chmod(0o755)
         (Path(folder) / discovery.USB).mkdir(parents=True)
@@ -47,21 +47,20 @@ def write(folder: Path, **files: str) -> None:
 
 
 def plug_usb(root: Path, name: str, vendor: str, number: str, /, **files: str) -> str:
-    """A USB device as the kernel lists it; its name in the table."""
+    """Add a USB device as the kernel lists it, and return its name in the table."""
     write(root / discovery.USB / name, idVendor=vendor, idProduct=number, busnum="1", devnum="7", **files)
     write(root / discovery.USB / f"{name}:1.0", bInterfaceNumber="00")
     return str(discovery.USB / name)
 
 
 def plug_hid(root: Path, number: int, ids: str, name: str = "Puck") -> str:
-    """A hidraw node as the kernel lists it; its name in the table."""
+    """Add a hidraw node as the kernel lists it, and return its name in the table."""
     write(root / discovery.HIDRAW / f"hidraw{number}" / "device", uevent=f"HID_ID={ids}\nHID_NAME={name}\nHID_UNIQ=SN7")
     return str(discovery.HIDRAW / f"hidraw{number}")
 
 
 def plug_serial(root: Path, name: str, vendor: str, number: str, serial: str = "", product: str = "Teensy") -> str:
-    """A serial port on USB as the kernel lists it; its name in the table. One of a converter (ttyUSB) has a folder of
-    its own in that of its interface."""
+    """Add a USB serial port as the kernel lists it (converters, ttyUSB, in an extra folder); return its name."""
     device = root / "sys/devices/usb1" / f"1-{name}"
     port = device / "1-1:1.0" / (name if name.startswith("ttyUSB") else "")
     port.mkdir(parents=True)
@@ -77,7 +76,7 @@ def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: disco
 
 
 def test_tables_are_read(root: Path) -> None:
-    """Devices and nodes are listed with ids, name, serial number and node; hubs, interfaces and doubles are not."""
+    """Devices have ids, name, serial number and node; hubs, interfaces, duplicates and damaged entries are left out."""
     plug_usb(root, "usb1", "1d6b", "0002", bDeviceClass="09")
     plug_usb(root, "1-1", "2109", "2813", bDeviceClass="09")
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00", product="omega.x haptic device", serial="0042")
@@ -89,7 +88,7 @@ def test_tables_are_read(root: Path) -> None:
     plug_usb(root, "1-4", "16c0", "0483", bDeviceClass="02")
     plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
     plug_serial(root, "ttyUSB0", "0403", "6001")
-    for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # of the machine itself; pulled out while the table was read
+    for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # ports of the machine, and one unplugged while the table was read
         (root / discovery.TTY / name).mkdir()
     assert discovery.list_attached(root) == [
         Attached("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
@@ -101,14 +100,14 @@ def test_tables_are_read(root: Path) -> None:
 
 
 def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
-    """Neither folder is there: nothing is attached, nothing is raised."""
+    """Without the folders of the kernel the lists are empty and no error is raised."""
     assert discovery.names(tmp_path) == frozenset()
     assert list(discovery.hidraw_nodes(tmp_path)) == []
     assert not discovery.has_usb(tmp_path)
 
 
-def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
-    """A user who may not look into the tables, or into the folder of a driver's file, gets answers and no traceback."""
+def test_unreadable_tables_give_no_devices(root: Path) -> None:
+    """If the tables or a driver's file are not readable, the result is empty or a diagnosis, not a traceback."""
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
     hidden = root / "hidden"
     hidden.mkdir()
@@ -118,11 +117,12 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
     list(discovery.usb_devices(hidden))  # imports pyusb, which the other user might not be able to
     privileged = os.geteuid() == 0
     if privileged:
-        os.seteuid(65534)  # nobody: root may read everything
+        os.seteuid(65534)  # user nobody: root may read everything
     try:
         assert not discovery.has_usb(root)
         assert discovery.names(root) == frozenset()
-        assert discovery.list_attached(root) == list(discovery.usb_devices(root))  # what libusb sees, if anything
+        # the devices that libusb finds, if any
+        assert discovery.list_attached(root) == list(discovery.usb_devices(root))
         with pytest.raises(DeviceNotFound, match="there is no such file"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}
@@ -147,7 +147,7 @@ def test_tables_that_may_not_be_read_have_no_devices(root: Path) -> None:
     ],
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
-    """Each device of the published tables has its driver, and a shipped rig that runs it."""
+    """Each device of the published tables is claimed by its driver and has a shipped rig."""
     claim = find_claim(at("", vendor, product))
     assert claim is not None
     assert claim.driver == driver
@@ -155,7 +155,7 @@ def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str
 
 
 def test_no_driver_claims_a_keyboard() -> None:
-    """A device of nobody's is said to be that, with a way to describe it."""
+    """An unclaimed device is reported as such, with a link to the page on describing it."""
     keyboard = at("/dev/null", 0x1234, 0x5678)
     assert find_claim(keyboard) is None
     assert diagnose(keyboard, None).state == "unclaimed"
@@ -163,14 +163,14 @@ def test_no_driver_claims_a_keyboard() -> None:
 
 
 def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
-    """Nothing in the way of a puck: no reason and no remedy."""
+    """A node that can be opened is usable, without reason or remedy."""
     node = root / "hidraw0"
     node.write_bytes(b"")
     assert diagnose(at(node), find_claim(at(node))) == Diagnosis("usable")
 
 
-def test_a_node_that_is_not_there(root: Path) -> None:
-    """A device whose node is missing, and a puck without any, are told apart and mended."""
+def test_missing_nodes_are_diagnosed(root: Path) -> None:
+    """A hidraw node that does not exist, a puck without a node and a board without a port have different remedies."""
     gone = at(root / "hidraw5")
     assert diagnose(gone, find_claim(gone)).state == "node"
     assert "--device" in diagnose(gone, find_claim(gone)).remedy
@@ -182,9 +182,8 @@ def test_a_node_that_is_not_there(root: Path) -> None:
     assert "cdc_acm" in diagnose(bare, find_claim(bare)).remedy
 
 
-def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
-    """A serial port that any Teensy may have is asked to be named; once a rig names it, it is usable. One of Haply's is
-    for the driver of that, which asks the maker's service and not the port."""
+def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
+    """The rig has to name a generic Teensy's port. The haply driver claims Haply's boards and needs the service."""
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
@@ -208,9 +207,9 @@ def test_a_teensy_is_not_known_by_its_ids(root: Path) -> None:
     assert "systemctl start haply-inverse-service" in found.remedy
 
 
-def test_boards_with_the_same_ids_are_told_apart_by_their_reports() -> None:
-    """Of the nodes of a Teensy the debug channel is no driver's; an LPC1768 is for the rigs of its firmware, and for
-    all with its ids where the system does not tell its descriptor."""
+def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
+    """The debug channel of a Teensy is not claimed. An LPC1768 is claimed by the rigs of its firmware, or by all rigs
+    with its ids if the system has no descriptor."""
     teensy, *_ = BOARDS.values()
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
     claim = find_claim(raw)
@@ -232,7 +231,7 @@ def test_boards_with_the_same_ids_are_told_apart_by_their_reports() -> None:
 
 
 def test_an_arm_without_a_hidraw_node(root: Path) -> None:
-    """Threads carry its reports if its node on the bus may be opened; else it is that node which is to be mended."""
+    """Threads transfer the reports if the node on the bus can be opened; otherwise the remedy is about that node."""
     node = root / "002"
     arm = at(node, 0x16C0, 0x0486, bus="usb")
     assert diagnose(arm, find_claim(arm)).state == "node"
@@ -261,13 +260,13 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
 def test_permission_is_diagnosed(
     root: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
 ) -> None:
-    """A node that this user may not write to: the command that lets him, or the group that has the right."""
+    """The remedy is the command that grants write permission, or the group to join."""
     node = root / "node"
     node.write_bytes(b"")
     node.chmod(mode)
     os.chown(node, 0, group)
     device = at(node, vendor, product, bus)
-    registry.load("forcedimension")  # whose rule is asked for; another user has no cache to compile it into
+    registry.load("forcedimension")  # its rule is printed; the other user has no cache to compile it into
     os.seteuid(65534)
     try:
         found = diagnose(device, find_claim(device))
@@ -279,7 +278,7 @@ def test_permission_is_diagnosed(
 
 
 def test_a_holder_is_named(root: Path) -> None:
-    """A node that another process has open, and one that a process has locked, are busy, by whom."""
+    """A node that another process has open or locked is busy, and the process is named."""
     node = root / "hidraw0"
     node.write_bytes(b"")
     code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
@@ -302,8 +301,8 @@ def test_a_holder_is_named(root: Path) -> None:
         assert holder.pid == os.getpid()
 
 
-def test_a_missing_library_is_told(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Force Dimension device that may be opened still needs the maker's library; where it was looked for is said."""
+def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The diagnosis of a Force Dimension device names the missing library and how to point to it."""
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(root))
@@ -316,8 +315,8 @@ def test_a_missing_library_is_told(root: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "export FDSDK=" in found.remedy
 
 
-def test_a_library_that_the_rig_names_counts(root: Path) -> None:
-    """The rig's own library file is what is looked for; another driver's rig has no say."""
+def test_the_library_file_of_the_rig_is_checked(root: Path) -> None:
+    """The diagnosis looks for the library file of the rig, unless the rig is for another driver."""
     node = root / "node"
     node.write_bytes(b"")
     omega = at(node, 0x1451, 0x0402, bus="usb")
@@ -328,7 +327,7 @@ def test_a_library_that_the_rig_names_counts(root: Path) -> None:
 
 
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
-    """A Falcon is ready once a rig names a firmware file that is there."""
+    """A Falcon is usable once a rig names an existing firmware file."""
     claim = Claim("falcon", "usb", 0x0403, 0xCB48)
     file = root / "firmware.bin"
     assert "no rig named one" in diagnose_requirements(claim, {}).reason
@@ -339,15 +338,15 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
     assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
 
 
-def test_a_driver_that_is_not_installed_is_told(root: Path) -> None:
-    """A claimed device whose driver this installation does not have is told so first."""
+def test_a_missing_driver_is_diagnosed(root: Path) -> None:
+    """A missing driver is reported before anything else."""
     found = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
     assert found.state == "driver"
     assert "'no-such-driver' is not in this installation" in found.reason
 
 
 def test_a_falcon_is_claimed(root: Path) -> None:
-    """A Falcon that may be opened is its driver's, and not ready before its firmware is named."""
+    """An accessible Falcon still needs its firmware."""
     node = root / "node"
     node.write_bytes(b"")
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
@@ -355,8 +354,8 @@ def test_a_falcon_is_claimed(root: Path) -> None:
     assert found.state == ("firmware" if "falcon" in registry.names() else "driver")
 
 
-def test_a_machine_without_devices_says_so() -> None:
-    """Nothing attached: one line that says so and what runs without hardware; JSON is an empty list."""
+def test_output_without_devices() -> None:
+    """Without devices the text is one line, which also names the simulated rig."""
     text = devices.lines([])
     assert len(text) == 1
     assert text[0].startswith("no USB or HID device is attached")
@@ -366,7 +365,7 @@ def test_a_machine_without_devices_says_so() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
-    """The verb itself beside an emulated arm: node, name, serial number, driver and rigs, usable."""
+    """The verb lists an emulated arm with node, name, serial number, driver and rigs, and sends nothing to it."""
     done, saw = beside({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert done.returncode == 0, done.stderr
     (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
@@ -385,7 +384,7 @@ def test_an_emulated_device_is_listed() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    """An arm on the USB bus alone: its node there, usable, and why through threads."""
+    """An arm without hidraw is listed with its USB node, as usable through threads."""
     done, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert done.returncode == 0, done.stderr
     (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]

@@ -1,5 +1,4 @@
-"""Every driver that needs no hardware and no stand-in for it, held to the contract; finding drivers by name; and a
-driver of another package, installed and run."""
+"""Driver contract over the drivers that need no hardware; registry of drivers; driver of an installed package."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
 
 class Recorded(Bench):
-    """A driver over a recording: only the recording can be missing."""
+    """Bench of a driver that plays a recording: only `not_found` can be produced."""
 
     cannot: ClassVar[Mapping[str, str]] = {
         "busy": "a recording is read, so any number of processes may have it",
@@ -54,7 +53,7 @@ class Recorded(Bench):
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder into which pip has put the example package, built from its sources."""
+    """Install the example package with pip from its sources, and return the folder."""
     target = tmp_path_factory.mktemp("site")
     options = "--quiet --no-index --no-deps --no-build-isolation --disable-pip-version-check --target"
     subprocess.run(
@@ -70,11 +69,11 @@ def bench(request: pytest.FixtureRequest) -> Bench:
 
 
 class TestContract(DriverContract):
-    """The contract over each of them."""
+    """The contract over `replay` and `simulated`."""
 
 
 def test_built_in_drivers_load() -> None:
-    """Every built-in name leads to a module with Options and open_device."""
+    """Each built-in name loads a module with Options and open_device."""
     assert {"replay", "simulated", "forcedimension"} <= set(registry.names())
     for name in registry.BUILT_IN:
         driver = registry.load(name)
@@ -83,13 +82,13 @@ def test_built_in_drivers_load() -> None:
 
 
 def test_unknown_driver_is_named_with_a_suggestion() -> None:
-    """A misspelt driver is refused with the names that exist and the nearest one."""
+    """The error for an unknown driver lists the existing names and suggests the closest."""
     with pytest.raises(DeviceNotFound, match=r"'repley'.*did you mean 'replay'.*replay"):
         registry.load("repley")
 
 
 def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An entry point that is no driver, or that cannot be imported, is listed, and refused when it is asked for."""
+    """An entry point that is no driver, or cannot be imported, is listed; loading it raises DeviceError."""
     info = tmp_path / "outside-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
@@ -105,9 +104,8 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
         registry.load("broken")
 
 
-def test_a_program_may_bring_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A module that it adds is a driver by that name, in this process; what is none, or has a name that is taken, is
-    refused."""
+def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`registry.add` registers a module for this process, and rejects modules that are no driver and names in use."""
     monkeypatch.setattr(registry, "_registered", {})
     replay = registry.load("replay")
     registry.add("mine", replay)
@@ -119,7 +117,7 @@ def test_a_program_may_bring_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
-    """As a signal stops them: the last wrench that it has is a zero, and it takes no other."""
+    """`stop_all`, which signals call, writes a zero; the device then withholds forces."""
     config = load_rig("replay").device
     assert config is not None
     with registry.open_device(config, RATE_HZ) as device:
@@ -132,8 +130,7 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
 
 @pytest.mark.exhaustive
 def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
-    """With the package installed, its rig passes `check` and the daemon runs on it; a wrong option is refused by name;
-    without the package the same rig is not usable."""
+    """With the package its rig passes `check` and runs, and a wrong option is named; without it `check` fails."""
     rig = str(OUTSIDE / "lissajous.toml")
 
     def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:

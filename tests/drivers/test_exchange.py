@@ -1,4 +1,4 @@
-"""The exchange of `bench device` and of device reports: what reaches the device, what is recorded, how it ends."""
+"""Exchange of `bench device` and of device reports: wrenches written, rows recorded, and ends."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def recording(**options: object) -> replay.Replay:
 
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
-    """With a disarmed guard every wrench written is zero, though a push is asked for; each tick has its row."""
+    """With a disarmed guard every wrench written is zero, even during a push; each tick has its row."""
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
@@ -63,8 +63,8 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
     assert not rows[:, FORCE : FORCE + 3].any()
 
 
-def test_rows_hold_every_sample_in_turn() -> None:
-    """Poses are the recording's, one a row, device time goes on by a period, all times are positive and in order."""
+def test_rows_contain_every_sample_in_order() -> None:
+    """Rows have successive poses of the recording, device time advances by one period, and ticks do not overlap."""
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
@@ -73,13 +73,12 @@ def test_rows_hold_every_sample_in_turn() -> None:
     steps = np.diff(rows[:, SAMPLE + SAMPLE_TIME])
     np.testing.assert_allclose(steps, 1.0 / RATE_HZ, rtol=1e-9)  # differences of times below 10 s: rounding
     assert (rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]] > 0.0).all()
-    # no tick begins before the one before it has ended
     whole = rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]].sum(axis=1)
     assert (np.diff(rows[:, START]) > whole[:-1]).all()
 
 
 def test_a_push_is_a_faded_sine_along_its_axis() -> None:
-    """What is written is the closed form, faded in by the guard too, along one axis alone, and zero after it."""
+    """The force written is the closed form times the guard's ramp, along one axis, and zero afterwards."""
     newton, seconds, hertz = 2.0, 0.5, 6.0
     with recording() as device, Exchange(device, RIG, ARMED) as exchange:
         rows = exchange.record(seconds, Push((0.0, newton, 0.0), hertz, seconds))
@@ -97,14 +96,14 @@ def test_a_push_is_a_faded_sine_along_its_axis() -> None:
 
 
 def test_a_push_stays_below_the_guard() -> None:
-    """A push of ten times the guard's force is clamped to it."""
+    """A push of ten times the limit is clamped to the limit."""
     with recording() as device, Exchange(device, RIG, ARMED) as exchange:
         rows = exchange.record(0.3, Push((50.0, 0.0, 0.0), 10.0, 0.3))
     assert np.abs(rows[:, FORCE]).max() == pytest.approx(ARMED.force_max, rel=1e-12)  # rounding of a norm
 
 
-def test_an_exception_in_the_middle_leaves_no_force() -> None:
-    """Left by an interrupt during a push, the last wrench is zero and the device disarmed."""
+def test_an_exception_during_a_push_ends_with_zero() -> None:
+    """After an interrupt during a push the last wrench is zero."""
     device = recording()
 
     def interrupted() -> None:
@@ -120,7 +119,7 @@ def test_an_exception_in_the_middle_leaves_no_force() -> None:
 
 
 def test_a_burst_is_bounded() -> None:
-    """Without pauses it ends by its rows or its time, and goes on where it was."""
+    """A burst ends at its maximum number of rows or its maximum time, and a later record continues the recording."""
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
@@ -131,7 +130,7 @@ def test_a_burst_is_bounded() -> None:
 
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
-    """A recording that is not looped gives the rows there are, and none after that."""
+    """A recording that is not looped ends the record early, without a failure."""
     with recording(loop=False) as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
@@ -142,8 +141,8 @@ def test_the_end_of_a_recording_is_no_failure() -> None:
 @pytest.mark.parametrize(
     ("fault", "error"), [("lost", DeviceLost), ("write_lost", DeviceLost), ("timeout", DeviceTimeout)]
 )
-def test_a_failing_device_ends_with_its_error(fault: Fault, error: type[DeviceError]) -> None:
-    """The rows up to the failure are kept, the failure has the device's name, and the last wrench is zero."""
+def test_a_failing_device_raises_its_error(fault: Fault, error: type[DeviceError]) -> None:
+    """`record` returns the rows up to the failure, the error names the device, and the last wrench is zero."""
     with FaultyDevice(Options(fault=fault, at=150)) as device:
         with Exchange(device, RIG, ARMED) as exchange:
             rows = exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
@@ -157,7 +156,7 @@ def test_a_failing_device_ends_with_its_error(fault: Fault, error: type[DeviceEr
 
 
 def test_a_hanging_device_is_stopped() -> None:
-    """An exchange that does not come back for a quarter of a second has its force taken off, and is said to hang."""
+    """If an exchange takes more than 0.25 s, the thread is stopped with SafetyStop and the last wrench is zero."""
     with FaultyDevice(Options(fault="stall", at=100, stall_us=800_000)) as device:
         with pytest.raises(SafetyStop, match=r"no exchange for 0\.25 s"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
@@ -165,8 +164,8 @@ def test_a_hanging_device_is_stopped() -> None:
 
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
-    """A fresh compile names no allocator and no interpreter; through pointers it calls the device's two functions, the
-    two that do nothing, and the last zero."""
+    """A new compilation calls neither allocator nor interpreter. Its five calls through pointers are the device's two
+    functions, the two empty ones and the last zero."""
     compile_exchange()
     (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
     fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]
@@ -180,7 +179,7 @@ def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
 
 
 def rows_of(count: int) -> np.ndarray:
-    """Rows of a device that reads in 2 us, writes in 1 us, an empty pair in 0.1 us each, every fourth sample stale."""
+    """Rows with 2 us per read, 1 us per write and 0.1 us per empty call; every fourth sample is stale."""
     rows = np.zeros((count, ROW_SIZE))
     rows[:, START] = np.arange(count) * 1e-3
     rows[:, READ], rows[:, WRITE] = 2e-6, 1e-6
@@ -194,7 +193,6 @@ def rows_of(count: int) -> np.ndarray:
 
 
 def test_figures_of_known_rows() -> None:
-    """Percentiles, ratios, rates and steps of rows with known times."""
     found = figures(rows_of(2000), 1000.0)
     assert found["ticks"] == 2000
     assert found["seconds"] == pytest.approx(2.0, rel=1e-12)
@@ -210,14 +208,14 @@ def test_figures_of_known_rows() -> None:
 
 
 def test_histogram_counts_every_value_once() -> None:
-    """Each value is counted in the bin whose upper edge it does not exceed, the longest of all too."""
+    """Each value, also the largest, is counted in the bin whose upper edge it does not exceed."""
     counted = histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
     assert counted == [[1e-8, 1], [2e-8, 1], [5e-6, 2], [0.9, 1]]
     assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
 
 
 def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The verb on a simulated device: figures of every tick, ratios, a plot."""
+    """`bench device` on a simulated device prints figures of all ticks as JSON and saves a plot."""
     plot = tmp_path / "plot.png"
     words = ("--rig", "simulated", "--seconds", "0.3", "--json", "--plot", str(plot))
     assert main(["bench", "device", *words]) == 0
@@ -242,14 +240,14 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
 def test_bad_words_give_one_clear_error(
     words: list[str], code: int, pieces: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A wrong value says what, where and what is allowed."""
+    """The error names the argument and the allowed range or names."""
     assert main(["bench", "device", *words]) == code
     errors = capsys.readouterr().err
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
 
 
 def test_the_device_is_armed_right_before_its_first_exchange() -> None:
-    """Armed once, by the thread that exchanges, with its settings made and the loop compiled before."""
+    """The exchange thread arms the device once, right before its first exchange; the loop is compiled before."""
     compile_exchange()
     before = len(exchange_loop.signatures)  # type: ignore[attr-defined]
     with FaultyDevice(Options()) as device, Exchange(device, RIG, ARMED) as exchange:
@@ -261,15 +259,15 @@ def test_the_device_is_armed_right_before_its_first_exchange() -> None:
 
 
 def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:
-    """The part asked for raises it, and the device is stopped."""
+    """`record` raises the device's error, and the device is stopped."""
     with FaultyDevice(Options(refuses_to_arm=True)) as device:
         with pytest.raises(DeviceError, match="force button"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(0.1)
         assert [act for act, *_ in device.acts] == ["arm", "stop"]
 
 
-def test_a_device_whose_stop_fails_is_told_zero_and_named() -> None:
-    """The thread ends, the last wrench is zero, and the error says that the device may still push."""
+def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
+    """The last wrench is zero, and the error asks the user to switch the device off."""
     device = FaultyDevice(Options(stop_fails=True))
     with (
         pytest.raises(DeviceError, match=r"could not be stopped.*switch it off"),
@@ -281,8 +279,8 @@ def test_a_device_whose_stop_fails_is_told_zero_and_named() -> None:
 
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
-def test_a_push_that_the_driver_withholds_fades_in_anew(way: Fault) -> None:
-    """The rows have zero while it is withheld, and the push comes back by the guard's ramp."""
+def test_a_withheld_push_fades_in_again(way: Fault) -> None:
+    """Rows have zero force while it is withheld, and then the force increases no faster than the guard's ramp."""
     slow = ARMED._replace(ramp=0.5)
     with FaultyDevice(Options(fault=way, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:
         rows = exchange.record(1.2, Push((1.0, 0.0, 0.0), 0.01, 1.2))
@@ -292,11 +290,12 @@ def test_a_push_that_the_driver_withholds_fades_in_anew(way: Fault) -> None:
     size = np.abs(rows[:, FORCE])
     assert last - first == 4
     assert size[first - 1] > 10 * size[first + 20] > 0.0
-    share = 0.002 * np.arange(2, 102) * (1 + 1e-12)  # at most: after a read one tick earlier; sums round
+    # upper bound: a withheld read starts the ramp one tick earlier; sums round
+    share = 0.002 * np.arange(2, 102) * (1 + 1e-12)
     assert (size[last + 1 : last + 101] <= share * np.abs([pushed_at(n) for n in range(last + 1, last + 101)])).all()
 
 
 def pushed_at(number: int) -> float:
-    """The push of the test above at a row, N, by its closed form."""
+    """Closed form of the push of the test above at row `number`."""
     t = number / RATE_HZ
     return math.sin(math.pi * t / 1.2) ** 2 * math.sin(2.0 * math.pi * 0.01 * t)

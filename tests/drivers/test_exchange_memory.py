@@ -1,4 +1,4 @@
-"""The compiled exchanges of the drivers that call a library take no memory."""
+"""Compiled exchanges of the drivers that call a library do not allocate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALLOCATORS = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
 
 @pytest.mark.parametrize("exchange", [falcon, forcedimension], ids=["falcon", "forcedimension"])
 def test_exchange_allocates_nothing(exchange: Any) -> None:
-    """Read and write, compiled afresh, name no allocator; the control that allocates does."""
+    """The code of read and write contains no allocator; the code of a function that allocates does."""
     compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
 
     def allocates(handle: int, values: Any) -> int:

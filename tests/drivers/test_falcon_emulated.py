@@ -1,6 +1,6 @@
-"""The whole program on an emulated Falcon behind the true libusb: contract, firmware, homing, servo loop, faults.
+"""The program on an emulated Falcon behind the real libusb: contract, firmware, homing, servo loop, faults.
 
-Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi: `apt install umockdev gir1.2-umockdev-1.0 python3-gi`.
+Needs umockdev: `apt install umockdev gir1.2-umockdev-1.0 python3-gi` on Debian.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ pytestmark = [
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """A command beside an emulated device; what it printed, and what the device saw."""
+    """Run a command with an emulated device attached, and return its result and the state of the device."""
     done = subprocess.run(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
         capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
@@ -46,9 +46,9 @@ def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedPro
 
 
 def rig_with(tmp_path: Path, **keys: object) -> str:
-    """The shipped rig with other keys in [device], as a file."""
+    """Write the shipped rig with other keys in [device] to a file, and return its path."""
     text = find("falcon", Rig).read_text()
-    # A tick of the emulation waits for two other programs: silences are longer than on a bus.
+    # A tick of the emulation waits for two other programs, so silences are longer than on a bus.
     given = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
     for key in given:
         text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
@@ -59,13 +59,13 @@ def rig_with(tmp_path: Path, **keys: object) -> str:
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """The daemon on an emulated device."""
+    """Run the daemon on an emulated device."""
     fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *fixed, *words)
 
 
 def test_the_driver_contract() -> None:
-    """Every test of the contract passes over the device behind libusb; none is left out."""
+    """All tests of the contract pass over the device behind libusb, without a skip."""
     command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CONTRACT))
     done, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
     assert done.returncode == 0, done.stdout
@@ -74,7 +74,7 @@ def test_the_driver_contract() -> None:
 
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
-    """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+    """A hand presses into the plane, drags and releases: modes and forces equal the engine's for the same poses."""
     kept = tmp_path / "records.npy"
     program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(kept))
     done, saw = beside(STROKE, *program)
@@ -92,7 +92,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("reversed_motors", [True, False])
 def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_path: Path) -> None:
-    """A hand that means to be 6 mm below the plane is held near it by the motors, whichever way they turn."""
+    """A hand whose goal is 6 mm below the plane is stopped by the motors, for either sign of the motors."""
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
     done, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
@@ -100,23 +100,24 @@ def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_pat
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
     assert "force is zero" in done.stderr
     assert "not calibrated" not in done.stderr
-    # The hand's spring and the wall's share the depth; up is the device's y.
+    # Springs of hand and wall share the depth; up is the device's y.
     stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
     depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)
-    assert saw["place"][1] == pytest.approx(0.010 - depth, abs=3e-4)  # counts are 30 um; the last zero lets go a little
+    # counts are 30 um; the last zero releases the hand a little
+    assert saw["place"][1] == pytest.approx(0.010 - depth, abs=3e-4)
 
 
 def test_force_without_a_gain_is_flagged() -> None:
-    """The shipped rig has no gain of its own, and the daemon says that force is not calibrated."""
+    """The shipped rig has no gain, and the daemon warns that the force is not calibrated."""
     done, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
     assert done.returncode == 0, done.stderr
     assert "force is not calibrated: 10000 motor counts per N m are assumed" in done.stderr
-    # Purged, latency 1 ms, 1.5 MBd, purged: the chip as the firmware has it.
+    # Purge, latency 1 ms, 1.5 MBd, purge: the chip as the firmware expects it.
     assert saw["requests"] == [[0, 1], [0, 2], [9, 1], [3, 2], [0, 1], [0, 2]]
 
 
 def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
-    """Each tenth reply is 4 ms late: the run goes to its end."""
+    """With each tenth reply 4 ms late the run completes."""
     done, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
     assert done.returncode == 0, done.stderr
     assert saw["steps"] > 30
@@ -135,19 +136,17 @@ def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
     ids=["unplugged", "broken", "mute", "blocked", "noise", "unhomed"],
 )
 def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path) -> None:
-    """What goes wrong on the cable or in the device ends the daemon with its own message, and no force is left."""
+    """A fault of cable or device ends the daemon with its message and without force."""
     done, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
     assert done.returncode != 0, done.stderr
     assert re.search(message, done.stderr), done.stderr
     assert max(saw["most"]) > 0, "there was no force to take away"
-    if not {"block_after", "broken_after"} & set(
-        case
-    ):  # nothing goes through any more, no zero either: the firmware's own affair
+    if not {"block_after", "broken_after"} & set(case):  # nothing is transmitted any more, not even a zero
         assert saw["motors"] == [0, 0, 0]
 
 
 def test_homing(tmp_path: Path) -> None:
-    """A device that does not know its zeros is not used until the knob was out; then its places are true."""
+    """A Falcon without homing is used only after the knob was pulled out and pushed in; then positions are correct."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
     done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert done.returncode == 0, done.stderr
@@ -156,8 +155,8 @@ def test_homing(tmp_path: Path) -> None:
     assert saw["place"][1] > 0.005, "the wall did not hold the hand, so its place was wrong"
 
 
-def test_homing_is_not_waited_for_for_ever(tmp_path: Path) -> None:
-    """A knob that nobody moves is given up, with what to do; no motor has been driven."""
+def test_homing_times_out(tmp_path: Path) -> None:
+    """Opening fails after `homing_s` with instructions, and no motor was driven."""
     rig = rig_with(tmp_path, homing_s=0.1)
     done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
     assert done.returncode == 4, done.stderr
@@ -168,8 +167,8 @@ def test_homing_is_not_waited_for_for_ever(tmp_path: Path) -> None:
 FIRMWARE_BYTES = 7324
 
 
-def test_firmware_is_sent_until_its_echo_is_right(tmp_path: Path) -> None:
-    """A device without firmware gets the user's file; a wrong echo begins the next try; then it runs."""
+def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
+    """The firmware file is sent again after each wrong echo, until the device runs."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     rig = rig_with(tmp_path, firmware=str(path))
@@ -189,7 +188,7 @@ def test_firmware_is_sent_until_its_echo_is_right(tmp_path: Path) -> None:
     ids=["no-file", "not-a-firmware", "never-right"],
 )
 def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str, tmp_path: Path) -> None:
-    """Without a file, with another file, or with a line that spoils each try, the error says what to do."""
+    """Without a file, with a wrong file or with a disturbed line the error contains instructions."""
     keys = {}
     if size is not None:
         path = tmp_path / "firmware.bin"
@@ -202,14 +201,14 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
 
 
 def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
-    """The emulated device has serial SN42: that one is opened, another one is asked for in vain."""
+    """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         done, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
         assert said in done.stderr
 
 
-def test_a_falcon_says_that_its_firmware_runs() -> None:
-    """`devices` does not touch it and says that it needs its firmware; with `--ask` it says itself that it has it."""
+def test_devices_reports_running_firmware() -> None:
+    """Without touching the device `devices` reports missing firmware; with `--ask` it reports running firmware."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         done, saw = beside({}, *words, *more)
@@ -245,7 +244,7 @@ second.close()
 
 
 def test_two_falcons_through_libusb() -> None:
-    """Both are open by their serial numbers, each exchange is with its own knob, and closing one leaves the other."""
+    """Two Falcons open by serial number, each exchange is with its knob, and closing one does not affect the second."""
     case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
     code = f"import sys; sys.path.insert(0, {str(TESTBED.parents[1])!r})\n{TWO}"
     done, saw = beside(case, sys.executable, "-c", code)
@@ -261,19 +260,19 @@ def test_two_falcons_through_libusb() -> None:
 
 
 def test_a_weight_gives_the_gain() -> None:
-    """`calibrate` finds the emulated motors' gain with a weight, from a rig whose gain is another."""
+    """`calibrate` determines the gain of the emulated motors from a weight, though the rig has another gain."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
     done, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.rsplit("{", 1)[0])
-    # the hold may still change by 0.05 N from window to window when it is taken to rest, of 0.39 N
+    # tolerance: at rest the force of 0.39 N may change by up to 0.05 N from window to window
     assert found["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
     assert found["counts_per_nm_used"] == 10000.0
 
 
 def test_a_force_of_the_wrong_sign_is_noticed() -> None:
-    """A knob that runs away ends `calibrate` with what to change, and without force."""
+    """`calibrate` ends with zero force and a hint if the knob accelerates away."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
     done, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)

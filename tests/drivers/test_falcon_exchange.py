@@ -1,5 +1,7 @@
-"""The exchange with a Falcon call by call, on a libusb and a clock by a script: which packets go out and when, what
-replies and silences are taken for, what is withdrawn. To the nanosecond, which the stand-in in C cannot show."""
+"""Exchange with a Falcon, call by call, on a scripted libusb and clock: packets, replies, silences and cancellations.
+
+Limits are checked to the nanosecond, which the stand-in in C cannot do.
+"""
 
 from __future__ import annotations
 
@@ -22,43 +24,43 @@ pytestmark = BY_CALL
 CONTEXT, SUBMIT, STOPS_MAX, CANCEL = 70, 71, 72, 73
 KICK, TIMEOUT_NS = 20 * MS, 200 * MS
 LOST_NS = 5 * MS
-"""An answer that has not come for so long will not."""
+"""Age after which an answer counts as lost."""
 COMPLETED, BROKEN, TIMED_OUT, CANCELLED, STALLED, NO_DEVICE = 0, 1, 2, 3, 4, 5
-"""Of a transfer, by libusb."""
+"""Transfer states of libusb."""
 ERROR_IO, ERROR_NO_DEVICE, ERROR_INTERRUPTED = -1, -4, -10
 ZERO = (0.0,) * 6
 PULL = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 STATUS = b"\x01\x60"
-"""The serial chip's own two bytes in front of every transfer."""
+"""Two status bytes that the serial chip puts in front of every transfer."""
 
 
 def packet(numbers: tuple[int, ...], state: int) -> bytes:
-    """A packet either way: a nibble to a byte, the least significant first."""
+    """Return a packet of either direction: one nibble per byte, least significant first."""
     nibbles = [0x41 + ((n >> (4 * k)) & 15) for n in numbers for k in range(4)]
     return bytes([0x3C, *nibbles, 0x41 + state, 0x41, 0x3E])
 
 
 def reply(count: int = 0) -> bytes:
-    """Of a knob whose three encoders show the same, homed."""
+    """Return a reply of a homed knob with all three encoders at `count`."""
     return packet((count,) * 3, 0x70)
 
 
 def counts_of(sent: bytes) -> tuple[int, ...]:
-    """Motor counts of a packet."""
+    """Return the motor counts of a packet."""
     nibbles = [byte - 0x41 for byte in sent[1:13]]
     whole = [sum(n << (4 * k) for k, n in enumerate(nibbles[at : at + 4])) for at in (0, 4, 8)]
     return tuple(n - 65536 if n >= 32768 else n for n in whole)
 
 
 NOTHING = packet((0, 0, 0), 2)
-"""A zero with the green light."""
+"""Zero with the green light."""
 
 
 class Usb:
-    """libusb by a script, and the block of a driver that has been homed and armed.
+    """Scripted libusb, and the block of a driver that is homed and armed.
 
-    comes    of transfers in that have come, what each brought; None: it ended with `ends`
-    answers  whether each packet is answered with the next reply, in the handling of events that completes it
+    comes    data of the incoming transfers; None: the transfer ends with state `ends`
+    answers  add the next reply whenever handling of events completes a packet
     """
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
@@ -153,34 +155,34 @@ class Usb:
         return status
 
     def later(self, ns: int) -> None:
-        """So much time, in which the loop reads nothing but is no pause."""
+        """Advance the clock without a read and without causing a pause of the loop."""
         self.clock.now += ns
         self.word[AT.read_at] = self.clock.now
 
     def got(self) -> list[bytes]:
-        """Packets since they were last asked for."""
+        """Return the packets sent since the last call."""
         out = self.sent[:]
         self.sent.clear()
         return out
 
     def counts(self) -> dict[str, int]:
-        """The counters that are not 0."""
+        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
     def forces(self) -> dict[str, int]:
-        """Of these, those of what is sent."""
+        """Return the counters of sent packets that are not 0."""
         return {name: n for name, n in self.counts().items() if name in ("written", "held", "kicks", "cut")}
 
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> Usb:
-    """Not read yet."""
+    """Scripted libusb before the first read."""
     return Usb(monkeypatch)
 
 
 @pytest.fixture
 def usb(opened: Usb) -> Usb:
-    """Read once, with nothing under way and nothing counted; replies are the test's own."""
+    """Scripted libusb after one read, with counters at 0 and no packet unanswered; the test supplies the replies."""
     assert opened.read()[0] == OK
     opened.answers = False
     opened.sent.clear()
@@ -189,21 +191,21 @@ def usb(opened: Usb) -> Usb:
     return opened
 
 
-# --- the first sample, and one after a pause ----------------------------------------------------------
+# --- first sample, and sample after a pause ---
 
 
-def test_the_first_read_asks_for_a_reply_of_now(opened: Usb) -> None:
-    """With a zero, whose answer it waits for in slices of 2 ms."""
+def test_the_first_read_requests_a_reply(opened: Usb) -> None:
+    """The first read sends a zero and waits for its answer in slices of 2 ms."""
     status, sample = opened.read()
-    assert status == OK  # nobody was given a force before
+    assert status == OK  # no force was active before
     assert np.isfinite(sample).all()
     assert opened.got() == [NOTHING]
     assert set(opened.waits) <= {0, 2000}
     assert opened.forces() == {"written": 1}
 
 
-def test_a_device_that_never_answers_is_given_up(opened: Usb) -> None:
-    """At the first read after the time-out; every `kick_s` it is asked again."""
+def test_the_first_read_times_out(opened: Usb) -> None:
+    """The read repeats its zero every `kick_s` and fails at the first check after the time-out."""
     opened.answers = False
     assert opened.read()[0] == TIMEOUT
     assert TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
@@ -215,8 +217,8 @@ def test_a_device_that_never_answers_is_given_up(opened: Usb) -> None:
     assert opened.word[AT.has_sample] == 0
 
 
-def test_after_a_pause_replies_of_before_are_thrown_away(usb: Usb) -> None:
-    """What has come, and what is still to come for the packets sent before; the read that sends a zero says so."""
+def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
+    """After a pause, replies to earlier packets are discarded; the read sends a zero and returns WITHHELD."""
     assert usb.write(*PULL) == OK
     assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
@@ -239,7 +241,7 @@ def test_after_a_pause_replies_of_before_are_thrown_away(usb: Usb) -> None:
 
 
 def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
-    """30 ms without a read are none."""
+    """A gap of exactly 30 ms is no pause."""
     usb.clock.now += 30 * MS
     usb.word[AT.sent_at] = usb.clock.now
     assert usb.read()[0] == STALE
@@ -251,8 +253,7 @@ def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
-    """A device that does not answer then is waited for 0.1 s and no longer; the sample of before is repeated, no force
-    goes out, and the silence is counted from now."""
+    """After a pause the read waits 0.1 s, then repeats the old sample and restarts the silence; no force is sent."""
     before = usb.read(reply(5))[1].tolist()
     usb.got()
     usb.clock.now += 3 * TIMEOUT_NS
@@ -267,8 +268,8 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
     assert usb.read(reply(6))[0] == OK
 
 
-def test_what_is_lost_after_a_pause_is_not_waited_for(usb: Usb) -> None:
-    """The answer to a packet of before never came: once the second zero is out, the next reply is of now."""
+def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
+    """If the answer to an earlier packet is lost, the next reply after the second zero counts as current."""
     usb.write(*PULL)
     usb.clock.now += 31 * MS
     events = usb._events
@@ -287,7 +288,7 @@ def test_what_is_lost_after_a_pause_is_not_waited_for(usb: Usb) -> None:
 
 
 def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
-    """In its events, and where the zero is refused."""
+    """Errors of event handling and of the zero packet are reported as LOST."""
     usb.clock.now += 31 * MS
     usb.error = ERROR_IO
     assert usb.read()[0] == LOST
@@ -299,11 +300,11 @@ def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
     assert usb.word[AT.error] == STALLED
 
 
-# --- replies ---------------------------------------------------------------------------------------------
+# --- replies ---
 
 
-def test_a_reply_is_a_sample_and_then_it_is_repeated(usb: Usb) -> None:
-    """Without a wait; in pieces it is one once it is whole."""
+def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
+    """A reply gives OK without waiting, then STALE repeats. A reply in pieces counts once it is complete."""
     status, first = usb.read(reply(5))
     assert status == OK
     assert set(usb.waits) == {0}
@@ -315,8 +316,8 @@ def test_a_reply_is_a_sample_and_then_it_is_repeated(usb: Usb) -> None:
     assert usb.counts() == {"replies": 2}
 
 
-def test_replies_of_one_tick_are_counted_and_the_newest_is_taken(usb: Usb) -> None:
-    """Three in two transfers: two were passed over. The chip's own two bytes are no part of the stream."""
+def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
+    """The last of several replies is used, earlier ones are counted as `passed`, and status bytes are skipped."""
     assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK
     assert usb.word[AT.counts] == 3
     assert usb.counts() == {"replies": 3, "passed": 2}
@@ -327,13 +328,13 @@ def test_replies_of_one_tick_are_counted_and_the_newest_is_taken(usb: Usb) -> No
 
 
 def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
-    """Eight transfers in one tick; the rest is the next tick's."""
+    """One tick handles at most eight transfers."""
     assert usb.read(*[reply(n) for n in range(20)])[0] == OK
     assert usb.counts() == {"replies": 8, "passed": 7}
 
 
-def test_a_length_past_the_buffer_is_not_believed(usb: Usb) -> None:
-    """Behind the buffer stands our own packet."""
+def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
+    """A length beyond the buffer is clamped; the memory behind the buffer contains the sent packet."""
     usb.write(*ZERO)
     usb.block.raw_bytes(AT.buffer_in, 64)[:] = 0
     usb._done(AT.transfer_in, COMPLETED, 200)
@@ -351,7 +352,7 @@ def test_a_length_past_the_buffer_is_not_believed(usb: Usb) -> None:
     ],
 )  # fmt: skip
 def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
-    """After a time-out or a cancellation the transfer is submitted again; an error of the bus is a lost device."""
+    """After a time-out or cancellation the transfer is submitted again; other failures mean that the device is lost."""
     usb.ends = ends
     usb.comes = [None]
     assert usb.read()[0] == status
@@ -360,15 +361,15 @@ def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -
 
 
 def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
-    """Nothing was finished; the next tick has it."""
+    """Interrupted event handling completes no transfer; the next tick reads the reply."""
     usb.interrupted = True
     assert usb.read(reply(1))[0] == STALE
     usb.interrupted = False
     assert usb.read()[0] == OK
 
 
-def test_a_transfer_that_is_refused_is_not_under_way(usb: Usb) -> None:
-    """In, and out."""
+def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
+    """If libusb rejects a submission in either direction, the transfer is marked as done and the call returns LOST."""
     for knob in (AT.in_done, AT.out_done):
         usb.word[AT.error] = 0
         call = usb._call
@@ -385,13 +386,13 @@ def test_a_transfer_that_is_refused_is_not_under_way(usb: Usb) -> None:
 
 
 def test_a_device_that_lost_its_homing_ends_the_run(usb: Usb) -> None:
-    """The status of the pose is the read's; the sample of before stays."""
+    """The read returns the status of the pose."""
     usb.read(reply(1))
     assert usb.read(packet((1, 1, 1), 0x30))[0] < 0
 
 
 def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
-    """Its libusb is not called; a zero needs nobody, a force does not go out."""
+    """A closed device is lost, accepts zeros and withholds forces, without a call of libusb."""
     usb.word[AT.open] = 0
     assert usb.read()[0] == LOST
     assert usb.write(*ZERO) == OK
@@ -399,8 +400,8 @@ def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
     assert usb.waits == [] and usb.got() == []
 
 
-def test_while_the_device_is_being_stopped_nobody_waits(usb: Usb) -> None:
-    """The last sample is repeated, and no wrench is taken."""
+def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
+    """While another thread stops the device, reads repeat the last sample and writes are withheld, without waiting."""
     before = usb.read(reply(5))[1].tolist()
     usb.word[AT.lock] = 1
     sample = np.full(SAMPLE_SIZE, nan)
@@ -412,12 +413,12 @@ def test_while_the_device_is_being_stopped_nobody_waits(usb: Usb) -> None:
     assert usb.got() == [] and usb.word[AT.lock] == 1 and usb.word[AT.open] == 1
 
 
-# --- forces ----------------------------------------------------------------------------------------------
+# --- forces ---
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
-    """As the delta's transposed Jacobian has them, with the light; torque is not displayed."""
+    """Motor counts are those of the transposed Jacobian, the packet has the light, and torques are ignored."""
     wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
     wrench[axis] = 1.0
     wanted, cut = command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
@@ -432,8 +433,8 @@ def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
 
 
 @pytest.mark.parametrize("leg", [0, 1, 2])
-def test_a_force_of_one_motor_is_one_that_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever motor it is, and however little; the zero that ends it goes out whatever is on its way."""
+def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A single count at any motor is a force, and the zero that ends it is sent even if packets are unanswered."""
     counts = [0, 0, 0]
     counts[leg] = 1
     monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
@@ -445,16 +446,15 @@ def test_a_force_of_one_motor_is_one_that_has_to_be_ended(leg: int, usb: Usb, mo
     assert usb.word[AT.has_force] == 0
 
 
-def test_a_force_past_the_motors_is_cut(usb: Usb) -> None:
-    """And said so."""
+def test_a_force_past_the_motors_is_limited(usb: Usb) -> None:
+    """The write returns STALE."""
     assert usb.write(0.0, 0.0, 100.0, 0.0, 0.0, 0.0) == STALE
     assert max(map(abs, counts_of(usb.got()[0]))) == 4095
     assert usb.forces() == {"written": 1, "cut": 1}
 
 
 def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
-    """The third force is held, for the motors keep the one before; a zero goes out over it, and a second zero is one
-    that they have already. With an answer there is room again."""
+    """The third force in flight is held back, but one zero is sent. Answers allow new packets."""
     assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD]
     assert usb.write(*ZERO) == OK
     assert usb.write(*ZERO) == STALE
@@ -468,8 +468,8 @@ def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
     assert usb.write(*PULL) == OK
 
 
-def test_answers_that_do_not_come_are_lost_after_five_ms(usb: Usb) -> None:
-    """From the packet sent last; with a single one missing there is nothing to wait for."""
+def test_missing_answers_are_lost_after_five_ms(usb: Usb) -> None:
+    """Two unanswered packets count as lost 5 ms after the last was sent; a single one is not counted as lost."""
     usb.write(*ZERO)
     usb.later(LOST_NS + 1)
     assert usb.read()[0] == STALE
@@ -483,13 +483,13 @@ def test_answers_that_do_not_come_are_lost_after_five_ms(usb: Usb) -> None:
     assert usb.word[AT.unanswered] == 0
 
 
-def test_a_packet_that_is_not_through_holds_the_next(usb: Usb) -> None:
-    """Also a zero, which is then not taken; after the time-out the device is given up."""
+def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
+    """Also a zero is held back; the write returns TIMEOUT after the time-out."""
     usb.blocked = True
     assert usb.write(*PULL) == OK
     assert usb.write(*PULL) == HELD
     assert usb.waits == [0]
-    assert usb.write(*ZERO) == HELD  # the motors keep their force
+    assert usb.write(*ZERO) == HELD  # the motors retain their force
     assert usb.forces() == {"written": 1, "held": 2}
     usb.word[AT.sampled_at] = usb.clock.now = usb.clock.now + TIMEOUT_NS
     assert usb.write(*PULL) == HELD
@@ -502,7 +502,7 @@ def test_a_packet_that_is_not_through_holds_the_next(usb: Usb) -> None:
 @pytest.mark.parametrize(
     ("ends", "error"), [(BROKEN, BROKEN), (STALLED, STALLED), (NO_DEVICE, ERROR_NO_DEVICE), (TIMED_OUT, 0)]
 )
-def test_how_a_packet_ended_decides_over_the_next(ends: int, error: int, usb: Usb) -> None:
+def test_an_error_of_a_packet_stops_the_next(ends: int, error: int, usb: Usb) -> None:
     """An error of the bus is a loss."""
     usb.transfers[AT.transfer_out].view(np.int32)[4] = ends
     assert usb.write(*PULL) == (LOST if error else OK)
@@ -513,7 +513,7 @@ def test_how_a_packet_ended_decides_over_the_next(ends: int, error: int, usb: Us
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) -> None:
-    """In whichever place; a torque is not looked at."""
+    """Each of the three components is checked; the torque is ignored."""
     wrench = [0.0, 0.0, 0.0, bad, bad, bad]
     wrench[axis] = bad
     assert usb.write(*wrench) == WITHHELD
@@ -522,8 +522,8 @@ def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) ->
     assert usb.write(*wrench) == OK
 
 
-def test_no_force_where_the_knob_is_nowhere(usb: Usb) -> None:
-    """Encoders to which no place belongs: a zero, and the loop is told, whatever it wanted."""
+def test_no_force_without_a_position(usb: Usb) -> None:
+    """If no position matches the encoders, each write sends a zero and returns WITHHELD."""
     status, sample = usb.read(reply(-3000))
     assert status == OK and isnan(sample[0])
     assert usb.write(*PULL) == WITHHELD
@@ -531,8 +531,8 @@ def test_no_force_where_the_knob_is_nowhere(usb: Usb) -> None:
     assert usb.got() == [NOTHING] * 2
 
 
-def test_no_force_into_a_silence(usb: Usb) -> None:
-    """For `kick_s` it is let through; then a zero goes out, withheld or not asked for."""
+def test_no_force_during_a_silence(usb: Usb) -> None:
+    """Forces are sent up to a silence of `kick_s`; after that each write sends a zero and returns WITHHELD."""
     usb.read(reply(1))
     usb.later(KICK)
     assert usb.write(*PULL) == OK
@@ -545,7 +545,7 @@ def test_no_force_into_a_silence(usb: Usb) -> None:
 
 
 def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
-    """Before `arm`, and for good after `stop`; a zero is then no less displayed."""
+    """Before `arm` and after `stop` forces are withheld and zeros are sent, unless two packets are unanswered."""
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
         usb.word[AT.unanswered] = 0
@@ -558,11 +558,11 @@ def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
     assert usb.got() == []
 
 
-# --- silences --------------------------------------------------------------------------------------------
+# --- silences ---
 
 
-def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
-    """A zero each `kick_s` from the packet before, told as WITHHELD; after `timeout_s` the run is over."""
+def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
+    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; `timeout_s` gives TIMEOUT."""
     usb.read(reply(1))
     usb.write(*PULL)
     usb.word[AT.stale_replies] = 1
@@ -586,7 +586,7 @@ def test_a_silence_is_kicked_and_then_given_up(usb: Usb) -> None:
 
 
 def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
-    """Though the last packet is longer ago."""
+    """The age of the last reply decides, not that of the last packet."""
     usb.write(*ZERO)
     usb.got()
     usb.later(1)
@@ -597,8 +597,8 @@ def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
     assert usb.read()[0] == WITHHELD and usb.got() == [NOTHING]
 
 
-def test_a_kick_follows_no_packet_of_just_now(usb: Usb) -> None:
-    """In a silence that is longer than `kick_s`, with a zero sent a moment ago."""
+def test_no_kick_follows_a_recent_packet(usb: Usb) -> None:
+    """During a longer silence, no kick follows a zero that was sent just before."""
     usb.read(reply(1))
     usb.later(3 * KICK)
     usb.write(*ZERO)
@@ -607,8 +607,8 @@ def test_a_kick_follows_no_packet_of_just_now(usb: Usb) -> None:
     assert usb.got() == []
 
 
-def test_a_kick_that_does_not_go_through(usb: Usb) -> None:
-    """Over a packet that hangs it is told as no zero; a bus that fails is lost."""
+def test_a_kick_that_is_not_transmitted(usb: Usb) -> None:
+    """If the last packet is not transmitted, the kick is not reported as a zero; an error of the bus is LOST."""
     usb.read(reply(1))
     usb.blocked = True
     usb.write(*PULL)
@@ -621,7 +621,7 @@ def test_a_kick_that_does_not_go_through(usb: Usb) -> None:
     assert usb.read()[0] == LOST
 
 
-# --- the end ---------------------------------------------------------------------------------------------
+# --- shutdown ---
 
 
 def stop(usb: Usb) -> int:
@@ -629,8 +629,8 @@ def stop(usb: Usb) -> int:
     return usb.block.call(exchange.silence)
 
 
-def test_a_stop_sends_a_zero_and_waits_until_it_is_through(usb: Usb) -> None:
-    """The force goes through first; then the zero does. It is armed no more, and once closed nothing is sent."""
+def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
+    """The stop waits for the pending force, sends one zero and disarms the device; a closed device gets none."""
     usb.write(*PULL)
     usb.got()
     assert stop(usb) == 0
@@ -645,7 +645,7 @@ def test_a_stop_sends_a_zero_and_waits_until_it_is_through(usb: Usb) -> None:
 
 
 def test_a_zero_that_did_not_arrive_is_sent_again(usb: Usb) -> None:
-    """Though the last packet was no force; where the bus takes none, there is nothing left to try."""
+    """A zero that failed is repeated even if no force is active; if the bus rejects packets, the stop ends."""
     usb.transfers[AT.transfer_out].view(np.int32)[4] = CANCELLED
     assert stop(usb) == 0
     assert usb.got() == [NOTHING]
@@ -655,12 +655,12 @@ def test_a_zero_that_did_not_arrive_is_sent_again(usb: Usb) -> None:
     assert stop(usb) == 1
 
 
-def test_a_force_that_hangs_is_withdrawn(usb: Usb) -> None:
-    """A stop cancels the packet after `STOP_HANG_NS` and not before; then it sends the zero."""
+def test_a_pending_force_is_cancelled(usb: Usb) -> None:
+    """A stop cancels a pending packet after `STOP_HANG_NS`, then sends the zero."""
     usb.blocked = True
     usb.write(*PULL)
     usb.got()
-    usb.clock.now = int(usb.word[AT.sent_at]) + exchange.STOP_HANG_NS - 2 * MS  # of which the wait takes 2 ms
+    usb.clock.now = int(usb.word[AT.sent_at]) + exchange.STOP_HANG_NS - 2 * MS  # the wait takes 2 ms of it
     assert stop(usb) == 0
     assert usb.cancelled == []
     assert stop(usb) == 0
@@ -669,8 +669,8 @@ def test_a_force_that_hangs_is_withdrawn(usb: Usb) -> None:
     assert usb.got() == [NOTHING]
 
 
-def test_closing_withdraws_both_transfers(usb: Usb) -> None:
-    """Those that are under way; it is done when libusb has given both back."""
+def test_closing_cancels_both_transfers(usb: Usb) -> None:
+    """Closing cancels the pending transfers and returns 1 once libusb has returned both."""
     assert usb.block.call(exchange.cancel_transfers) == 1
     assert usb.cancelled == [AT.transfer_in]
     assert [usb.word[at] for at in (AT.open, AT.in_done, AT.out_done, AT.lock)] == [0, 1, 1, 0]
@@ -680,8 +680,8 @@ def test_closing_withdraws_both_transfers(usb: Usb) -> None:
 
 
 @pytest.mark.parametrize("hangs", [AT.transfer_in, AT.transfer_out])
-def test_a_transfer_that_libusb_keeps_is_not_given_back(hangs: int, usb: Usb) -> None:
-    """Neither of the two."""
+def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
+    """Closing returns 0 while libusb has not returned one of the transfers."""
     usb.blocked = usb.stubborn = True
     usb.write(*PULL)
     usb._done(AT.transfer_in if hangs == AT.transfer_out else AT.transfer_out, CANCELLED)
@@ -693,8 +693,8 @@ def test_a_transfer_that_libusb_keeps_is_not_given_back(hangs: int, usb: Usb) ->
     assert usb.block.call(exchange.cancel_transfers) == 1
 
 
-def test_the_call_back_raises_the_word_of_its_transfer() -> None:
-    """Whose address is the transfer's user data, the sixth word of it."""
+def test_the_callback_marks_its_transfer_as_done() -> None:
+    """The callback sets the word whose address is the transfer's user data, its sixth word."""
     word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
     transfer[5] = ctypes.addressof(word)
     exchange.on_complete(ctypes.addressof(transfer))

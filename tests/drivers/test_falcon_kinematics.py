@@ -1,4 +1,4 @@
-"""The Falcon's mechanism: published places and torques, inversion over the workspace, the Jacobian, its guards."""
+"""Kinematics of the Falcon: published positions and torques, inversion over the workspace, Jacobian and limits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def angles(*counts: float) -> tuple[float, float, float]:
 
 
 def places(number: int) -> np.ndarray:
-    """Places (number, 3) m spread evenly over the workspace, device's frame."""
+    """Return positions (number, 3) m in the device's frame, uniform over the workspace."""
     rng = np.random.default_rng(SEED)
     direction = rng.normal(size=(number, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
@@ -45,15 +45,15 @@ def places(number: int) -> np.ndarray:
         ((-60, 400, -700), (-35.650, -11.603, 121.938)),
     ],
 )
-def test_published_places(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
-    """Encoder counts lead to the published places, to their printed digits; searched from one start for all."""
+def test_published_positions(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
+    """Encoder counts give the published positions to their printed digits, from one start of the search."""
     place, found = forward(delta.FALCON, angles(*counts), delta.HOME)
     assert found
     np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
 
 
 def test_published_torques() -> None:
-    """Forces of 1 N at the workspace centre take the published torques, to their printed digits."""
+    """Forces of 1 N at the workspace centre give the published torques to their printed digits."""
     for force, torque_mnm, digit in (
         ((1.0, 0.0, 0.0), (15.488, -52.725, 37.237), 1e-3),
         ((0.0, 0.0, 1.0), (24.18, 24.18, 24.18), 1e-2),
@@ -65,8 +65,7 @@ def test_published_torques() -> None:
 
 @pytest.mark.scaled
 def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
-    """The angles of a place lead back to it, from the centre and from a millimetre away: 5000 places, 10^5 in
-    `make test-all`."""
+    """The angles of 5000 positions (10^5 in `make test-all`) give them back, from either of two starts."""
     count = cases(5000, 100_000)
     near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (count, 3))
     worst = 0.0
@@ -79,8 +78,8 @@ def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
     assert worst < 1e-9
 
 
-def test_a_search_that_fails_begins_again_at_the_centre() -> None:
-    """From no number, or out of reach, the last solution leads nowhere; the place is found all the same."""
+def test_a_failed_search_restarts_at_the_centre() -> None:
+    """If the last solution is not a number or out of reach, the search still finds the position."""
     for place in places(100):
         theta, _ = inverse(delta.FALCON, tuple(place))
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
@@ -89,7 +88,7 @@ def test_a_search_that_fails_begins_again_at_the_centre() -> None:
 
 
 def test_rows_of_k_are_the_derivative() -> None:
-    """K is d theta1 / d p, from central differences."""
+    """K equals d theta1 / d p from central differences."""
     h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
     for place in places(300):
         _, k = inverse(delta.FALCON, tuple(place))
@@ -102,7 +101,7 @@ def test_rows_of_k_are_the_derivative() -> None:
 
 
 def test_torques_do_the_work_of_the_force() -> None:
-    """F . dp = tau . d theta for every small motion: power is neither made nor lost in the legs."""
+    """F . dp = tau . d theta for every small motion: the legs conserve power."""
     rng = np.random.default_rng(SEED)
     h = 1e-6
     for place in places(300):
@@ -116,7 +115,7 @@ def test_torques_do_the_work_of_the_force() -> None:
 
 
 def test_two_derivations_of_the_legs_agree() -> None:
-    """The equations solved by the half-angle and, in the emulator, by the triangle of the links give one angle."""
+    """The half-angle solution equals the emulator's, which solves the triangle of the links."""
     for place in places(300):
         theta, _ = inverse(delta.FALCON, tuple(place))
         theirs = [other.leg_angle(leg, tuple(place)) for leg in other.LEGS]
@@ -124,13 +123,13 @@ def test_two_derivations_of_the_legs_agree() -> None:
 
 
 @pytest.mark.parametrize("counts", [(32767, -32768, 0), (-3000, -3000, -3000), (2500, 2500, 2500), (math.nan, 0, 0)])
-def test_counts_of_no_place_are_told(counts: tuple[float, float, float]) -> None:
-    """Angles that no place has are not found, rather than answered with somewhere."""
+def test_counts_without_a_position_are_not_found(counts: tuple[float, float, float]) -> None:
+    """Angles of no position are reported as not found."""
     assert not forward(delta.FALCON, angles(*counts), delta.HOME)[1]
 
 
-def test_no_force_where_the_legs_cannot_give_it() -> None:
-    """Out of reach the torques are 0 and said to be cut."""
+def test_no_force_out_of_reach() -> None:
+    """Out of reach the torques and counts are 0 and marked as limited."""
     for place in ((0.2, 0.0, 0.11), (0.0, 0.0, 0.4), (math.nan, 0.0, 0.11), (0.0, 0.0, -0.1)):
         torque, able = torques_for(delta.FALCON, place, (0.0, 0.0, 1.0))
         assert not able
@@ -153,8 +152,8 @@ RECORDED = {
 
 
 def test_motors_turn_as_in_recorded_packets() -> None:
-    """With the shipped rig's sign every count for a recorded force has the recorded sign. Where the knob was is not
-    recorded; within 2 cm of the centre the signs do not depend on it."""
+    """With the shipped rig each count has the recorded sign. The recording lacks the knob's position, but within 2 cm
+    of the centre the signs do not depend on it."""
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():
@@ -163,7 +162,7 @@ def test_motors_turn_as_in_recorded_packets() -> None:
 
 
 def test_counts_are_scaled_together() -> None:
-    """A force past the motors keeps its direction: the counts come down in proportion, to 4095."""
+    """A force beyond the motors is scaled to a maximum of 4095 counts, which preserves its direction."""
     force = (3.0, -2.0, 60.0)
     wanted = 10000.0 * np.array(torques_for(delta.FALCON, delta.HOME, force)[0])
     counts, cut = motor_counts(10000.0, delta.HOME, force)

@@ -1,4 +1,4 @@
-"""The Falcon's packets: published ones, every count, and a stream of noise."""
+"""Packets of the Falcon: published examples, all counts, and noise."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def packet(motors: tuple[int, int, int], state: int) -> bytes:
     ],
 )
 def test_published_packets(motors: tuple[int, int, int], state: int, wire: str) -> None:
-    """Motor counts and lights give the published bytes, and the bytes give them back."""
+    """Encoding motor counts and lights gives the published bytes, and decoding is the inverse."""
     assert packet(motors, state).hex(" ") == wire
     assert packets.decode(np.frombuffer(bytes.fromhex(wire), np.uint8)) == (motors, state)
 
 
-def test_every_count_survives() -> None:
-    """Each int16 comes back from its four bytes, in each place."""
+def test_every_count_is_decoded() -> None:
+    """Each sampled int16 is decoded from its four bytes, at each of the three positions."""
     for value in range(-32768, 32768, 17):
         counts = (value, -1 - value, value ^ 0x5A)
         assert packets.decode(np.frombuffer(packet(counts, 0x75), np.uint8)) == (counts, 0x75)
@@ -57,7 +57,7 @@ def blank() -> np.ndarray:
 
 @entry
 def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
-    """Feed bytes; the counts of every reply that came, and how many."""
+    """Process bytes, store the counts of each reply in `out`, and return the number of replies."""
     came = 0
     for byte in data:
         if reply.process_byte(handle, byte):
@@ -70,13 +70,13 @@ def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
 
 @pytest.mark.scaled
 def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
-    """Whole packets are all received, in order and unchanged, whatever noise and cut packets stand between them."""
+    """All complete packets are decoded in order between noise and truncated packets."""
     rng = np.random.default_rng(3)
     number = cases(5000, 1_000_000)
     counts = rng.integers(-32768, 32768, (number, 3))
     wire = np.full((number, 24), 0x41, np.uint8)  # up to eight bytes of noise before each
-    wire[:, :8] = rng.integers(0x3D, 0x100, (number, 8))  # anything above '<', which would begin a packet
-    wire[::3, 3] = ord("<")  # a packet that is cut short
+    wire[:, :8] = rng.integers(0x3D, 0x100, (number, 8))  # bytes above '<', which would start a packet
+    wire[::3, 3] = ord("<")  # start of a truncated packet
     wire[:, 8] = ord("<")
     for axis in range(3):
         for nibble in range(4):
@@ -91,8 +91,7 @@ def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
 
 @pytest.mark.scaled
 def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
-    """Of random bytes none are taken for a reply: 12 nibbles, half a byte of bits and 2 fixed bytes come by chance once
-    in 256^2 16^12 2."""
+    """Random bytes contain no reply, which occurs by chance at one byte in 256^2 16^12 2."""
     data = np.random.default_rng(4).integers(0, 256, cases(50_000, 10_000_000)).astype(np.uint8)
     word = blank()
     assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
@@ -100,7 +99,7 @@ def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
 
 @pytest.mark.parametrize("broken", [n for n in range(16) if n != packets.FILLER])
 def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
-    """No byte of a reply that carries something is taken unseen."""
+    """A wrong value of any byte except the filler drops the packet."""
     wire = bytearray(packet((1, 2, 3), 0))
     wire[broken] = 0x20
     word = blank()
@@ -108,8 +107,8 @@ def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
 
 
 @pytest.mark.parametrize("filler", [0x00, 0x20, 0x3E, 0x42, 0xFF])
-def test_the_byte_that_carries_nothing_may_be_any(filler: int) -> None:
-    """Byte 14 is 'A' in what was traced, and other drivers do not look at it: another is taken, and counted."""
+def test_the_filler_byte_may_have_any_value(filler: int) -> None:
+    """Byte 14 is 'A' in traced packets, but other drivers ignore it: another value is accepted and counted."""
     wire = bytearray(packet((1, 2, 3), 0) * 3)
     wire[packets.FILLER] = filler
     word, out = blank(), np.zeros((3, 3), np.int64)
@@ -129,8 +128,8 @@ def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
 
 
 @pytest.mark.scaled
-def test_any_counts_give_a_place_of_theirs_or_none(cases: Cases) -> None:
-    """Whatever the encoders show, the sample is a place with these angles, or no number, which the guard refuses."""
+def test_any_counts_give_a_matching_position_or_none(cases: Cases) -> None:
+    """For any encoder counts the sample is a position with these angles, or NaN, which the guard rejects."""
     rng, count = np.random.default_rng(5), cases(500, 2000)
     word = blank()
     sample = word.view(np.float64)[AT.sample : AT.sample + 9]
@@ -139,24 +138,24 @@ def test_any_counts_give_a_place_of_theirs_or_none(cases: Cases) -> None:
         if np.isfinite(sample[:3]).all():
             theta, _ = inverse(delta.FALCON, (sample[0], sample[2], 0.11 - sample[1]))
             wanted = delta.THETA_ZERO + delta.RAD_PER_COUNT * np.array(row)
-            np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the place is rounded to 1e-17 m of 0.1 m
+            np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the position is rounded to 1e-17 m of 0.1 m
         else:
             assert np.isnan(sample[:3]).all()
     assert 0 < word[AT.unreached] < 2 * count
 
 
 def test_buttons_and_lost_homing() -> None:
-    """Four buttons arrive as bits; homing that was there without being asked for, and goes, is a fault."""
+    """Button bits are in the sample. Lost homing is a fault once the firmware has reported homing."""
     word = blank()
     word[AT.armed] = 1
-    assert answer(word, (0, 0, 0), 0x05) == OK  # whether the bits stay is the firmware's affair
+    assert answer(word, (0, 0, 0), 0x05) == OK  # no homing bits yet
     assert word.view(np.float64)[AT.sample + 8] == 5.0
     assert answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
 
 
 def test_options_are_checked() -> None:
-    """A gain past every motor and a kick later than the time-out are refused by name."""
+    """A gain beyond any motor and a kick period above the time-out are rejected by name."""
     given = load_rig("falcon").device.options
     for change, said in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
         with pytest.raises(ConfigError, match=said):

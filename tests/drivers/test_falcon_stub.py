@@ -1,6 +1,6 @@
-"""The Falcon's driver on a stand-in for libusb that answers at once or exactly as late as it is told to.
+"""Falcon driver on a stand-in for libusb with adjustable delays.
 
-What only the true libusb shows is in test_falcon_emulated.py.
+Behaviour that needs the real libusb is in test_falcon_emulated.py.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ __all__ = ["stub", "usb_library"]  # fixtures
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 
 STROKE = {"z": 0.012, "press": 0.006, "drag": 0.02}
-"""In 1.2 s a hand goes from 2 mm above the plane to 4 mm below, 20 mm to the side and back, and up."""
+"""In 1.2 s a hand moves from 2 mm above the plane to 4 mm below, 20 mm to the side and back, and up."""
 
 COUNT_M = 3 * 0.5 * 6.4e-4 / 15
-"""Half a count is 0.3 mrad at a leg, at most 1/15 m to a radian there; three legs."""
+"""Half a count is 0.3 mrad at a leg, at most 1/15 m per radian; three legs."""
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ class TestContract(DriverContract):
 
 
 def run(device: Falcon, ticks: int) -> tuple[s.LoopEnd, np.ndarray]:
-    """So many ticks of the servo; how it ended, and its records."""
+    """Run the servo for `ticks`; return its end and its records."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
     servo.compile()
@@ -84,8 +84,8 @@ def columns(records: np.ndarray, at: int, number: int = 3) -> np.ndarray:
 
 
 def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: FalconBench) -> None:
-    """Press, slide and release: each tick has the reply to the packet of the tick before, the forces on the hand and
-    the modes are the contact step's on the sensed places, and those are where the knob is."""
+    """Press, slide and release: each tick has a new reply, sensed positions equal the knob's, and modes and forces
+    equal the engine's for these positions."""
     stub.update(**STROKE)
     with bench.open() as device:
         stub["logged"] = 0
@@ -93,8 +93,8 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
         seen = stub.log()
     assert ended == s.LoopEnd(s.FINISHED, OK)
     assert not records[:, AT.servo_device].any(), "a tick without a fresh reply, or with a force that was cut"
-    # the first read asks with a zero of its own, and one after a pause of the machine's; each packet of a tick finds
-    # the knob where the tick has sensed it
+    # The first read, and one after a pause of the machine, sends an extra zero. Each packet of a tick finds the knob at
+    # the position sensed in that tick.
     seen = seen[seen[:, 6] == 0][: len(records)]
     np.testing.assert_allclose(columns(records, AT.probe_position), seen[:, 3:6], rtol=0, atol=COUNT_M)
 
@@ -109,10 +109,10 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     assert set(modes) == {0.0, 1.0, 2.0}
     free = records[:, AT.servo_guard] == 0
     assert np.count_nonzero(free & (np.array(modes) != 0)) > 300
-    # the same arithmetic, compiled into the loop and into the engine
+    # same arithmetic, compiled into the loop and into the engine
     np.testing.assert_allclose(columns(records, AT.force)[free], np.array(forces)[free], rtol=0, atol=1e-12)
-    # At the motors: half a count each is 4 mN at the knob, and K is taken where the encoders say it is, 64 um off of
-    # some 50 mm over which it changes.
+    # Half a count at each motor is 4 mN at the knob. K is evaluated at the position of the encoders, 64 um off of some
+    # 50 mm over which it changes.
     given = columns(records, AT.force)
     error = np.linalg.norm(seen[:, :3] - given, axis=1)
     assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(given, axis=1)).all()
@@ -122,14 +122,14 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
 
 
 def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: FalconBench) -> None:
-    """Every tenth reply is one tick late: that tick repeats the sample, the next has the newest."""
+    """If every tenth reply is one tick late, that tick repeats the sample and the next has a new one."""
     with bench.open() as device:
         stub.update(late=1, late_every=10, lates=0, logged=0)
         ended, records = run(device, 1000)
         asked_anew = np.count_nonzero(stub.log()[:, 6])
     assert ended == s.LoopEnd(s.FINISHED, OK)
     stale = records[:, AT.servo_device] == STALE
-    # The last packets are answered to nobody; after a pause of the machine's the read waits, whatever is late.
+    # The last packets get no read; after a pause of the machine the read waits for late replies.
     assert stub["lates"] - 2 - asked_anew <= np.count_nonzero(stale) <= stub["lates"] <= 102 + asked_anew
     late = np.flatnonzero(stale)
     assert len(late) > 50 and (np.diff(late) > 1).all()
@@ -139,8 +139,7 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
 
 @pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
 def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
-    """With each reply one tick late every tick but the first still has one; with two ticks, packets are held back
-    rather than piled up, so that some ticks have none; the loop keeps its rate."""
+    """If all replies are one tick late, each tick but the first has one; if two, packets are held back."""
     with bench.open() as device:
         stub.update(late=late)
         ended, records = run(device, 400)
@@ -149,9 +148,8 @@ def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, be
     assert np.mean(records[:, AT.servo_device] == OK) > fresh
 
 
-def test_lost_replies_are_not_waited_for_for_ever(stub: UsbStub, bench: FalconBench) -> None:
-    """Each 50th reply never comes. The first of two costs a tick; the second leaves two packets without an answer, and
-    they are given up after 5 ms."""
+def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
+    """Of two lost replies the first costs one tick; the second makes both packets expire after 5 ms."""
     with bench.open() as device:
         stub.update(lose_every=50)
         ended, records = run(device, 1000)
@@ -162,8 +160,7 @@ def test_lost_replies_are_not_waited_for_for_ever(stub: UsbStub, bench: FalconBe
 
 @pytest.mark.parametrize("piece", [1, 2, 5, 16])
 def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> None:
-    """Replies that come in short transfers are put together; one of more transfers than a tick takes waits for the
-    next tick."""
+    """Replies split over short transfers are assembled, if necessary in the next tick."""
     with bench.open() as device:
         stub.update(piece=piece)
         servo = Servo(device)
@@ -176,7 +173,7 @@ def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> Non
 
 
 def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> None:
-    """Handling of events that a signal cuts short costs a tick at most."""
+    """Event handling interrupted by a signal costs at most one tick."""
     with bench.open() as device:
         stub.update(interrupt_every=7)
         ended, records = run(device, 300)
@@ -195,11 +192,11 @@ def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> 
     ],
     ids=["unplugged", "broken", "out-blocked", "in-blocked", "mute"],
 )
-def test_faults_leave_nothing_under_way(
+def test_faults_leave_no_transfer_pending(
     fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
 ) -> None:
-    """Under the servo each fault ends the loop with its status; every transfer comes back and is freed, no force is
-    left as far as the bus takes one, and what is put right later finds no packet waiting."""
+    """Each fault ends the servo with its status. All transfers are freed, motors are zero if the bus still accepts
+    packets, and no packet is pending once the fault is removed."""
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -208,7 +205,7 @@ def test_faults_leave_nothing_under_way(
     assert (stub["threads"], stub["misuse"], stub["flying"], stub["dropped"], stub["allocated"]) == (0, 0, 0, 0, 0)
     assert stub["opens"] == stub["closes"]
     assert stub["most"] > 50, "there was no force to take away"
-    if "block_at" in fault or "break_at" in fault:  # no zero goes through: the firmware's own affair
+    if "block_at" in fault or "break_at" in fault:  # the bus accepts no zero
         steps = stub["steps"]
         for name in fault:
             stub[name] = -1
@@ -218,8 +215,7 @@ def test_faults_leave_nothing_under_way(
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
-    is repeated, no force goes with it, which the loop is told, and a reply of now ends that."""
+    """After a pause a slow device does not time out: until a reply the old sample repeats without forces."""
     with bench.open(timeout_s=1.0, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -235,9 +231,8 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: F
         assert status == OK
 
 
-def test_a_pause_of_the_loop_that_ends_in_a_zero_is_told(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause a reply of now is asked for with a zero. The read that does so says that the force was taken off,
-    though a reply is there at once: otherwise the force would come back in full."""
+def test_a_pause_that_sends_a_zero_is_reported(stub: UsbStub, bench: FalconBench) -> None:
+    """After a pause the read sends a zero and returns WITHHELD even if the reply is immediate: the force fades in."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -246,13 +241,12 @@ def test_a_pause_of_the_loop_that_ends_in_a_zero_is_told(stub: UsbStub, bench: F
         time.sleep(0.06)
         assert servo.read()[0] == WITHHELD
         assert not stub.log()[0, :3].any()
-        # A machine that held this thread up may have made another pause of it.
+        # A delay of this thread may have caused another pause.
         assert any(servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and servo.read()[0] == OK for _ in range(10))
 
 
-def test_a_reply_of_before_a_pause_is_not_of_now(stub: UsbStub, bench: FalconBench) -> None:
-    """The answer to a packet of before comes some rounds after the pause, ahead of that to the packet sent then: the
-    sample is of the second."""
+def test_a_reply_from_before_a_pause_is_discarded(stub: UsbStub, bench: FalconBench) -> None:
+    """After a pause, the late answer to an earlier packet is discarded and the sample has the current position."""
     with bench.open() as device:
         servo = Servo(device)
         assert servo.read()[0] == OK
@@ -266,8 +260,7 @@ def test_a_reply_of_before_a_pause_is_not_of_now(stub: UsbStub, bench: FalconBen
 
 
 def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
-    """Opened it is sent zeros, with the light of homing, until `arm`; after a stop it is not armed again. Nothing in it
-    counts time, so however long that takes."""
+    """Before `arm` the device only gets zeros, however long that takes; after `stop` it cannot be armed again."""
     with open_device(options(), RATE_HZ) as device:
         servo = Servo(device, arm=False)
         servo.read()
@@ -307,10 +300,8 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
         assert servo.read()[0] in (OK, STALE, WITHHELD)  # a pause, on a machine that is busy
 
 
-def test_a_device_that_takes_nothing_is_given_up(
-    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A stop that no zero follows says so; closing takes the packet back, so it never arrives."""
+def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture) -> None:
+    """If the zero of a stop is not transmitted, a message is logged; closing cancels the pending packet."""
     device = bench.open(timeout_s=0.05, kick_s=0.02)
     servo = Servo(device)
     servo.read()
@@ -324,11 +315,10 @@ def test_a_device_that_takes_nothing_is_given_up(
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
 
 
-def test_transfers_that_libusb_does_not_end_are_left_to_it(
+def test_transfers_not_returned_by_libusb_are_not_freed(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A cancelled transfer that does not come back: its memory stays, the device is closed all the same, and opens
-    again."""
+    """If a cancelled transfer is not returned, its memory is not freed, but the device closes and opens again."""
     device = bench.open()
     Servo(device).read()
     stub.update(stubborn=1, hush_at=0)
@@ -343,7 +333,7 @@ def test_transfers_that_libusb_does_not_end_are_left_to_it(
 
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
-    """While one thread handles events for 0.1 s another stops: no two are in libusb at once, and the zero goes out."""
+    """While one thread handles events for 0.1 s, a stop waits for it, then sends the zero: never two in libusb."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -362,8 +352,7 @@ def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBen
 def test_closing_under_a_loop_that_hangs_in_libusb(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """libusb does not return to the loop: closing takes nothing from under it and says so; once it has returned, the
-    device closes."""
+    """If libusb does not return to the loop, `close` logs that the device remains open; later it succeeds."""
     device = bench.open()
     servo = Servo(device)
     servo.read()
@@ -386,10 +375,10 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
 
 
 @pytest.mark.parametrize(("knobs", "error"), [({"refuse": -1}, DeviceLost), ({"transfers": 1}, DeviceError)])
-def test_opening_that_fails_half_way_gives_everything_back(
+def test_a_failed_opening_frees_everything(
     knobs: dict[str, float], error: type[Exception], stub: UsbStub, bench: FalconBench
 ) -> None:
-    """A transfer that is refused, and no memory for the second one: an error, and nothing is kept."""
+    """If a transfer is refused, or memory for the second one is missing, opening fails and frees everything."""
     stub.update(**knobs)
     with pytest.raises(error):
         bench.open()
@@ -398,8 +387,7 @@ def test_opening_that_fails_half_way_gives_everything_back(
 
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
-    """Switched on: the file is sent again after a wrong echo, the hand pulls the knob out and in, and then its
-    place is the knob's."""
+    """Firmware is sent again after a wrong echo; after homing by hand the sensed position equals the knob's."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(bytes(range(250)) * 6)
     stub.update(firmware=1500, spoil=1, homed=0)
@@ -414,14 +402,14 @@ def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) 
 
 @pytest.mark.scaled
 def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int, int], int]) -> None:
-    """Noise, packets cut short, with a wrong byte, or of counts from nowhere, between true ones: each place belongs to
-    the counts of a whole packet by the stand-in's own kinematics, or is no number and no force follows it."""
+    """Noise, truncated and damaged packets and impossible counts between valid replies: each position belongs to the
+    counts of a complete packet by the stand-in's kinematics, or is NaN and no force follows it."""
     number = cases(20_000, 1_000_000)
     with bench.open() as device:
         stub.update(still=1, fuzz=1)
         fresh, repeated, failed, places, nowhere, pushed, wrong, partly, withheld = stub.fuzz(device, number)
         assert (pushed, wrong, partly) == (0, 0, 0)
-        # Each pause of the machine, of 30 ms or more, withholds the force of one tick.
+        # Each pause of the machine of 30 ms or more withholds the force of one tick.
         assert (fresh + withheld, repeated, failed) == (number, 0, 0) and withheld < 100
         assert places + nowhere == number and nowhere > number // 10
         assert word(device, WORDS.garbled) > number
@@ -430,8 +418,8 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
 
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
-    """Both are open at once, each exchange is with its own knob, in two loops of one process; closing one leaves the
-    other; without a serial number neither is taken."""
+    """Both are open at once in two loops of one process, each exchange is with its knob, and closing one does not
+    affect the second. Without a serial number none is opened."""
     stub.update(z=0.03)
     stub[1, "attached"] = 1
     stub[1, "z"], stub[1, "x"] = 0.045, 0.02
@@ -473,8 +461,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
 
 
 def test_the_daemon_itself(tmp_path: Path) -> None:
-    """`softfinger run` in a process whose libusb is the stand-in, found by the loader where libusb would be: contact is
-    felt, and nothing is left."""
+    """`softfinger run` finds the stand-in where the loader expects libusb, renders contact, and releases everything."""
     words = ["run", "--rig", "falcon", "--scene", "paper-plane", "--endpoint", "tcp://127.0.0.1:*"]
     words += ["--realtime", "off", "--duration", "1.5"]
     done = subprocess.run(
@@ -494,8 +481,8 @@ def test_the_daemon_itself(tmp_path: Path) -> None:
 FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/001/005")
 
 
-def test_a_falcon_is_asked_for_its_firmware(stub: UsbStub) -> None:
-    """Whether firmware runs, the device says itself; one that runs needs no file; the answer is in JSON and text."""
+def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
+    """With `--ask` the device reports if its firmware runs, in JSON and text, and then needs no file."""
     claim = find_claim(FALCON)
     assert claim is not None
     diagnosis, said = devices.identify_device(FALCON, claim)

@@ -1,4 +1,4 @@
-"""A Falcon whose replies stop or come late while it pulls: its packets, one after the other, through the real loop."""
+"""Packets of a Falcon whose replies stop or are late while it pulls, through the real loop."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason
 
 PULL_N = 4.0
 SLEW_N = 0.2
-"""Largest change in a tick, as the guard here has it: so small that a few ticks together are seen."""
+"""Slew limit of the guard per tick, small enough that several ticks in one step show."""
 STEP_N = 2 * 0.01
-"""Half a motor count at each leg is 4 mN at the knob, which moves by a millisecond before it is asked; at both ends."""
+"""Half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange; at both ends."""
 RAMP_S = 0.2
 LOGGED = 8192
 
@@ -38,13 +38,13 @@ def until(true: Callable[[], bool]) -> None:
 
 
 def pull(stub: UsbStub) -> np.ndarray:
-    """Force (N) up of each packet since `logged` was 0, (n,)."""
+    """Return the upward force (N) of each packet since `logged` was 0, (n,)."""
     return stub.log()[:, 2]
 
 
 @contextmanager
 def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
-    """The servo's loop under the contract's scene, pulling up. A tick counts as one, however late it is."""
+    """Run the servo loop under the contract's scene, pulling up. Each tick counts as one period, however late it is."""
     scene = load_scene({**PULL, "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}]})
     guard = load_rig("falcon", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
     with FalconBench(stub).open(timeout_s=2.0, kick_s=0.02) as device:
@@ -63,8 +63,8 @@ def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
 
 
 def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
-    """60 ms without a reply while it pulls: zeros go out, and then the force comes up from zero with the ramp; no
-    packet pulls by more than the guard's limit harder than the one before."""
+    """A silence of 60 ms ends the force with zeros; then the force increases from zero by the ramp. No packet exceeds
+    the previous by more than the guard's slew limit."""
     with running(stub, RAMP_S):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         before = len(pull(stub)) - 1
@@ -77,15 +77,14 @@ def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
     zeros = np.flatnonzero(forces[before:] == 0.0) + before
     assert np.diff(forces).max() <= SLEW_N + STEP_N
     back = forces[zeros[-1] + 1 :]
-    # A tick adds its share to the ramp, and a packet comes at most a few after the one before.
+    # A tick adds its share to the ramp; at most a few ticks lie between two packets.
     assert back[0] <= 4 * PULL_N / (RAMP_S * RATE_HZ) + STEP_N
     assert len(back) > RAMP_S * RATE_HZ / 4
 
 
 @pytest.mark.parametrize("late", [2, 4])
 def test_a_force_that_waits_is_no_wider_step(late: int, stub: UsbStub) -> None:
-    """With replies that are ticks late, forces wait for them; the next is within the guard's limit of the last that
-    went out, not of those that did not."""
+    """If late replies hold forces back, the next force is within the slew limit of the last one sent."""
     with running(stub, 0.01, late=late):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         forces = pull(stub)

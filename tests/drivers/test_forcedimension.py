@@ -1,4 +1,4 @@
-"""Force Dimension's devices on a stand-in for the maker's library: contract, header, opening, exchange."""
+"""Force Dimension's devices on a stand-in for the maker's library: contract, constants, opening, exchange."""
 
 from __future__ import annotations
 
@@ -58,17 +58,17 @@ class TestContract(DriverContract):
     """The contract over the stand-in."""
 
 
-# --- what the header says ------------------------------------------------------------------------
+# --- constants of the header ---
 
 
 def test_models_are_those_of_the_header() -> None:
-    """System types and recommended maxima, as published."""
+    """System types and recommended maxima equal the published ones."""
     types = {
         33: "omega.3", 34: "omega.6", 36: "omega.6", 35: "omega.7", 37: "omega.7", 63: "delta.3", 206: "sigma.3",
         104: "sigma.7", 105: "sigma.7", 203: "lambda.3", 131: "lambda.6", 132: "lambda.6", 108: "lambda.7",
         109: "lambda.7",
     }  # fmt: skip
-    # Those of CHAI3D's driver, which names them by the device whose numbers they share.
+    # Types in CHAI3D's driver, which names them by the device with the same constants.
     right = {102, 209, 112, 114, 117, 119, 121, 123, 125, 127, 129, 210, 115}
     left = {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
     types |= {110: "omega.3", 111: "delta.3", 133: "sigma.3", 115: "sigma.6", 116: "sigma.6"}
@@ -101,7 +101,7 @@ def test_causes_and_status_words_are_those_of_the_header() -> None:
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
 def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Each system type opens under its name; three axes are driven, six where the wrist has motors."""
+    """Each system type opens under its name with its limits; a wrist with motors adds three actuated axes."""
     name = MODELS[kind].name
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)
@@ -114,23 +114,23 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBen
         assert device.info.torque_max_nm == (0.2 if active else 100.0)
 
 
-# --- opening -------------------------------------------------------------------------------------
+# --- opening ---
 
 
-def test_nothing_is_done_that_the_rig_does_not_ask_for(stub: Stub, bench: StubBench) -> None:
-    """Without a word in the rig nothing moves or carries weight, and the threshold stays; expert mode is off again and
-    no expert's call came outside it; the device is left as its maker's library leaves it, without force and braked."""
+def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
+    """By default nothing moves, gravity is not compensated and the threshold is unchanged; expert calls happen only in
+    expert mode. After closing, force is off and brakes are on, as the maker's library leaves them."""
     with bench.open():
         seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
         assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
         assert stub["expert"] == stub["expert_misuse"] == 0
     assert stub["brakes"] == 1 and stub["force_on"] == 0
-    assert stub["disables"] == 2 and stub["stops"] == 1  # once when it was opened
+    assert stub["disables"] == 2 and stub["stops"] == 1  # one of them at opening
     assert stub["opens"] == stub["closes"] == 1
 
 
-def test_everything_is_done_that_the_rig_asks_for(stub: Stub, bench: StubBench) -> None:
-    """Calibration, weight and threshold as given."""
+def test_settings_of_the_rig_are_made(stub: Stub, bench: StubBench) -> None:
+    """Calibration, gravity compensation and velocity threshold are set as in the rig."""
     stub["initialized"] = 0
     with bench.open(velocity_threshold=300, calibrate=True, gravity_compensation=True):
         seen = {name: stub[name] for name in ("moved", "gravity", "threshold", "regulated", "force_on")}
@@ -140,7 +140,7 @@ def test_everything_is_done_that_the_rig_asks_for(stub: Stub, bench: StubBench) 
 
 @pytest.mark.parametrize("brakes", [True, False])
 def test_brakes_are_on_or_off_while_the_force_is_off(brakes: bool, stub: Stub, bench: StubBench) -> None:
-    """Taking the force off puts the device into brake mode, so `brakes = false` has to let the handle go each time."""
+    """The library brakes whenever the force is disabled, so `brakes = false` has to release the brakes each time."""
     with bench.open_unarmed(brakes=brakes) as device:
         assert (stub["force_on"], stub["brakes"]) == (0, brakes)
         device.arm()
@@ -150,10 +150,10 @@ def test_brakes_are_on_or_off_while_the_force_is_off(brakes: bool, stub: Stub, b
     assert stub["brakes"] == brakes
 
 
-def test_brakes_that_cannot_be_taken_off_are_said(
+def test_brakes_that_cannot_be_released_are_logged(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A device that refuses opens all the same, and `brakes = false` is not left to be believed."""
+    """If the device rejects the brake setting, it opens, and `brakes = false` logs a warning."""
     stub["refuse_brakes"] = 1
     bench.open().close()
     assert "brakes" not in caplog.text
@@ -161,12 +161,11 @@ def test_brakes_that_cannot_be_taken_off_are_said(
     assert "brakes = false has no effect" in caplog.text
 
 
-# --- arming --------------------------------------------------------------------------------------
+# --- arming ---
 
 
 def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBench) -> None:
-    """The watchdog counts real time since the last force, so it and the force come with `arm`, however long that is
-    after opening. An unarmed device takes no force and says so; its readings and its stop are as ever."""
+    """`arm`, not opening, enables force and watchdog. Before, reads work and forces are withheld."""
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
         servo = Servo(device, arm=False)
@@ -174,7 +173,7 @@ def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBenc
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
         time.sleep(0.1)
-        for _ in range(20):  # this thread may be held up for longer than the watchdog waits, but not each time
+        for _ in range(20):  # this thread may stall for longer than the watchdog waits, but not each time
             device.arm()
             assert stub["watchdog"] == 240
             if servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and stub["fz"] == 1.0:
@@ -184,8 +183,8 @@ def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBenc
         assert stub["cause"] == 3 and stub.norm() == 0.0, "the stand-in's watchdog does not bite"
 
 
-def test_force_that_a_killed_program_left_on_ends_with_the_opening(stub: Stub, bench: StubBench) -> None:
-    """A program that was killed on a device without a watchdog left its force on; opening the device takes it off."""
+def test_opening_disables_a_force_of_a_killed_program(stub: Stub, bench: StubBench) -> None:
+    """Opening disables a force that a killed program left on a device without a watchdog."""
     stub.update(force_on=1, fz=3.0, cause=0)
     assert stub.norm() == 3.0
     with bench.open_unarmed():
@@ -193,7 +192,7 @@ def test_force_that_a_killed_program_left_on_ends_with_the_opening(stub: Stub, b
 
 
 def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
-    """`stop` is for good: before `arm`, and after it."""
+    """After `stop` the device cannot be armed, whether `arm` was called before or not."""
     with bench.open_unarmed() as device:
         device.stop()
         device.arm()
@@ -202,8 +201,7 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
 
 
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
-    """The library hangs while it switches the force on: `stop` returns all the same, and the force that comes on once
-    the library goes on is taken off by who asked for it."""
+    """If the library hangs during arming, `stop` returns, and the arming thread then disables the force."""
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
         arming = threading.Thread(target=device.arm)
@@ -218,8 +216,7 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
 
 @pytest.mark.parametrize("code", [2, 6, 7])
 def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) -> None:
-    """Where the watchdog is refused, a rig that wants none opens; another is told what is missing and what to do, and
-    the device is closed, braked, out of expert mode."""
+    """If the firmware rejects the watchdog, opening fails and closes the device; with `watchdog_s = 0` it opens."""
     stub["refuse_watchdog"] = code
     with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
         bench.open(watchdog_s=0.03)
@@ -234,8 +231,8 @@ def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) ->
 
 
 def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench) -> None:
-    """The frame is documented for devices with a wrist. An omega.3 that has none is read by its position, unturned,
-    with one call a tick; with a wrist a refused frame is a fault."""
+    """The library documents frames for devices with a wrist. An omega.3 without one is read by its position in a single
+    call; with a wrist a failed frame is a failure."""
     stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     with bench.open() as device:
         servo = Servo(device)
@@ -254,11 +251,10 @@ def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench)
         assert Servo(device).read()[0] == TIMEOUT
 
 
-def test_device_of_an_unknown_type_runs_with_the_least_limits(
+def test_a_device_of_unknown_type_has_the_lowest_limits(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A number that nobody lists is opened, with a warning and less than any known device, and sends no torque; a rig
-    that wants a certain model does not take it."""
+    """An unknown type opens with a warning, the lowest limits and no torque; a rig for a certain model rejects it."""
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"
@@ -276,7 +272,7 @@ def test_device_of_an_unknown_type_runs_with_the_least_limits(
 
 
 def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench: StubBench) -> None:
-    """Without `calibrate` it is refused, closed and unmoved, and the message says what moves."""
+    """Without `calibrate` an uncalibrated device is closed unmoved; the error warns that calibration moves it."""
     stub["initialized"] = 0
     with pytest.raises(DeviceError, match=r"not calibrated.*calibrate = true.*MOVES"):
         bench.open()
@@ -284,12 +280,12 @@ def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench
 
 
 def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, bench: StubBench) -> None:
-    """Where a setting is refused, its function is named, and the device is closed without force."""
+    """If a setting fails, the error names its function, and the device is closed without force."""
     stub.update(initialized=0, refuse_init=1)
     with pytest.raises(DeviceTimeout, match=r"drdAutoInit.*timeout"):
         bench.open(calibrate=True)
     stub.reset()
-    stub["fail_write"] = 0  # the first force fails, after the force is on
+    stub["fail_write"] = 0  # the first force fails, after enabling the force
     with bench.open_unarmed() as device, pytest.raises(DeviceError, match="dhdSetForce"):
         device.arm()
     assert stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
@@ -300,7 +296,7 @@ def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, benc
     [(3, DeviceBusy), (20, DeviceBusy), (5, DeviceNotFound), (7, DeviceTimeout), (2, DeviceError), (4, DeviceError)],
 )
 def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub: Stub, bench: StubBench) -> None:
-    """The library's number decides what a failed opening is called."""
+    """The error code of the library selects the exception."""
     stub.update(fail_open=1, error=code)
     with pytest.raises(kind) as caught:
         bench.open()
@@ -308,7 +304,7 @@ def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub:
 
 
 def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBench) -> None:
-    """Among three devices the named one is opened, the others are closed again; a wish that none fits lists them."""
+    """Of three devices the selected one is opened and the rest are closed; without a match the error lists them."""
     stub["devices"] = 3  # the stub's serial numbers end in the device's number
     with bench.open(serial=1232) as device:
         assert device.info.name == "omega.3, serial 1232"
@@ -320,9 +316,9 @@ def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBenc
     assert stub["opens"] == stub["closes"]
 
 
-def test_a_device_is_asked_without_force(stub: Stub) -> None:
-    """`devices --ask`: model, serial number, system type and calibration by the library; nothing moves, no force is
-    switched on, and it is closed again; a device that another program holds is busy."""
+def test_a_device_is_identified_without_force(stub: Stub) -> None:
+    """`devices --ask` reports model, serial number, system type and calibration without motion or force, and closes the
+    device. A device of another program is busy."""
     claim = Claim("forcedimension", "usb", 0x1451, None)
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
@@ -338,7 +334,7 @@ def test_a_device_is_asked_without_force(stub: Stub) -> None:
 
 
 def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
-    """A watchdog that would bite between two ticks is refused before anything is opened, with the least that does."""
+    """A watchdog shorter than two ticks is rejected before opening; the error contains the minimum."""
     with pytest.raises(DeviceError, match=r"watchdog_s = 0\.001 .*at 1000 Hz: give at least 0\.002"):
         bench.open(watchdog_s=0.001)
     bench.open(watchdog_s=0.002).close()
@@ -347,7 +343,7 @@ def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
 
 
 def test_options_outside_their_range_are_refused_by_name() -> None:
-    """Each number has a range and a reason, each name a list."""
+    """The error names every option that is out of range, wrong or unknown."""
     given = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
     with pytest.raises(ConfigError) as caught:
         build(forcedimension.Options, given, "rig [device]")
@@ -355,11 +351,11 @@ def test_options_outside_their_range_are_refused_by_name() -> None:
         assert word in str(caught.value)
 
 
-# --- library and USB -----------------------------------------------------------------------------
+# --- library and USB ---
 
 
-def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
-    """The message has each place, the variables that are not set, and where to get it; devices are named anyway."""
+def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None:
+    """The error lists searched paths, unset variables, the source of the library, and the attached devices."""
     environ = {"FDSDK": str(tmp_path / "sdk"), "HOME": str(tmp_path)}
     with pytest.raises(DeviceNotFound) as caught:
         library.load(None, environ)
@@ -384,8 +380,8 @@ def test_absent_library_says_where_it_was_looked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
-def test_library_is_found_where_the_sdk_puts_it(variable: str, stub_library: Path, tmp_path: Path) -> None:
-    """In the SDK's folder by either variable, and in ~/.local/lib; of two versions the newer."""
+def test_the_library_is_found_in_the_folders_of_the_sdk(variable: str, stub_library: Path, tmp_path: Path) -> None:
+    """The library is found through both variables and in ~/.local/lib; of two versions the newer is loaded."""
     folder = tmp_path / (".local/lib" if variable == "HOME" else f"lib/release/lin-{os.uname().machine}-gcc")
     folder.mkdir(parents=True)
     (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
@@ -394,8 +390,8 @@ def test_library_is_found_where_the_sdk_puts_it(variable: str, stub_library: Pat
     assert found._name == str(folder / "libdrd.so.3.17.5")
 
 
-def test_a_user_without_a_home_is_told_the_other_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the library and of a file with ~: neither is there, and nothing else is wrong."""
+def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a home directory, neither the search nor a path with ~ fails otherwise than by not finding the file."""
     forget_user(monkeypatch)
     for named in (None, "~/libdrd.so"):
         with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': there is no such file"):
@@ -403,7 +399,7 @@ def test_a_user_without_a_home_is_told_the_other_places(monkeypatch: pytest.Monk
 
 
 def test_unusable_library_is_named(tmp_path: Path) -> None:
-    """A file that is no library, and a library that lacks a function, are refused with the file and the function."""
+    """The error names a file that is not a library, and a function that the library lacks."""
     file = tmp_path / "libdrd.so"
     file.write_text("no library")
     with pytest.raises(DeviceError, match=rf"{file} cannot be loaded"):
@@ -416,7 +412,7 @@ def test_unusable_library_is_named(tmp_path: Path) -> None:
 
 
 def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
-    """Result and parameters of each are declared: ctypes' own guesses would cut a double and pass no char."""
+    """All result and parameter types are declared: by default ctypes would truncate a double and reject a char."""
     loaded = library.load(str(stub_library))
     for name, (result, parameters) in library.PROTOTYPES.items():
         function = getattr(loaded, name)
@@ -429,7 +425,7 @@ def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
 
 
 def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
-    """A node that this user may not write gives the command; one that he may is no question of permission."""
+    """A USB node without permission gives the command; otherwise the library does not see the device."""
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
@@ -444,8 +440,8 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: StubBench) -> None:
         bench.open()
 
 
-def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
-    """A process that has the device's node open is named with its number; without one it is another process."""
+def test_the_process_that_uses_the_device_is_named(stub: Stub, bench: StubBench) -> None:
+    """A process that has the node open is named with its id, otherwise the error is about another process."""
     stub["held"] = 1
     with pytest.raises(DeviceBusy, match="used by another process"):
         bench.open()
@@ -460,7 +456,7 @@ def test_who_holds_the_device_is_named(stub: Stub, bench: StubBench) -> None:
         holder.kill()
 
 
-# --- exchange ------------------------------------------------------------------------------------
+# --- exchange ---
 
 
 def matrix_of(q: Any) -> np.ndarray:
@@ -475,7 +471,7 @@ def matrix_of(q: Any) -> np.ndarray:
 
 
 def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
-    """Towards the user is -y, right is x, up is z: position, orientation, force and torque, by matrices."""
+    """Towards the user is -y, right is x, up is z: poses and wrenches equal a computation by matrices."""
     assert np.linalg.det(TURN) == 1.0
     stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     for axis in range(3):
@@ -490,7 +486,7 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBen
                 about[axis] = 1.0
                 cross = np.cross(about, np.eye(3)).T
                 theirs = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
-                # Rounding of sines of half and of whole angles.
+                # Rounding of sines of half and of full angles.
                 np.testing.assert_allclose(matrix_of(sample[3:7]), TURN @ theirs @ TURN.T, atol=1e-14)
                 assert sample[3] >= 0.0
                 assert Servo(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
@@ -499,8 +495,8 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBen
 
 
 @pytest.mark.parametrize("kind", [33, 34, 35, 63, 131])
-def test_torque_is_never_sent_where_no_motor_turns(kind: int, stub: Stub, bench: StubBench) -> None:
-    """An omega.6 among others takes a torque, senses its orientation and gets forces only; no gripper is driven."""
+def test_no_torque_is_sent_to_a_passive_wrist(kind: int, stub: Stub, bench: StubBench) -> None:
+    """Devices without motors at the wrist, such as an omega.6, get forces only; no gripper is driven."""
     stub.update(type=kind, wrist=1, gripper=kind == 35)
     with bench.open() as device:
         servo = Servo(device)
@@ -511,7 +507,7 @@ def test_torque_is_never_sent_where_no_motor_turns(kind: int, stub: Stub, bench:
 
 
 def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
-    """Every bit of the mask arrives, the highest included; the gripper's angle where there is one, else 0."""
+    """Each bit of the button mask is read, also the highest, and the gripper's angle, or 0 without a gripper."""
     stub.update(buttons=2.0**31 + 5, **OMEGA_6)
     with bench.open() as device:
         assert Servo(device).read()[1][8:] == [2.0**31 + 5, 0.0]
@@ -521,8 +517,8 @@ def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
 
 
 def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
-    """A held-back reading and motors at their limit go on with status STALE, counted; the pose is the last one. A force
-    that was held back is told by HELD, for the device keeps the one before."""
+    """A guarded reading and saturated motors give STALE and are counted; the pose is the previous one. A guarded force
+    gives HELD, because the device keeps the previous force."""
     with bench.open() as device:
         servo = Servo(device)
         stub.update(guard_reads=4, guard_writes=5, reads=0, writes=0)
@@ -537,7 +533,7 @@ def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -
         stub.update(guard_reads=0, guard_writes=0)
         assert servo.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == STALE
         assert tuple(device.counts().values()) == (20, 4, 21, 3, 1)
-        assert stub["fz"] == 12.0  # the device's own limit, set when it was opened
+        assert stub["fz"] == 12.0  # the device's limit, set at opening
 
 
 @pytest.mark.parametrize(("code", "status"), [(7, TIMEOUT), (2, LOST), (1, LOST)])
@@ -545,7 +541,7 @@ def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -
 def test_failing_call_gives_its_status_and_reason(
     call: str, code: int, status: int, stub: Stub, bench: StubBench
 ) -> None:
-    """The library's timeout is a timeout, any other error a loss; the number stands in the reason."""
+    """The library's timeout gives TIMEOUT, any other error LOST, and the reason contains its code."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -555,12 +551,12 @@ def test_failing_call_gives_its_status_and_reason(
         text = {7: "timeout", 2: "communication error", 1: "error"}[code]
         assert device.reason() == f"the library's error {code}, {text}"
         device.stop()
-        assert stub.norm() == 0.0  # even where every force fails: the force is disabled
+        assert stub.norm() == 0.0  # even if every force fails: the force is disabled
         assert stub["force_on"] == 0
 
 
 def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> None:
-    """NaN or infinity in any place of a wrench never reaches the library: it gets zero."""
+    """If any component is NaN or infinite, the library gets a zero wrench and the write returns WITHHELD."""
     stub.update(**SIGMA_7)
     with bench.open() as device:
         servo = Servo(device)
@@ -574,8 +570,8 @@ def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> N
 
 
 def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
-    """A mirrored or stretched matrix gives no quaternion, and a position that is no number stays none, both for the
-    guard to refuse; the read succeeds. A matrix off by rounding is taken."""
+    """A mirrored or stretched matrix gives an orientation of NaN, and a NaN position is passed on; the guard rejects
+    both, but the read succeeds. A matrix off by rounding is accepted."""
     for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
         stub[name] = value
         with bench.open() as device:
@@ -593,7 +589,7 @@ def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBen
 
 @entry
 def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, times: int) -> None:
-    """Read and write `times`; counts statuses of reads outside OK and STALE, and orientations neither NaN nor unit."""
+    """Read and write `times`; count statuses except OK and STALE, and orientations neither NaN nor unit."""
     for _ in range(times):
         status = call_device(read, handle, sample)
         if status != 0 and status != 1:
@@ -612,8 +608,7 @@ def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any,
 
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int, int], int]) -> None:
-    """Whatever bits the library gives, a read ends with OK or STALE and an orientation is NaN or of unit length; what
-    comes of it and goes back as force is finite, and never more than the device's limit."""
+    """For any bits from the library, reads are OK or STALE, orientations NaN or unit, and forces within the limit."""
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)

@@ -1,4 +1,4 @@
-"""The exchange with Force Dimension's library call by call: what it is given, what its answers are taken for."""
+"""Exchange with Force Dimension's library, call by call: arguments, results, statuses."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ ZERO = (0.0,) * 6
 TO_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
 FORCE, ERROR, CAUSE = 5, 9, 14
-"""Places in the library's status words, by its manual."""
+"""Indices of the library's status words, by its manual."""
 
 
 class Library:
-    """The library and a driver's block that calls it, armed.
+    """Scripted library, and an armed driver's block that calls it.
 
-    gives  what a function returns, by name; 0 where nothing is said
+    gives  results of the functions by name; 0 by default
     """
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
@@ -82,7 +82,7 @@ class Library:
         return self.block.call(exchange.write, wrench)
 
     def counts(self) -> dict[str, int]:
-        """The counters that are not 0."""
+        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
@@ -91,11 +91,11 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
     return Library(monkeypatch)
 
 
-# --- samples ---------------------------------------------------------------------------------------------
+# --- samples ---
 
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
-    """Place and rotation turned from the library's frame; 32 buttons, the gripper's angle, time from the opening."""
+    """Position and rotation are in the world frame; the sample has 32 buttons, the gripper's angle and the time."""
     library.rotation = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1)
     library.gives["get_buttons"] = -2  # an int32 of a mask
     status, sample = library.read()
@@ -111,7 +111,7 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
 
 
 def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
-    """Unturned; without a gripper none is asked for."""
+    """The position is in the world frame, the orientation is the identity; without a gripper no angle is read."""
     library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
     library.rotation = turned(2, 0.3)
     status, sample = library.read()
@@ -132,7 +132,7 @@ def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
     ids=["mirror", "long", "short", "last", "volume 1", "volume 1 too", "and so", "zeros", "nan", "askew"],
 )  # fmt: skip
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
-    """Off by more than a hundredth in a row's length or in the volume; what is off by less is one."""
+    """A row length or a volume off by more than a hundredth gives NaN; a smaller deviation is accepted."""
     library.rotation = rotation
     status, sample = library.read()
     assert status == OK
@@ -144,7 +144,7 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 @pytest.mark.parametrize("row", [0, 1, 2])
 @pytest.mark.parametrize("length", [0.9891, 1.0109])
 def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
-    """Each of them, though the volume is within a hundredth of 1."""
+    """Each row is checked, though the volume is within a hundredth of 1."""
     scale = np.full(3, length**-0.49)
     scale[row] = length
     library.rotation = np.diag(scale)
@@ -152,15 +152,15 @@ def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Li
     assert np.isnan(library.read()[1][3:7]).all()
 
 
-def test_a_reading_of_before_is_stale(library: Library) -> None:
-    """The library's time guard: the sample is handed on, and counted."""
+def test_a_repeated_reading_is_stale(library: Library) -> None:
+    """A reading repeated by the library's time guard gives STALE and is counted."""
     library.gives["get_frame"] = 1
     assert library.read()[0] == STALE
     assert library.counts() == {"reads": 1, "reads_guarded": 1}
 
 
 def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
-    """Nobody waits for the lock, and the library is not called."""
+    """While another thread has the lock, samples repeat and forces are withheld, without calling the library."""
     _, before = library.read()
     library.place += 1.0
     library.word[AT.lock] = 1
@@ -174,19 +174,19 @@ def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: 
 
 
 def test_a_device_that_is_closed_is_lost(library: Library) -> None:
-    """And its library is not called."""
+    """The library is not called."""
     library.word[AT.open] = 0
     assert library.read()[0] == LOST
     assert library.asked == []
 
 
-# --- what the library says of failures -------------------------------------------------------------------
+# --- failures reported by the library ---
 
 
 @pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
-def test_a_reading_that_fails_says_why(name: str, library: Library) -> None:
-    """The library's time-out is one; of any other error the device is asked, and it is lost. The gripper's angle may
-    be as old as the time guard has it."""
+def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
+    """The library's timeout gives TIMEOUT; any other error gives LOST and the device's status is read. A gripper angle
+    repeated by the time guard is no failure."""
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
     assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"
@@ -202,8 +202,8 @@ def test_a_reading_that_fails_says_why(name: str, library: Library) -> None:
             assert library.read()[0] == OK
 
 
-def test_the_status_is_asked_for_each_so_many_reads(library: Library) -> None:
-    """Of an armed device alone: before, its force is off."""
+def test_the_status_is_read_periodically(library: Library) -> None:
+    """An armed device's status is read every fourth read; before arming its force is off, so it is not read."""
     asked = []
     for _ in range(12):
         assert library.read()[0] == OK
@@ -219,7 +219,7 @@ def test_the_status_is_asked_for_each_so_many_reads(library: Library) -> None:
     ("words", "status"), [({FORCE: 0}, FORCE_OFF), ({ERROR: 9}, FORCE_OFF), ({FORCE: 0, ERROR: 9}, FORCE_OFF), ({}, OK)]
 )
 def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], status: int, library: Library) -> None:
-    """By its status words, with the cause and the error word; a device in order leaves neither."""
+    """A status with force off or an error word ends the run, and its cause and error word are stored."""
     library.word[AT.reads] = 2
     _, before = library.read()
     library.status |= {CAUSE: 4, **words}
@@ -232,8 +232,8 @@ def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], 
     assert "get_error" not in library.asked
 
 
-def test_a_status_that_fails_is_a_failure_of_the_library(library: Library) -> None:
-    """What its error says decides."""
+def test_a_failed_status_call_is_a_failure(library: Library) -> None:
+    """A failed status call gives the status of the library's error."""
     library.gives |= {"get_status": -1, "get_error": ERROR_TIMEOUT}
     library.word[AT.reads] = 3
     assert library.read()[0] == TIMEOUT
@@ -243,11 +243,11 @@ def test_a_status_that_fails_is_a_failure_of_the_library(library: Library) -> No
     assert library.read()[0] == OK
 
 
-# --- forces ----------------------------------------------------------------------------------------------
+# --- forces ---
 
 
 def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
-    """Force and torque; the gripper gets none. Where no motor turns the handle no torque is sent."""
+    """Force and torque are converted, the gripper force is 0; a device without motors at the wrist gets no torque."""
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
     assert library.asked == ["set_wrench"]
@@ -259,7 +259,7 @@ def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
 
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> None:
-    """In whichever place."""
+    """A NaN in any component gives a zero wrench and WITHHELD."""
     wrench = [1.0] * 6
     wrench[place] = nan
     assert library.write(*wrench) == WITHHELD
@@ -268,8 +268,8 @@ def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> Non
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_a_device_that_is_not_armed_is_given_nothing(place: int, library: Library) -> None:
-    """Its force is off: no call at all; a zero is no less displayed."""
+def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library) -> None:
+    """Before arming and after a stop the library is not called: forces are withheld and a zero is OK."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
@@ -284,8 +284,8 @@ def test_a_device_that_is_not_armed_is_given_nothing(place: int, library: Librar
     ("code", "status", "counts"),
     [(0, OK, {}), (1, HELD, {"writes_guarded": 1}), (2, STALE, {"saturated": 1}), (3, STALE, {})],
 )
-def test_what_the_library_says_to_a_force(code: int, status: int, counts: dict[str, int], library: Library) -> None:
-    """Taken; held back by its time guard; more than the motors give. One that was no number is withheld in any case."""
+def test_results_of_a_force(code: int, status: int, counts: dict[str, int], library: Library) -> None:
+    """Accepted gives OK, held back by the time guard HELD, beyond the motors STALE; a NaN wrench is always WITHHELD."""
     library.gives["set_wrench"] = code
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
     assert library.counts() == {"writes": 1, **counts}
@@ -293,8 +293,8 @@ def test_what_the_library_says_to_a_force(code: int, status: int, counts: dict[s
     assert library.counts() == {"writes": 2, **dict.fromkeys(counts, 2)}
 
 
-def test_a_force_that_fails_says_why(library: Library) -> None:
-    """As a reading does; it was not given."""
+def test_a_failed_force_has_a_reason(library: Library) -> None:
+    """A failed force gives the status of the library's error and is not counted as written."""
     library.gives |= {"set_wrench": -1, "get_error": ERROR_TIMEOUT}
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == TIMEOUT
     library.gives["get_error"] = 2
@@ -302,8 +302,8 @@ def test_a_force_that_fails_says_why(library: Library) -> None:
     assert library.counts() == {} and library.word[AT.lock] == 0
 
 
-def test_one_thread_at_a_time_has_the_lock(library: Library) -> None:
-    """Who wants it is told whether it was free."""
+def test_only_one_thread_has_the_lock(library: Library) -> None:
+    """`lock` returns whether the lock was free."""
     assert library.block.call(exchange.lock) == 1
     assert library.block.call(exchange.lock) == 0
     assert library.block.call(exchange.unlock) == 0

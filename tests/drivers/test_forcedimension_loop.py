@@ -1,4 +1,4 @@
-"""Force Dimension's devices under the servo and the daemon: closed loop, faults, signals, and no force left."""
+"""Force Dimension's devices under the servo and the daemon: closed loop, faults, signals, zero force afterwards."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ __all__ = ["bench", "stub", "stub_library"]  # fixtures
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 
 PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay": 0.012, "hz": 1.0, "turn": 0.5}
-"""Once a second the hand goes 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and lets go."""
+"""Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 
 
 def records_of(servo: s.Servo) -> np.ndarray:
@@ -49,15 +49,14 @@ def fd_rig(stub: Stub, **changes: Any) -> Rig:
     base = {
         "device.driver": "forcedimension", "device.library_file": str(stub.path), "servo.realtime": "off",
         "telemetry.endpoint": "tcp://127.0.0.1:*", "guard.ramp_s": 0.01,
-        "device.watchdog_s": 0.0,  # it counts real time, and this machine may hold any thread up for longer
+        "device.watchdog_s": 0.0,  # it counts real time, and this machine may stall any thread for longer
     }  # fmt: skip
     return load_rig("replay", base | changes)
 
 
 def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
-    """Press, roll, slide and release by a hand on a simulated handle, through the whole daemon: forces and modes are
-    those of the contact step on the sensed poses, the gripper is told, the wall holds the handle, and no threads meet
-    in the library."""
+    """A hand presses, rolls, slides and releases through the daemon: forces and modes equal the engine's on the sensed
+    poses, the gripper is recorded, the wall stops the handle, and never two threads are in the library."""
     stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
     scene = load_scene("paper-plane")
     records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
@@ -90,8 +89,7 @@ def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
 ) -> None:
-    """Force button, threshold, watchdog, error word, unplugging, errors of reads and writes, a blocked transfer: the
-    daemon ends with the fault's own error and cause, the motors have no force, and the device opens again."""
+    """The daemon raises the error of each fault with its cause, motors have no force, and the device opens again."""
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
     if "watchdog" in words:
@@ -108,7 +106,7 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 
 def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -> bool:
-    """Whether 300 ticks with the watchdog of a rig that says nothing, and `late` before them, come to their end."""
+    """Run 300 ticks with the default watchdog after `late`; return False if the watchdog ends them."""
     stub.reset()
     stub.update(**PRESSING)
     options = build(forcedimension.Options, {"library_file": str(stub.path)}, "[device]")
@@ -125,10 +123,9 @@ def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -
         return ended.ending == s.FINISHED
 
 
-def test_documented_watchdog_bears_whatever_is_slow_before_the_first_tick(stub: Stub) -> None:
-    """With the watchdog as it is by default, on real time: half a second between opening and the first tick (compiling,
-    real-time settings) ends no run. A machine that holds the loop up for longer than the watchdog waits may end one, so
-    one in five has to come through."""
+def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
+    """Half a second between opening and the first tick (compiling, real-time settings) does not trigger the default
+    watchdog. A stall of the machine may, so one in five runs has to finish."""
 
     def late() -> Callable[[], None]:
         time.sleep(0.5)
@@ -138,7 +135,7 @@ def test_documented_watchdog_bears_whatever_is_slow_before_the_first_tick(stub: 
 
 
 def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_path: Path) -> None:
-    """`softfinger run` from its start, real-time settings and publisher included; one in five, as above."""
+    """`softfinger run` with real-time settings and publisher finishes in one of five runs, as above."""
     rig = tmp_path / "rig.toml"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n'
@@ -152,8 +149,8 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
     raise AssertionError(done.stderr)
 
 
-def test_pose_that_is_no_pose_means_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
-    """One NaN from the device zeroes the force in its tick and is told by the guard; the loop goes on."""
+def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
+    """A NaN from the device gives zero force and a guard bit for its tick, and the loop continues."""
     stub.update(**PRESSING, nan_at=480)  # in contact
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
@@ -168,8 +165,8 @@ def test_pose_that_is_no_pose_means_zero_force_for_its_tick(stub: Stub, bench: S
     assert int(records[480, AT.servo_guard]) == POSE_REFUSED
 
 
-def test_status_is_asked_for_as_often_as_the_rig_says(stub: Stub, bench: StubBench) -> None:
-    """A force that the device turned off is noticed after at most the rig's time, and not before the question."""
+def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> None:
+    """A force that the device turned off is detected after the rig's status period, not earlier."""
     with bench.open(status_period_s=0.02) as device:
         servo = Servo(device)
         for _ in range(20):
@@ -184,8 +181,8 @@ def test_status_is_asked_for_as_often_as_the_rig_says(stub: Stub, bench: StubBen
 def test_stop_while_a_transfer_hangs(
     exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """From another thread, `stop` waits a moment for the exchange under way and then takes the force off over it; where
-    the library lets nothing past the hanging call, it returns all the same, says so, and the force goes once it can."""
+    """`stop` from another thread waits briefly for a hanging exchange, then disables the force. If the library blocks
+    all calls, it returns with a message, and the force is disabled once the library returns."""
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
@@ -195,7 +192,7 @@ def test_stop_while_a_transfer_hangs(
         run_for(servo, 100)
         time.sleep(0.05)
         device.stop()
-        assert stub.busy() and servo.ticks == 100  # it hangs still
+        assert stub.busy() and servo.ticks == 100  # the call still hangs
         assert ("blocks all calls" in caplog.text) == bool(exclusive)
         assert bool(device.zero_failure()) == bool(exclusive)
         assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
@@ -208,11 +205,11 @@ def test_stop_while_a_transfer_hangs(
         assert stub.norm() == 0.0 and stub["force_on"] == 0
 
 
-def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> None:
-    """`stop` from another thread, called while a slow reading is under way, does not meet the loop in the library."""
+def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None:
+    """`stop` from another thread during a slow reading never enters the library together with the loop."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
-    for _ in range(3):  # this thread might be held up for a whole reading, but not again and again
+    for _ in range(3):  # this thread might stall for a full reading, but not each time
         with bench.open() as device:
             servo = s.Servo([device], tuning, RATE_HZ)
             servo.compile()
@@ -228,8 +225,7 @@ def test_stop_waits_for_the_exchange_under_way(stub: Stub, bench: StubBench) -> 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
-    """The command line's daemon on the stand-in, pressing: a signal ends it in order, exit code 0, and the device was
-    zeroed, disabled and closed, with expert mode off."""
+    """A signal in contact ends the daemon with code 0; the device was zeroed, disabled and closed."""
     rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
@@ -257,7 +253,7 @@ def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_lib
 
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each shipped rig for a device of Force Dimension opens it, moves nothing, and refuses another model."""
+    """Each shipped rig for Force Dimension opens its device without moving it, and rejects another model."""
     names = [name for name in shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
     assert names == ["omega-3", "omega-6", "omega-7"]
     for kind, name in zip((33, 34, 35), names, strict=True):

@@ -1,5 +1,7 @@
-"""The exchange with Haply's Inverse Service: contract, poses and forces, versions, filters, several programs, faults.
-The service is an emulated one in a process of its own, on real sockets; what counts is what its device was given."""
+"""Exchange with Haply's Inverse Service: contract, poses and forces, versions, filters, several programs, faults.
+
+The service is emulated in a separate process on real sockets; tests check the forces its device received.
+"""
 
 from __future__ import annotations
 
@@ -48,13 +50,13 @@ BOARD = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """Whatever a test did to the service, the driver's thread has ended with the device."""
+    """The driver's thread has ended with the device, whatever the test did to the service."""
     yield
     assert not [one for one in threading.enumerate() if one.name == "haply exchange"]
 
 
 class Bench(driver_contract.Bench):
-    """The emulated service; a device that is not there has left its list."""
+    """Bench on the emulated service; a missing device is removed from the service's list."""
 
     patience_s: ClassVar[float] = 10.0
     cannot: ClassVar[Mapping[str, str]] = {
@@ -105,7 +107,7 @@ def service() -> Iterator[Service]:
 
 
 def until_status(servo: Servo, wanted: int) -> None:
-    """Read once a millisecond until a status comes."""
+    """Read once a millisecond until a read returns `wanted`."""
     end = time.monotonic() + 10.0
     while (status := servo.read()[0]) != wanted:
         assert status >= 0 and time.monotonic() < end, f"the last status was {status}"
@@ -113,7 +115,7 @@ def until_status(servo: Servo, wanted: int) -> None:
 
 
 def at_rest(service: Service) -> None:
-    """Wait until the device has no force; the service reads in a process of its own."""
+    """Wait until the device has no force; the service reads in a separate process."""
     end = time.monotonic() + 5.0
     while any(service.force()):
         assert time.monotonic() < end
@@ -129,19 +131,19 @@ def first_failure(servo: Servo) -> int:
 
 
 def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
-    """A sample of after the cursor has been put somewhere."""
+    """Move the cursor, and return a sample with the new position."""
     service.do("move", id=ID, to=to)
     fresh(servo)
-    time.sleep(0.02)  # a state of before may be under way
+    time.sleep(0.02)  # a state with the old position may be in flight
     return fresh(servo)
 
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
-    """The sample is the cursor's place and the grip's orientation, turned and shifted as mounted; a force in the world
-    reaches the device in the service's frame; buttons a, b and c are bits 0 to 2."""
+    """Cursor position, grip orientation and force are converted between the service's frame and the world, also with a
+    mounting; buttons a, b and c are bits 0 to 2."""
     half = math.sqrt(0.5)
-    turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter about z
+    turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
                                    "buttons": {"a": True, "b": False, "c": True}})  # fmt: skip
     with opened(service, **({"mounting": turn} if mounted else {})) as device:
@@ -160,14 +162,14 @@ def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
 
 
 def test_without_a_grip_there_is_no_orientation() -> None:
-    """A device alone senses three, and is not turned."""
+    """Without a grip the device senses 3 degrees of freedom, and the orientation is the identity."""
     with Service() as alone, opened(alone) as device:
         assert device.info.sensed_dof == 3
         np.testing.assert_allclose(fresh(Servo(device))[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-12)  # rounding
 
 
 def test_a_wired_grip_has_one_button() -> None:
-    """A VerseGrip on a cable says `button`, and no `buttons`."""
+    """A wired VerseGrip reports `button` instead of `buttons`."""
     with Service(grips=("verse_grip:61548",)) as wired:
         wired.do("grip", id="61548", to={"button": True})
         with opened(wired, grip="61548") as device:
@@ -175,8 +177,7 @@ def test_a_wired_grip_has_one_button() -> None:
 
 
 def test_a_force_past_the_largest_is_limited(service: Service) -> None:
-    """A force of more than the rig's is cut to it in its direction, and the write says so; one that is not finite is
-    zero."""
+    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
     with opened(service, force_max_n=2.0) as device:
         servo = Servo(device)
         fresh(servo)
@@ -190,9 +191,9 @@ def test_a_force_past_the_largest_is_limited(service: Service) -> None:
             assert not any(service.force())
 
 
-def test_one_state_a_message(service: Service) -> None:
-    """The driver sends a message only once the last one is answered, however often the loop writes. A force that the
-    loop writes meanwhile is not taken: those that the device receives are the taken ones, each once and in order."""
+def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
+    """A message is sent only after the last is answered, however often the loop writes. Forces written in between are
+    HELD; the device receives the accepted ones once each and in order."""
     service.set(late_s=0.02)
     with opened(service) as device:
         servo = Servo(device)
@@ -204,7 +205,7 @@ def test_one_state_a_message(service: Service) -> None:
         settle(device)
         after = device.counts()
         assert after["messages"] - before["messages"] <= 10
-        assert abs(after["messages"] - after["states"]) <= 2  # the first state, and one under way
+        assert abs(after["messages"] - after["states"]) <= 2  # the first state, and one in flight
         assert after["unasked"] == 0
         assert set(statuses) == {OK, HELD}
         taken = [0.01 * n for n, status in enumerate(statuses, 1) if status == OK]
@@ -217,7 +218,7 @@ def test_one_state_a_message(service: Service) -> None:
     ("version", "key"), [("3.1.1", "values"), ("3.4.2", "values"), ("3.5.0", "vector"), ("3.9.1", "vector")]
 )
 def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None:
-    """Which key the service looks at, and it ignores others, depends on its version; the force arrives at each."""
+    """The service reads the force under the key of its version and ignores other keys; the force arrives with each."""
     with Service(version) as of_version, opened(of_version) as device:
         servo = Servo(device)
         fresh(servo)
@@ -238,17 +239,16 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     ],
     ids=["old", "next", "no number", "a list", "nothing", "deep"],
 )  # fmt: skip
-def test_a_service_of_another_version_is_refused_in_words(page: str, told: str, service: Service) -> None:
-    """A version outside of 3.1 to 3.x, or none, is told with what to do; a rig may name it where the service does
-    not."""
+def test_a_service_of_another_version_is_rejected(page: str, told: str, service: Service) -> None:
+    """A version outside of 3.1 to 3.x, or none, is rejected; the rig can set it if the service reports none."""
     service.set(pages={"/version": page})
     with pytest.raises(DeviceError, match=told):
         opened(service)
     opened(service, version="3.5").close()
 
 
-def test_who_is_there_is_told() -> None:
-    """Several devices or grips, or none of that name: the error lists those that are there; a name chooses."""
+def test_the_error_lists_available_devices() -> None:
+    """Without a unique match the error lists the available devices or grips; a name selects one."""
     with Service(
         devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
     ) as two:
@@ -270,8 +270,8 @@ def test_who_is_there_is_told() -> None:
         opened(empty)
 
 
-def test_no_service_is_told_with_what_to_start() -> None:
-    """Where nothing listens, the error says which service to start; port 10000 is that of a format not spoken."""
+def test_the_error_without_a_service_names_the_one_to_start() -> None:
+    """Without a service the error names the one to start; port 10000 is rejected for its unsupported format."""
     with Service() as ended:
         port = ended.port
     with pytest.raises(
@@ -282,8 +282,8 @@ def test_no_service_is_told_with_what_to_start() -> None:
         rig_options(10000)
 
 
-def test_a_service_that_says_nothing_is_given_up(service: Service) -> None:
-    """Without an inventory, opening ends after two seconds at the earliest, and leaves no connection."""
+def test_opening_at_a_silent_service_times_out(service: Service) -> None:
+    """Without an inventory, opening fails after two seconds."""
     service.set(mute=True)
     begun = time.monotonic()
     with pytest.raises(NoAnswer, match=r"does not answer within 2 s: restart it"):
@@ -291,9 +291,9 @@ def test_a_service_that_says_nothing_is_given_up(service: Service) -> None:
     assert time.monotonic() - begun > 1.0
 
 
-def test_filters_become_the_rigs(service: Service) -> None:
-    """What the service does to a force is as the rig has it once a device is open: home return off whatever the rig
-    says, the others where they differ; the gate and damping are those of this session."""
+def test_filters_are_set_as_in_the_rig(service: Service) -> None:
+    """Opening sets the service's filters as in the rig: home return is always off, the rest is set if different, force
+    gate and damping per session. A refusal is an error."""
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
     found = service.do("settings", id=ID)
@@ -310,7 +310,7 @@ def test_filters_become_the_rigs(service: Service) -> None:
 
 @pytest.mark.parametrize("enveloped", [False, True])
 def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
-    """The version and the applied filters arrive alone or below `data`. A plain answer with another value than the
+    """Version and applied filters are read at top level or below `data`. A plain answer with another value than the
     posted one is a refusal, as is `ok: false`."""
     service.set(enveloped=enveloped, version_enveloped=enveloped)
     opened(service, filters={"torque_scaling": False}).close()
@@ -323,16 +323,16 @@ def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Ser
         opened(service)
 
 
-def test_a_version_in_the_rig_that_is_not_the_services_is_refused(service: Service) -> None:
-    """A service of 3.5 ignores forces under the key of 3.4, so the rig may not select that key there."""
+def test_a_wrong_version_in_the_rig_is_rejected(service: Service) -> None:
+    """A service of 3.5 ignores forces under the key of 3.4, so a rig with that version is rejected."""
     with pytest.raises(DeviceError, match=r"version = 3\.4 .*is version 3\.5\.0\.0.*remove version"):
         opened(service, version="3.4")
     opened(service, version="3.5").close()
 
 
 def test_another_kind_of_device_is_refused() -> None:
-    """Limits and workspace of a rig hold for the kinds that it names: by `config.type`, else by the list of the device.
-    Among several devices the rig's kind is the choice."""
+    """Limits and workspace of a rig are for its models, which come from `config.type`, or else from the list of the
+    device. Of several devices the one of a model of the rig is selected."""
     with Service(devices=("minverse:0A11",)) as mini:
         with pytest.raises(DeviceNotFound, match=r"lists minverse 0A11.*for inverse3, inverse3x.*haply-minverse"):
             opened(mini)
@@ -348,8 +348,7 @@ def test_another_kind_of_device_is_refused() -> None:
 
 
 def test_filters_of_an_older_service() -> None:
-    """A service before 3.5 takes gravity compensation and torque scaling by its own pages; what it cannot be told is
-    refused rather than ignored."""
+    """A service before 3.5 has separate pages for two of the filters; settings it lacks are an error."""
     with Service("3.3.0") as old:
         opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
         found = old.do("settings", id=ID)
@@ -360,8 +359,8 @@ def test_filters_of_an_older_service() -> None:
 
 
 def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
-    """A mount that turns, moves or scales positions would also do so to forces: it is refused, flat and below
-    `transform`, as is one of unknown form. An empty one is none."""
+    """A mount that rotates, moves or scales positions would also affect forces, so it is rejected, at top level and
+    below `transform`, as is one of unknown form. An empty mount is accepted."""
     still = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
     none, doubled = ({**still, "scale": dict.fromkeys("xyz", size)} for size in (1, 2))
     for mount in (doubled, {"transform": doubled}, {"transform": still}, {"offset": 1}):
@@ -373,8 +372,8 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
         opened(service).close()
 
 
-def test_what_the_service_warns_of_is_passed_on(service: Service) -> None:
-    """A device without power or calibration opens, and warns until that is mended."""
+def test_warnings_of_the_service_are_reported(service: Service) -> None:
+    """A device without power or calibration opens, and `warning` reports it until it is fixed."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -391,9 +390,9 @@ def test_what_the_service_warns_of_is_passed_on(service: Service) -> None:
 
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
-    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"write", "clock_gettime", "__errno_location", "sqrt"}
-    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     for function in (exchange.read, exchange.write):
         bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
         called = {name for body in bodies.values() for name in called_in(body)}
@@ -403,7 +402,7 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
 
 
 def test_two_devices_of_one_service_run_at_once() -> None:
-    """Each has its own force; the lock of one is not the other's."""
+    """Two devices of one service are open at once and each gets its force."""
     with (
         Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both,
         opened(both, device_id=ID) as one,
@@ -418,7 +417,7 @@ def test_two_devices_of_one_service_run_at_once() -> None:
 
 
 def test_an_old_wrench_becomes_zero(service: Service) -> None:
-    """When the loop writes no more, the device is given zero by the thread, and the next read says so; poses go on."""
+    """If the loop stops writing, the thread sends zero and the next read returns WITHHELD; poses are still read."""
     with opened(service, stale_s=0.02) as device:
         servo = Servo(device)
         fresh(servo)
@@ -432,8 +431,8 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         fresh(servo)
 
 
-def test_silence_ends_the_force_then_gives_up(service: Service) -> None:
-    """A service that hears and says nothing is sent one zero; no force follows, and the device is given up."""
+def test_silence_ends_the_force_then_times_out(service: Service) -> None:
+    """A service that stops answering gets one zero; forces are withheld until the read returns TIMEOUT."""
     with opened(service, quiet_s=0.02, timeout_s=0.3) as device:
         servo = Servo(device)
         fresh(servo)
@@ -448,8 +447,8 @@ def test_silence_ends_the_force_then_gives_up(service: Service) -> None:
         assert "has not answered" in device.zero_failure()
 
 
-def test_a_late_service_gives_old_poses_no_force(service: Service) -> None:
-    """Answers that take longer than `quiet_s` are poses of before: each force is withheld until a state is young."""
+def test_no_force_for_late_poses(service: Service) -> None:
+    """If answers take longer than `quiet_s`, forces are withheld until a state is recent."""
     with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
         servo = Servo(device)
         fresh(servo)
@@ -467,7 +466,7 @@ def test_a_late_service_gives_old_poses_no_force(service: Service) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> None:
-    """After a pause longer than the time-out the service's poses of now are read, and no force goes out before."""
+    """After a pause longer than the time-out the read continues with current poses, and no force is sent before."""
     with opened(service, stale_s=0.02, timeout_s=0.2) as device:
         servo = Servo(device)
         fresh(servo)
@@ -485,8 +484,8 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> No
     ids=["no number", "too large to read", "far away", "farther away"],
 )
 def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
-    """A coordinate that is null (as the maker's JSON writes NaN) or out of bounds gives a sample of NaN, which the
-    guard gives no force; a number that JSON cannot hold is a fault of the protocol."""
+    """A coordinate that is null (as the maker's JSON writes NaN) or out of bounds gives a sample of NaN, for which the
+    guard commands zero; a number beyond JSON's range is a protocol error."""
     text = (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
         '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
@@ -527,9 +526,8 @@ BAD: dict[str, tuple[Any, int, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_message_that_is_no_state_ends_the_exchange(case: str, service: Service) -> None:
-    """Whatever comes in place of a state: one status, one reason without the whole message, no force, no hang; and the
-    device opens again once the service has come to its senses."""
+def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
+    """A malformed message ends the exchange with its status, a short reason and zero force; the device opens again."""
     text, wanted, told = BAD[case]
     with opened(service) as device:
         servo = Servo(device)
@@ -546,8 +544,8 @@ def test_a_message_that_is_no_state_ends_the_exchange(case: str, service: Servic
     opened(service).close()
 
 
-def test_a_service_that_floods_is_given_up(service: Service) -> None:
-    """States that nobody asked for are counted; past a hundred this is no Inverse Service."""
+def test_a_flood_of_states_is_a_protocol_error(service: Service) -> None:
+    """Unexpected states are counted; more than a hundred are a protocol error."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -556,8 +554,8 @@ def test_a_service_that_floods_is_given_up(service: Service) -> None:
         assert "unexpected states" in device.reason()
 
 
-def test_a_grip_that_goes_is_a_loss(service: Service) -> None:
-    """A grip that was in use and leaves the list ends the run as the device would: its orientation would be frozen."""
+def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
+    """If the grip in use is no longer listed, the device is lost: otherwise its orientation would be frozen."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -567,8 +565,7 @@ def test_a_grip_that_goes_is_a_loss(service: Service) -> None:
 
 
 def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
-    """With its process the connection and the session's force have ended; nothing reconnects by itself; the device
-    opens again at the service that has taken its place."""
+    """A service killed in contact is a loss without automatic reconnection; the device opens again at a new service."""
     with Service() as before:
         device = opened(before)
         servo = Servo(device)
@@ -583,9 +580,9 @@ def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
             fresh(Servo(again))
 
 
-def test_a_service_that_is_stopped_hangs_nothing(service: Service) -> None:
-    """A service that neither reads nor writes (SIGSTOP): reads give it up, stop and close return in time, nothing
-    confirms their zero, and what it reads when it goes on ends in a zero."""
+def test_a_stopped_service_blocks_no_call(service: Service) -> None:
+    """With a stopped service (SIGSTOP) reads return TIMEOUT, `stop` and `close` return in time with an unconfirmed
+    zero, and the messages read after SIGCONT end with a zero."""
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)
@@ -627,16 +624,16 @@ def test_stop_while_the_loop_writes(service: Service) -> None:
         assert all(not any(row[1:]) for row in service.log() if row[0] > stopped)
 
 
-def test_the_service_is_asked_what_it_has(service: Service) -> None:
-    """`devices --ask` shows its version, devices and grips."""
+def test_devices_of_the_service_are_listed(service: Service) -> None:
+    """`devices --ask` lists the service's version, devices and grips."""
     said = identify(BOARD, rig_options(service.port))
     assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
 
 
-def test_the_service_of_a_rig_is_asked_without_a_port(
+def test_the_service_of_a_rig_is_queried_without_usb(
     service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`devices --ask --rig` asks the rig's service where USB lists no device of it, as in a container."""
+    """`devices --ask --rig` queries the rig's service even if USB lists no device, as in a container."""
     monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))
@@ -651,24 +648,23 @@ def test_the_service_of_a_rig_is_asked_without_a_port(
     assert found["state"] == "service" and "systemctl start haply-inverse-service" in found["remedy"]
 
 
-def test_threads_take_short_turns_while_a_device_is_open() -> None:
-    """Python's switch interval is short from the first device's opening to the last one's end, in whatever order they
-    end, and then what it was."""
+def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
+    """Python's switch interval is short from the first opening to the last closing, and then restored."""
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)
         assert before > switch_interval.SHORT_INTERVAL_S
         assert sys.getswitchinterval() == pytest.approx(
             switch_interval.SHORT_INTERVAL_S, rel=1e-2
-        )  # it is kept in microseconds
+        )  # stored in microseconds
         first.close()
         assert sys.getswitchinterval() < before
         second.close()
     assert sys.getswitchinterval() == before
 
 
-def test_a_device_keeps_its_descriptors_to_itself(service: Service) -> None:
-    """Opened and closed twenty times, no file descriptor is left."""
+def test_a_device_leaks_no_descriptor(service: Service) -> None:
+    """Opening and closing a device twenty times leaks no file descriptor."""
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(20):
         device: HaplyDevice = opened(service)
@@ -677,7 +673,7 @@ def test_a_device_keeps_its_descriptors_to_itself(service: Service) -> None:
 
 
 class Listener:
-    """Something on a port that is no Inverse Service: it says some bytes to each client, and then waits or closes."""
+    """Server that is no Inverse Service: it sends fixed bytes to each client, then waits or closes."""
 
     def __init__(self, said: bytes, closes: bool) -> None:
         self.end = socket.create_server(("127.0.0.1", 0))
@@ -719,8 +715,7 @@ class Listener:
     ],
     ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
 )  # fmt: skip
-def test_whatever_else_listens_there_is_refused_in_time(said: bytes, closes: bool, version: str | None) -> None:
-    """Another program on the port, whatever it says or leaves unsaid: one error of a device, though the
-    other program waits."""
+def test_another_program_on_the_port_is_rejected_in_time(said: bytes, closes: bool, version: str | None) -> None:
+    """Any other program on the port gives a DeviceError in time, even if it never answers."""
     with Listener(said, closes) as other, pytest.raises(DeviceError):
         open_device(rig_options(other.port, version=version), 1000.0)

@@ -1,7 +1,7 @@
-"""Every way in which a connection with Haply's service may end: what the service received before it did.
+"""Ends of a connection with Haply's service: the forces the service received before.
 
-Two devices of one emulated service push; the service then breaks the protocol, closes or falls silent. The service's
-own list of received forces decides: the end of a session, which takes its force too, is not in that list.
+Two devices of one emulated service push; the service then breaks the protocol, closes or stops answering. Tests check
+the service's list of received forces, which does not contain the end of a session, though that also ends its force.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ pytestmark = pytest.mark.real_time
 OTHER = "0A11"
 CONTINUATION, TEXT, BINARY, CLOSE, PING = 0x0, 0x1, 0x2, 0x8, 0x9
 MAX = 262_144
-"""Bytes of the longest message that the driver takes."""
+"""Maximum bytes of a message that the driver accepts."""
 
 
 def frame(opcode: int, payload: bytes = b"", fin: bool = True, bits: int = 0, claims: int | None = None) -> bytes:
-    """A frame as a server sends it (RFC 6455, 5.2); `bits` are the reserved ones, `claims` the length it announces."""
+    """Return a frame of a server (RFC 6455, 5.2); `bits` are the reserved bits, `claims` the announced length."""
     size = len(payload) if claims is None else claims
     if size < 126:
         length = bytes([size])
@@ -86,7 +86,7 @@ def service() -> Iterator[Service]:
 
 @pytest.fixture
 def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
-    """Both devices, each under a force."""
+    """Both devices, each with a force."""
     devices = [opened(service, device_id=name, models=None) for name in (ID, OTHER)]
     for device, name in zip(devices, (ID, OTHER), strict=True):
         servo = Servo(device)
@@ -111,7 +111,7 @@ def received(service: Service, name: str, after: float = 0.0) -> list[tuple[floa
 
 
 def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str | None = None) -> list[int]:
-    """Have the service send bytes to each session; the statuses with which the devices fail."""
+    """Let the service send `raw` to each session; return the statuses with which the devices fail."""
     service.set(raw=raw.hex(), end=end)
     statuses = []
     for device in devices:
@@ -124,8 +124,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
 
 @pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
 def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
-    """Whatever the service sends in place of a state, the last force that it receives for each device is zero, without
-    anybody stopping the devices, and their zero is confirmed."""
+    """After any end by the service, each device's last force is zero before any `stop`, and it is confirmed."""
     raw = (BREACHES | GOODBYES)[case]
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
@@ -137,14 +136,14 @@ def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[
 
 
 def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pushing: list[HaplyDevice]) -> None:
-    """A half-closed connection still takes a message."""
+    """A half-closed connection still transmits the zero."""
     assert end_with(service, pushing, b"", "fin") == [LOST, LOST]
     for name in (ID, OTHER):
         assert received(service, name)[-1] == (0.0, 0.0, 0.0)
 
 
 def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
-    """TCP delivers nothing behind a reset; the session is over, and takes its force with it."""
+    """TCP transmits no zero after a reset; the end of the session ends its force."""
     assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
     for name in (ID, OTHER):
         assert received(service, name)[-1] == (0.0, 0.0, 1.5)
@@ -152,8 +151,8 @@ def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevic
 
 
 @pytest.mark.scaled
-def test_whatever_bytes_come_the_last_force_is_zero(service: Service, cases: Callable[[int, int], int]) -> None:
-    """Random frames, some of them whole: once a device is stopped, the last force that the service received is zero."""
+def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Callable[[int, int], int]) -> None:
+    """For random frames, some of them valid, the last force the service received is zero once the device is stopped."""
     draw = random.Random(7)
     for _ in range(cases(20, 1000)):
         raw = b"".join(
@@ -174,8 +173,8 @@ def test_whatever_bytes_come_the_last_force_is_zero(service: Service, cases: Cal
 
 
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
-    """However long the loop writes to a service that reads nothing, one force waits there, and zeros behind it. Nothing
-    confirms the zero of a stop, which waits for it once."""
+    """A service that stops reading receives at most one more force, followed by zeros, however long the loop writes.
+    The zero of a stop is not confirmed, and only the first `stop` waits for it."""
     service.set(deaf=True)
     deaf_at = time.monotonic()
     servos = [Servo(device, arm=False) for device in pushing]
@@ -203,10 +202,9 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
         assert late[-1] == (0.0, 0.0, 0.0)
 
 
-def test_a_service_that_sends_without_reading_is_given_no_more_force() -> None:
-    """States that come unasked look like answers, but the connection's send queue shows that nobody reads: forces are
-    withheld, with a warning, until the unasked states end the exchange. With the session its force ends, and what
-    waited is no more than the service's own receive buffer holds."""
+def test_a_service_that_sends_without_reading_gets_no_force() -> None:
+    """Unexpected states look like answers, but the send queue of the connection grows: forces are withheld with a
+    warning until the states end the exchange. At most the messages in the service's receive buffer are still read."""
     room = 2048
     with Service(room=room) as service, opened(service) as device:
         servo = Servo(device)
@@ -231,5 +229,6 @@ def test_a_service_that_sends_without_reading_is_given_no_more_force() -> None:
         service.set(deaf=False)
         until(lambda: not any(service.force()))
         late = received(service, ID, deaf_at)
-        # Linux doubles `room`; a message has more than 60 bytes; two may wait on this side, one was being answered.
+        # Linux doubles `room`; a message has more than 60 bytes; two may wait in the driver, and one was being
+        # answered.
         assert sum(any(force) for force in late) <= 2 * room / 60 + 3

@@ -1,4 +1,4 @@
-"""The servo's side of a Haply call by call: poses out of the block, wrenches into it, what is withheld and counted."""
+"""Exchange of the servo with a Haply's block, call by call: poses, wrenches, withheld forces and counters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Q = (0.5, 0.1, -0.7, 0.5)
 
 
 class Device:
-    """The block as the driver fills it in, with the thread's part by a script; mounted turned and shifted."""
+    """A block as the driver fills it, with a scripted thread; the mounting rotates and shifts."""
 
     def __init__(self, patch: pytest.MonkeyPatch, mounting: tuple[Any, Any]) -> None:
         self.clock, self.woken = by_call(patch, exchange), File(FD)
@@ -38,7 +38,7 @@ class Device:
         self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1
 
     def state(self, x: float, y: float, z: float, buttons: float = 0.0) -> None:
-        """The thread has received one, now."""
+        """Receive a state now, as the thread does."""
         pose = self.block.numbers(AT.pose, exchange.POSE_SIZE)
         pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
         self.word[AT.pose_sequence] += 2
@@ -48,33 +48,33 @@ class Device:
         return self.block.call(exchange.read, sample), sample
 
     def write(self, *wrench: float, sends: bool = True) -> int:
-        """The loop writes, and the thread sends what it was given before the next call, or not."""
+        """Write a wrench; if `sends`, the thread sends it before the next call."""
         status = self.block.call(exchange.write, wrench)
         if sends:
             self.word[AT.handled] = self.word[AT.written]
         return status
 
     def given(self) -> list[float]:
-        """The newest wrench in the lock: force (N), time (ns), number."""
+        """Return the last wrench in the sequence lock: force (N), time (ns), number."""
         assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
         return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
 
     def counts(self) -> dict[str, int]:
-        """The counters that are not 0."""
+        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
-    """Armed, with a first state that the loop has read."""
+    """Armed device with a first state that the loop has read."""
     made = Device(monkeypatch, ((0.1, 0.2, 0.3), (HALF, 0.0, 0.0, HALF)))
     made.state(0.0, 0.0, 0.0)
     assert made.read()[0] == OK
     return made
 
 
-def test_the_newest_state_is_a_pose_in_the_world(device: Device) -> None:
-    """As mounted; time from the opening; no gripper. A state is taken once, then repeated."""
+def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
+    """The pose is in the world frame, time counts from opening, no gripper. A state is OK once, then STALE."""
     device.clock.now += 5 * MS
     device.state(0.25, 0.5, -0.125, 3.0)
     device.clock.now += 1 * MS
@@ -85,8 +85,8 @@ def test_the_newest_state_is_a_pose_in_the_world(device: Device) -> None:
         assert sample[7:].tolist() == [pytest.approx(2.005), 3.0, 0.0]
 
 
-def test_a_state_under_way_is_the_next_ticks(device: Device) -> None:
-    """While the thread writes, the sample of before is repeated."""
+def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
+    """While the thread writes a state, the previous sample is repeated."""
     before = device.read()[1].tolist()
     device.state(1.0, 2.0, 3.0)
     device.word[AT.pose_sequence] -= 1
@@ -97,8 +97,7 @@ def test_a_state_under_way_is_the_next_ticks(device: Device) -> None:
 
 
 def test_silence_ends_forces_then_the_run(device: Device) -> None:
-    """Without a state for more than `quiet_s` no force is let through; for more than `timeout_s`, the device is given
-    up."""
+    """A silence longer than `quiet_s` withholds forces; one longer than `timeout_s` gives TIMEOUT."""
     device.clock.now += QUIET
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -115,12 +114,12 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
-    """After more than 30 ms in which the loop did not read, the device is not given up, and its state is not of now:
-    what came at the end of the pause is, and a shorter one is none."""
+    """More than 30 ms without a read are a pause: the device does not time out, and only a state received within
+    `quiet_s` before the read counts as current."""
     device.clock.now += 2 * TIMEOUT_NS
     assert device.read()[0] == STALE
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    # as if it had been silent for just more than `quiet_s`, from when on it is listened to
+    # The pause counts as a silence of just more than `quiet_s`; from then on the silence is measured.
     device.clock.now += TIMEOUT_NS - QUIET - 1
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -146,14 +145,14 @@ def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
 
 
 def test_before_the_first_read_there_is_no_pause(device: Device) -> None:
-    """A loop that has not read yet finds a device that has been silent for too long."""
+    """If the loop has not read before, the silence since the last state counts."""
     device.word[AT.read_at] = 0
     device.clock.now += TIMEOUT_NS + 1
     assert device.read()[0] == TIMEOUT
 
 
-def test_what_ended_the_thread_ends_the_run(device: Device) -> None:
-    """Reads and forces say so; a zero needs nobody."""
+def test_a_failure_of_the_thread_ends_the_run(device: Device) -> None:
+    """After the thread has failed, reads and forces return its status; a zero is OK."""
     device.word[AT.failed] = LOST
     assert device.read()[0] == LOST
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0) == LOST
@@ -161,8 +160,8 @@ def test_what_ended_the_thread_ends_the_run(device: Device) -> None:
     assert device.counts() == {}
 
 
-def test_a_force_that_the_thread_let_go_is_told_once(device: Device) -> None:
-    """The guard then ramps the force up from zero."""
+def test_a_force_dropped_by_the_thread_is_reported_once(device: Device) -> None:
+    """Each force dropped by the thread makes one read return WITHHELD, so that the guard starts its ramp at zero."""
     device.word[AT.dropped] = 1
     assert device.read()[0] == WITHHELD
     assert device.read()[0] == STALE
@@ -174,7 +173,7 @@ def test_a_force_that_the_thread_let_go_is_told_once(device: Device) -> None:
 
 
 def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
-    """With its time and its number, and the thread is woken; past the largest it is cut, and said so."""
+    """The force is stored in the service's frame and wakes the thread; beyond the maximum it is scaled."""
     before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
@@ -189,7 +188,7 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
 
 
 def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """5 N on a device that displays 5 N are not limited."""
+    """A force of exactly the maximum is not limited."""
     device = Device(monkeypatch, ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     device.state(0.0, 0.0, 0.0)
     device.read()
@@ -204,7 +203,7 @@ def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device) -> None:
-    """In whichever place; a torque is not looked at."""
+    """Each component is checked; the torque is ignored."""
     wrench = [0.0] * 6
     wrench[axis], wrench[3] = bad, bad
     assert device.write(*wrench) == WITHHELD
@@ -213,8 +212,8 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
     assert device.write(*wrench) == OK
 
 
-def test_a_force_is_withheld_where_none_may_go_out(device: Device) -> None:
-    """Not armed; closed; stopped by who holds the lock, whose zero is not written over."""
+def test_withheld_forces(device: Device) -> None:
+    """Forces are withheld unless armed, open and not being stopped; the zero of a stop is not overwritten."""
     device.word[AT.armed] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert device.given()[:3] == [0.0, 0.0, 0.0]
@@ -233,7 +232,7 @@ def test_a_force_is_withheld_where_none_may_go_out(device: Device) -> None:
 
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
-    """The next one is not taken, so that no force of a tick is skipped; a zero, or what becomes one, is."""
+    """While a force waits to be sent, the next is HELD; a zero, or a force that becomes one, replaces it."""
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
     first = device.given()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
@@ -250,8 +249,8 @@ def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     assert device.word[AT.lock] == 0
 
 
-def test_an_eventfd_of_any_number_is_woken(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a process without its standard files, 0."""
+def test_eventfd_zero_is_valid(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The eventfd may be 0, as in a process without standard streams."""
     device.woken.number = device.word[AT.wake] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
     assert len(device.woken.sent) == 1

@@ -1,4 +1,4 @@
-"""The whole daemon on Haply's emulated service: closed loop, faults, signals, a missing library, what tools say."""
+"""The daemon on Haply's emulated service: closed loop, faults, signals, a missing library, output of tools."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ pytestmark = pytest.mark.real_time
 LIFT_M = 0.012
 """Height of the hand over the plane: the fingertip of 10 mm is free by 2 mm."""
 PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
-"""A process of a busy machine may answer late."""
+"""Times for a busy machine, where a process may answer late."""
 
 
 def rig(service: Service, **changes: Any) -> Rig:
-    """The shipped rig at an emulated service."""
+    """Load the shipped rig for an emulated service."""
     base = {
         "device.port": service.port, "servo.realtime": "off", "guard.ramp_s": 0.01,
         "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -56,8 +56,8 @@ def pushes(service: Service) -> None:
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """A hand presses into the plane, drags and lets go: modes and forces are the engine's on the same poses, what the
-    device is given are forces of the ticks in their order, bit for bit, and the last one is zero."""
+    """A hand presses into the plane, drags and releases: modes and forces equal the engine's on the same poses, the
+    device receives forces of ticks in order and bit for bit, and the last is zero."""
     scene = load_scene("paper-plane")
     with Service() as service:
         service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
@@ -67,7 +67,7 @@ def test_closed_loop_through_the_daemon() -> None:
     assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
     assert compared > 300, "the guard left too few ticks in contact to compare"
     ticks = iter(records[:, AT.force : AT.force + 3].tolist())
-    felt = [row for row, _ in groupby(given.tolist()) if any(row)]  # a force is sent again where no newer one came
+    felt = [row for row, _ in groupby(given.tolist()) if any(row)]  # a force is sent again if there is no new one
     assert len(felt) > 300
     assert all(any(row == tick for tick in ticks) for row in felt)
     assert not given[-1].any()
@@ -95,8 +95,7 @@ def garble(service: Service) -> None:
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    """A device that leaves the list, a service that ends, falls silent or talks nonsense while it pushes: the daemon
-    ends with that error, and without force."""
+    """If device or service disappear, stop answering or send garbage, the daemon raises the matching error."""
     with Service() as service:
         service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
         with Daemon(rig(service), load_scene("paper-plane")) as daemon:
@@ -110,7 +109,7 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 
 
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
-    """The daemon on the shipped rig at an emulated service."""
+    """Return the command for the daemon on the shipped rig at an emulated service."""
     mine = folder / "rig.toml"
     text = find(RIG, Rig).read_text()
     for key, value in {"port": service.port, **PATIENT}.items():
@@ -122,7 +121,7 @@ def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
 
 @contextlib.contextmanager
 def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run the daemon as a process of its own, in contact."""
+    """Run the daemon in contact, in a separate process."""
     service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
     running = subprocess.Popen(command_line(service, folder, "a"), stderr=subprocess.PIPE, text=True)
     timer = threading.Timer(300.0, running.kill)
@@ -148,9 +147,8 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
     ],
 )
 def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
-    """A signal in contact: where it can be caught a zero is the last that the device is given; after SIGKILL the
-    connection's end takes the force, and after SIGSTOP the service does, as it is assumed to. A process that has ended
-    leaves no lock behind."""
+    """After a signal in contact that can be caught, the device's last force is zero. After SIGKILL the end of the
+    connection ends the force, and after SIGSTOP the service is assumed to. A process that has ended leaves no lock."""
     with (
         Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
         pushing_daemon(service, tmp_path) as running,
@@ -169,13 +167,13 @@ def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None
 
 
 def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None:
-    """A second daemon on the device ends, and names the first, which goes on. When the service then reads no more, an
-    end of the first by a signal does not claim that the force is zero."""
+    """A second daemon on the device fails and names the first. If the service stops reading, a signal ends the first
+    without a message that the force is zero."""
     with Service() as service, pushing_daemon(service, tmp_path) as running:
         second = called(*command_line(service, tmp_path, "b")[3:])
         assert second.returncode == 4
         assert re.search(rf"inverse3 {ID} .* in use by process {running.pid} \(.*end that one first", second.stderr)
-        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.1591})  # a pose that stands still has no force
+        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.1591})  # a static pose has no force
         pushes(service)
         service.set(deaf=True)
         running.send_signal(signal.SIGTERM)
@@ -187,7 +185,7 @@ def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None
 
 @pytest.mark.exhaustive
 def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
-    """Without websockets, `run` says in one line what to install."""
+    """Without websockets, `run` prints one line with the package to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
@@ -198,8 +196,8 @@ def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     assert "pip install 'softfinger[haply]'" in done.stderr
 
 
-def test_check_tells_what_is_done_to_a_force(tmp_path: Path) -> None:
-    """`check` shows the filters that opening will set, those that the rig leaves out too."""
+def test_check_lists_the_filters(tmp_path: Path) -> None:
+    """`check` lists the filters that opening will set, also those missing in the rig."""
     mine = tmp_path / "rig.toml"
     text = find(RIG, Rig).read_text()
     mine.write_text(text[: text.index("[device.filters]")] + "[device.filters]\nforce_gate = 0.0\n")
@@ -209,8 +207,8 @@ def test_check_tells_what_is_done_to_a_force(tmp_path: Path) -> None:
     )
 
 
-def test_doctor_asks_the_service() -> None:
-    """For a rig of this driver `doctor` says which devices the service has, and what to start where there is none."""
+def test_doctor_queries_the_service() -> None:
+    """For a rig of this driver `doctor` lists the devices of the service, or names the service to start."""
     with Service() as service:
         found = attached.inverse_service(rig(service))
         assert (found.state, found.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")

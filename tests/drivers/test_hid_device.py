@@ -1,4 +1,4 @@
-"""The exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero at every shutdown."""
+"""Exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero at every shutdown."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ COUNT_M = 3e-4
 
 
 class Bench(driver_contract.Bench):
-    """An emulated arm at the end of a packet socket; refusals of a node on a plain file."""
+    """Bench with an emulated arm at the end of a packet socket; refusals come from a plain file."""
 
     # An encoder count and 1 mA of a motor are 8 mN at the end.
     force_step_n: ClassVar[float] = 0.012
@@ -67,7 +67,7 @@ class Bench(driver_contract.Bench):
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
-        if self.answering.end.fileno() < 0:  # pulled out: its amplifiers have no power
+        if self.answering.end.fileno() < 0:  # unplugged: its amplifiers have no power
             return (0.0, 0.0, 0.0)
         self.answering.settle(self.device)
         return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
@@ -102,12 +102,11 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 class TestContract(driver_contract.DriverContract):
-    """The contract over each wire format, an emulated arm behind each."""
+    """The contract over each wire format, with an emulated arm."""
 
 
-def test_a_board_that_sends_all_the_time() -> None:
-    """woody-experimental's firmware sends a report in each USB frame, asked or not: after a second in which nobody
-    reads the sample is one of now, and forces reach it."""
+def test_a_board_that_sends_continuously() -> None:
+    """Firmware of woody-experimental reports in each USB frame: after a second without reads the sample is current."""
     arm = Woody("woody-2015", 1, lambda _: (0.01, 0.0, 0.0))
     fd, end = ends()
     end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
@@ -118,7 +117,7 @@ def test_a_board_that_sends_all_the_time() -> None:
 
     def speak() -> None:
         while not over.wait(0.001):
-            with contextlib.suppress(BlockingIOError):  # the system's queue is full: the newest report is lost
+            with contextlib.suppress(BlockingIOError):  # the system's queue is full: the last report is lost
                 end.send(arm.report(), socket.MSG_DONTWAIT)
 
     speaker = threading.Thread(target=speak)
@@ -146,8 +145,7 @@ def test_a_board_that_sends_all_the_time() -> None:
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
-    """Arming asks for a report of now, whatever has been queued since the device was opened; a board that has fallen
-    silent meanwhile is told before the first tick."""
+    """`arm` requests a new report, whatever is queued; a board that no longer answers raises DeviceTimeout."""
     with woody() as (device, arm, answering):
         servo = Servo(device)
         servo.read()
@@ -166,8 +164,8 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2019", "woodenhaptics-2015", "woodenhaptics-vintage"])
-def test_position_is_where_the_arm_is(rig: str) -> None:
-    """The sample is the emulated end's place to half an encoder count, and the force written comes out at it."""
+def test_position_equals_the_position_of_the_arm(rig: str) -> None:
+    """The sample is the emulated end's position to half an encoder count, and the end gets the force written."""
     with woody(rig) as (device, arm, answering):
         servo = Servo(device)
         for _ in range(50):
@@ -185,7 +183,7 @@ def test_position_is_where_the_arm_is(rig: str) -> None:
 
 
 def test_wrist_buttons_and_mounting() -> None:
-    """A turned and shifted device senses in the world and pushes in the world; both buttons arrive."""
+    """A mounted device senses and pushes in the world frame, and both buttons are read."""
     turned = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]}
     with woody("woodenhaptics-polhem-v1", mounting=turned) as (device, arm, answering):
         arm.wrist, arm.button, arm.calibration_button = (100, -50, 25), True, True
@@ -204,7 +202,7 @@ def test_wrist_buttons_and_mounting() -> None:
 
 
 def test_a_force_past_the_motors_is_limited() -> None:
-    """No current passes the rig's largest, the direction is kept, and the write says that it was limited."""
+    """Currents are scaled to the rig's maximum and the write returns STALE; a force that is not finite becomes zero."""
     with woody(current := "woodenhaptics-2015", intention=lambda _: (0.0, 0.0, 0.0)) as (device, arm, answering):
         assert rig_options(current).kinematics.current_max_a == 2.0
         servo = Servo(device)
@@ -220,7 +218,7 @@ def test_a_force_past_the_motors_is_limited() -> None:
 
 
 def test_silence_is_kicked_and_then_given_up() -> None:
-    """A device that falls silent gets a zero every 10 ms and no force; after the time-out it is given up."""
+    """A silent device gets a zero every 10 ms and no force; after the time-out the read returns TIMEOUT."""
     with woody(timeout_s=0.1) as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -235,12 +233,12 @@ def test_silence_is_kicked_and_then_given_up() -> None:
         assert status == TIMEOUT
         lasted = time.monotonic() - begun
         assert lasted > 0.1
-        # One was sent to wake the device before; no kick comes within 10 ms of another.
+        # An earlier one woke the device; no kick follows another within 10 ms.
         assert 2 <= device.counts()["kicks"] - 1 <= lasted / 0.01 + 1
 
 
 def test_a_sleeping_device_is_woken() -> None:
-    """The first read sends a zero and waits for the answer; a pause is followed by a report of now."""
+    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded."""
     with woody() as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -258,8 +256,7 @@ def test_a_sleeping_device_is_woken() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause longer than the time-out a device that is late to answer is not given up: the sample of before
-    is repeated, no force goes with it, and a report of now ends that."""
+    """After a pause a slow device does not time out: until a report the old sample repeats without forces."""
     with woody(timeout_s=1.0) as (device, arm, answering):
         servo = Servo(device, arm=False)
         assert servo.read()[0] == OK
@@ -275,8 +272,8 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
         assert status == OK
 
 
-def test_the_newest_of_many_reports_counts() -> None:
-    """Reports that have piled up within a tick are passed over for the newest."""
+def test_the_last_of_many_reports_is_used() -> None:
+    """The last of several queued reports is used."""
     with woody() as (device, arm, answering):
         servo = Servo(device)
         servo.read()
@@ -291,7 +288,7 @@ def test_the_newest_of_many_reports_counts() -> None:
 
 @pytest.mark.parametrize("size", [5, 63, 65])
 def test_a_report_of_another_length_is_a_fault(size: int) -> None:
-    """Short and long reports are not in the protocol."""
+    """Short and long reports are protocol errors."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
@@ -300,7 +297,7 @@ def test_a_report_of_another_length_is_a_fault(size: int) -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of a device that is gone say so, stop and close raise nothing, and no zero is confirmed."""
+    """An unplugged device gives LOST, `stop` and `close` raise nothing, and the zero is not confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
@@ -314,8 +311,8 @@ def test_unplugging_is_a_loss() -> None:
         assert servo.read()[0] == LOST
 
 
-def test_every_way_out_ends_with_zero() -> None:
-    """Stop, close, and leaving the context on an error: the last report is zero, and no force comes after it."""
+def test_every_shutdown_ends_with_zero() -> None:
+    """After `stop`, `close` or an error in the context the last report is zero, and later forces are withheld."""
     for way in ("stop", "close", "error"):
         with woody() as (device, arm, answering):
             servo = Servo(device)
@@ -334,9 +331,8 @@ def test_every_way_out_ends_with_zero() -> None:
             assert not any(arm.sent[-1]), way
 
 
-def test_last_word_takes_the_force_off() -> None:
-    """What another process is to write to the node is the report by which the arm has no force; without a node there
-    is none."""
+def test_the_last_report_ends_the_force() -> None:
+    """`last_word` is the node and a report that ends the arm's force, for another process; without a node None."""
     with woody() as (device, arm, answering):
         assert device.last_word() is None
         device._node = "/dev/hidraw7"
@@ -352,17 +348,17 @@ def test_last_word_takes_the_force_off() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """Stopped from another thread twenty times over, no force report follows the zero of the stop."""
+    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with woody() as (device, arm, answering):
             servo = Servo(device)
             running = threading.Event()
 
             def loop(servo: Servo = servo, running: threading.Event = running) -> None:
-                # A machine that pauses withholds a force until the next report.
+                # After a stall of the machine a force is withheld until the next report.
                 while servo.read()[0] < 0 or servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
                     pass
-                for n in range(200):  # after a pause among these, and no report, none is a force
+                for n in range(200):  # after a stall during these, without a report, all are withheld
                     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
                     if n == 50:
                         running.set()
@@ -375,13 +371,13 @@ def test_stop_while_the_loop_writes() -> None:
             answering.settle(device)
             forces = [any(words[:3]) for words in arm.sent]
             first = forces.index(True)
-            assert False in forces[first:]  # the zero of the stop came
+            assert False in forces[first:]  # the zero of the stop arrived
             assert True not in forces[forces.index(False, first) :]
 
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
 def test_calibration_at_opening(rig: str) -> None:
-    """An arm that rests in its calibration pose when it is opened senses that pose, whatever its counters held."""
+    """An arm in its calibration pose at opening senses that pose, whatever its counters contained."""
     options = rig_options(rig, calibrate=True)
     itself = Arm(RIGS[rig])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -394,11 +390,11 @@ def test_calibration_at_opening(rig: str) -> None:
         np.testing.assert_allclose(sample[:3], resting, atol=COUNT_M)
         assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
         if options.reports.preset is not None:
-            assert arm.zero == (0, 0, 0)  # the device has taken the counts and keeps them
+            assert arm.zero == (0, 0, 0)  # the device has stored the counts
 
 
 def test_calibration_of_a_board_that_pauses() -> None:
-    """One that is silent for longer than a device may be in a loop, while it stores the counts, is waited for."""
+    """Calibration waits for a board that is silent for longer than `timeout_s` while it stores the counts."""
     options = rig_options("woodenhaptics-polhem-v1", calibrate=True)
     itself = Arm(RIGS["woodenhaptics-polhem-v1"])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -418,8 +414,8 @@ def test_calibration_of_a_board_that_pauses() -> None:
         np.testing.assert_allclose(Servo(device).read()[1][:3], resting, atol=COUNT_M)
 
 
-def test_calibration_that_is_not_taken_is_refused() -> None:
-    """A board without the command, or without any answer, is told apart at opening."""
+def test_a_failed_calibration_raises_an_error() -> None:
+    """A board without the command and one without any answer raise different errors at opening."""
     options = rig_options("woodenhaptics-2019", calibrate=True)
     fd, end = ends()
     said = r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"
@@ -431,8 +427,7 @@ def test_calibration_that_is_not_taken_is_refused() -> None:
 
 
 def test_a_described_device() -> None:
-    """A lab's own device, numbered reports of floats: pose, buttons, gripper and forces as its rig describes
-    them."""
+    """A device described in its rig, with numbered reports of floats: pose, buttons, gripper and forces."""
     heard: list[bytes] = []
 
     def answer(data: bytes) -> bytes:
@@ -462,7 +457,7 @@ def test_a_described_device() -> None:
 
 @entry
 def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, out: Any) -> None:
-    """Read after each report of `sizes` (n,) bytes, the n-th from byte n of `stream` on; counts statuses and faults.
+    """Read after each report of `sizes` (n,) bytes, the n-th from byte n of `stream` on, and count results.
 
     out  (4,)  reads OK; STALE; samples that are not finite or whose quaternion is not of unit length; reads below 0
     """
@@ -484,8 +479,8 @@ def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, 
 
 
 @pytest.mark.scaled
-def test_reports_leave_a_finite_pose_or_a_fault(cases: Callable[[int, int], int]) -> None:
-    """Random reports of random lengths and ids through the whole read: finite and unit, or a status below 0."""
+def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int]) -> None:
+    """Random reports of random lengths and ids give a finite pose with a unit quaternion, or a status below 0."""
     fd, end = ends()
     generator = np.random.default_rng(11)
     number = cases(20_000, 1_000_000)
@@ -503,7 +498,7 @@ def test_reports_leave_a_finite_pose_or_a_fault(cases: Callable[[int, int], int]
 
 
 def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
-    """Absent, forbidden, held by another, no hidraw node: each is its own error with what to do."""
+    """An absent, wrong or locked node raises a different error with instructions."""
     options = {"path": str(tmp_path / "hidraw9")}
     with pytest.raises(DeviceNotFound, match=r"hidraw9 cannot be opened: No such file.*plug"):
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
@@ -520,7 +515,7 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
 
 
 def test_a_node_without_permission() -> None:
-    """A user who may not open the node is told the command that lets him."""
+    """If the user may not open the node, the error contains the command that grants permission."""
     folder = tempfile.mkdtemp(dir="/tmp")
     node = Path(folder) / "hidraw9"
     try:
@@ -530,7 +525,7 @@ def test_a_node_without_permission() -> None:
         command = "sudo .* install --system`"
         options = rig_options("woodenhaptics-2019", path=str(node))
         user = os.geteuid()
-        if user == 0:  # whom no mode keeps out
+        if user == 0:  # root may open any mode
             os.seteuid(65534)
         try:
             with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{command}"):
@@ -542,18 +537,18 @@ def test_a_node_without_permission() -> None:
 
 
 def test_a_device_that_is_not_attached() -> None:
-    """A device that nobody plugged in is named by its ids; here no vendor has the ids asked for."""
+    """The error for a missing device contains its ids; no vendor has those of this test."""
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
         find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
 
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
-    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos", "sqrt", "acos", "atan"}
-    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     for function in (exchange.read, exchange.write):
         ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
-        # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+        # without the wrapper that would report an exception, which `error_model="numpy"` never raises
         bodies = functions(ir)
         called = {name for body in bodies.values() for name in called_in(body)}
         outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
@@ -562,8 +557,8 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
 
 
 def test_a_pantograph_on_hid() -> None:
-    """Reports of joint angles and torques: the place is where two circles meet, and the part of a force in the plane is
-    displayed; the device has two degrees of freedom."""
+    """Reports of joint angles and torques: the position is the intersection of two circles, only the force in the plane
+    is displayed, and the device has two degrees of freedom."""
     base, inner, outer = LINKS
     fields = {"input": ("a", "b"), "output": ("torque_a", "torque_b")}
     reports = {

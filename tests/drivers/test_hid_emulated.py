@@ -1,9 +1,8 @@
-"""The whole program on an emulated WoodenHaptics of umockdev: enumeration, descriptor, servo loop, faults.
+"""The program on a WoodenHaptics emulated by umockdev: enumeration, descriptor, servo loop, faults.
 
-Each way that reports may take: the loop at a hidraw node, threads at hidapi's hidraw backend, and threads at its libusb
-backend where the device is on the USB bus alone.
-
-Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi: `apt install umockdev gir1.2-umockdev-1.0 python3-gi`.
+Each path of reports is tested: a hidraw node in the loop, threads with hidapi's hidraw backend, and threads with its
+libusb backend if the device is only on the USB bus. Needs umockdev: `apt install umockdev gir1.2-umockdev-1.0
+python3-gi` on Debian.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from softfinger.proxy.record import AT
 
 EMULATORS = Path(__file__).parents[1] / "emulators"
 TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
-"""By what the emulated system has of the device: key `bus` of a case."""
+"""Testbeds by the interface of the emulated device: key `bus` of a case."""
 WAYS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
-"""What the system has of the device, and `through` of the rig."""
+"""Interface of the emulated device, and `through` of the rig."""
 TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
-"""Ticks in which a stroke of 1.2 s is done: each report moves the emulated arm by 1 ms, and threads pass some over."""
+"""Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
 CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
 
 
 def _umockdev() -> str | None:
-    """Why umockdev cannot be used here; None if it can."""
+    """Return the reason why umockdev cannot be used here, or None."""
     if shutil.which("umockdev-wrapper") is None:
         return "umockdev is not installed: apt install umockdev gir1.2-umockdev-1.0 python3-gi"
     code = "import gi; gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
@@ -61,7 +60,7 @@ STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """A command beside an emulated device; what it printed, and what the device saw."""
+    """Run a command with an emulated device attached, and return its result and the state of the device."""
     testbed = EMULATORS / TESTBEDS[case.get("bus", "hidraw")]
     done = subprocess.run(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(testbed), json.dumps(case), *command],
@@ -73,13 +72,13 @@ def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedPro
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """The daemon on an emulated device."""
+    """Run the daemon on an emulated device."""
     endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
 
 
 def rig_with(folder: Path, name: str, **keys: object) -> str:
-    """A shipped rig with more keys in [device], as a file."""
+    """Write a shipped rig with additional keys in [device] to a file, and return its path."""
     lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
     path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
     path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
@@ -96,7 +95,7 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
     ],
 )  # fmt: skip
 def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
-    """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+    """A hand presses into the plane, drags and releases; modes and forces equal the engine's on the same poses."""
     kept = tmp_path / "records.npy"
     bus, through = WAYS[way]
     name = rig_with(tmp_path, rig, through=through)
@@ -107,27 +106,27 @@ def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: 
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
     modes = records[:, AT.contact_mode]
     assert {0.0, 1.0, 2.0} == set(modes)
-    # The forces reached the arm, and stopped its hand above where it meant to go.
+    # The forces reached the arm, and stopped its hand above its goal.
     assert max(saw["most"][1:]) > 100
     assert not any(saw["last"])
 
     passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
-    # After each pause of a busy machine the force fades in anew, and those ticks are the guard's.
+    # After each pause of a busy machine the force fades in again, and those ticks are limited by the guard.
     assert passed > 50, "the guard left too few ticks in contact to compare"
 
 
-def test_an_arm_pressed_through_the_plane_is_held() -> None:
-    """The daemon itself: a hand that means to be 6 mm deeper than the plane's surface is held near it by the motors."""
+def test_an_arm_pressed_through_the_plane_is_stopped() -> None:
+    """A hand whose goal is 6 mm below the plane's surface is stopped by the motors."""
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
     done, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
     assert done.returncode == 0, done.stderr
     assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in done.stderr
     assert "force is zero" in done.stderr
     assert saw["reports"] >= 2000
-    # The hand's spring and the wall's share the depth; the last report, the zero, has let it go for a tick or two only.
+    # Springs of hand and wall share the depth; the last report, the zero, releases the hand for a tick or two only.
     stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
     depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)
-    assert saw["place"][2] == pytest.approx(0.010 - depth, abs=3e-4)  # an encoder count is 0.1 mm, bearings hold none
+    assert saw["place"][2] == pytest.approx(0.010 - depth, abs=3e-4)  # an encoder count is 0.1 mm, there is no friction
 
 
 OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
@@ -142,10 +141,10 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
         ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("node", {"mute_after": 0}, 4, "sends no report: check its power, and its firmware"),
-        # a node's write hangs the loop itself, which the supervisor sees
+        # a node's write hangs the loop itself, which the supervisor detects
         ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*a device's exchange hangs"),
         ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has been under way for 1"),
-        # libusb gives a write up after a second, which is while `stop` waits for the zero
+        # libusb aborts a write after a second, while `stop` waits for the zero
         ("usb", {"block_after": 300}, 4, r"in time \((a write has been under way|hid writer: a write .* -1 after) "),
         (
             "node",
@@ -167,7 +166,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
     ],
 )  # fmt: skip
 def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
-    """What goes wrong on the cable, or is another device, ends the daemon with its own message and exit code."""
+    """A fault of the cable, or another device, ends the daemon with its message and exit code."""
     bus, through = WAYS[way]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
@@ -195,8 +194,8 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
     ],
 )
 def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_path: Path) -> None:
-    """A real board's descriptors: of several interfaces with one serial number the arm's is opened, no other is written
-    to, and forces go out."""
+    """With the descriptors of real boards, the arm's interface of several with one serial number is opened, the rest
+    get no report, and forces reach the arm."""
     bus, through = WAYS[way]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
@@ -214,8 +213,8 @@ def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_pa
         ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'announces input 8 .*: set reports to "woodenhaptics-v1", whose'),
     ],
 )
-def test_a_board_with_another_firmware_is_named(board: str, rig: str, said: str) -> None:
-    """Reports of another format of the library: the error says which."""
+def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
+    """If the board's reports match another format of the library, the error names that format."""
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
     done, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
     assert done.returncode == 4
@@ -224,7 +223,7 @@ def test_a_board_with_another_firmware_is_named(board: str, rig: str, said: str)
 
 
 def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
-    """The emulated device has serial SN42: that one is opened, another one is asked for in vain."""
+    """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
         done, _ = run(
@@ -245,11 +244,11 @@ for name in sys.argv[1:]:
     except DeviceError as error:
         print(type(error).__name__, error)
 """
-"""Open the device of each rig; a line for each that says what came of it."""
+"""Program that opens the device of each rig and prints a line with the result."""
 
 
-def test_a_listed_node_that_is_not_there(tmp_path: Path) -> None:
-    """In a container that has the bus and not the node, the bus is taken, unless the rig wants the node."""
+def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
+    """If a listed node does not exist, as in a container, the bus is used unless the rig requires the node."""
     tries: list[tuple[dict[str, object], str]] = [
         ({}, "opened"),
         ({"through": "thread", "serial": "SN42"}, "opened"),
@@ -272,8 +271,8 @@ def test_a_listed_node_that_is_not_there(tmp_path: Path) -> None:
     assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
 
 
-def test_a_rig_that_wants_a_node_is_told_that_there_is_none(tmp_path: Path) -> None:
-    """A device on the bus alone, for a rig with through = "node": not absent, but without hidraw, and what to do."""
+def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
+    """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
     rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
     done, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
     said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
@@ -298,13 +297,13 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
         print(subprocess.run([sys.executable, "-m", "softfinger.server.cli", *words]).returncode, flush=True)
     holder.stdin.close()
 """
-"""A process that has the device of the first rig open, while the daemon is tried on each rig."""
+"""Program that runs the daemon on each rig while a process has the device of the first rig open."""
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("way", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
-def test_a_second_program_finds_the_device_held(way: str, node: str, tmp_path: Path) -> None:
-    """While one process has the device, the daemon is refused and told which process it is."""
+def test_a_second_program_names_the_first(way: str, node: str, tmp_path: Path) -> None:
+    """While another process has the device open, the daemon fails and names that process."""
     bus, through = WAYS[way]
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}

@@ -1,4 +1,4 @@
-"""The three-joint arm: published values, its inverse, its Jacobian, its wrist."""
+"""Kinematics of the three-joint arm: published values, inverse, Jacobian, wrist."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def arm_of(rig: str) -> chain.Chain:
 
 
 def test_published_positions_and_currents() -> None:
-    """WoodenHaptics 2019 at encoders (500, -800, 1200): position and currents to the digits published."""
+    """WoodenHaptics 2019 at encoders (500, -800, 1200): position and currents equal the published digits."""
     arm = arm_of("woodenhaptics-2019")
     angles = chain.angles_of(arm, (500.0, -800.0, 1200.0))
     half = 0.5e-5  # of the last digit
@@ -33,12 +33,12 @@ def test_published_positions_and_currents() -> None:
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_rigs_hold_the_published_table(rig: str) -> None:
-    """Each rig's numbers are those of the emulator's table, which was written down apart from it."""
+def test_rigs_contain_the_published_table(rig: str) -> None:
+    """Each rig's numbers equal those of the emulator's table, which was written independently."""
     capstan, link, body, origin, constants, counts, calibration, aligned = TABLE[RIGS[rig]]
     given = rig_options(rig).kinematics
     assert isinstance(given, Chain)
-    assert given.capstan_m == pytest.approx([d * 1e-3 for d in capstan], abs=1e-12)  # mm turned into m
+    assert given.capstan_m == pytest.approx([d * 1e-3 for d in capstan], abs=1e-12)  # mm converted to m
     assert given.body_m == pytest.approx([d * 1e-3 for d in body], abs=1e-12)
     assert (given.link_m, given.origin_m) == (link, origin)
     assert (given.torque_constant_nm_per_a, given.counts_per_turn) == (constants, counts)
@@ -48,14 +48,13 @@ def test_rigs_hold_the_published_table(rig: str) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_forward_inverts_an_independent_inverse(rig: str) -> None:
-    """20 000 random points of each arm's workspace (100 000 in all) come back to 1e-9 m through angles that a triangle
-    gives."""
+    """20 000 random points of each workspace are recovered to 1e-9 m from angles computed with triangles."""
     arm, other = arm_of(rig), Arm(RIGS[rig])
     radius = rig_options(rig).workspace_radius_m
     generator = np.random.default_rng(5)
     points = generator.normal(size=(30_000, 3))
     points *= (radius * generator.random(len(points)) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
-    # what is out of reach of the two links is no point of this arm's workspace
+    # points out of reach of the two links are not in this arm's workspace
     la, lb, lc = other.link
     x, y, z = (points + other.origin).T
     reach = np.hypot(np.hypot(x, y), z - la)
@@ -71,7 +70,7 @@ def test_forward_inverts_an_independent_inverse(rig: str) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_jacobian_is_the_derivative(rig: str) -> None:
-    """Each column agrees with central differences of the forward kinematics, and the currents with J^T f."""
+    """Each column equals central differences of the forward kinematics, and the currents J^T f."""
     arm = arm_of(rig)
     generator, h = np.random.default_rng(6), 1e-5
     for angles in generator.uniform(-1.2, 1.2, (200, 3)):
@@ -88,9 +87,8 @@ def test_jacobian_is_the_derivative(rig: str) -> None:
 
 
 @pytest.mark.parametrize("unlike", [False, True], ids=["shipped", "three unlike joints"])
-def test_power_is_kept(unlike: bool) -> None:
-    """Motors that turn take k I omega = f . v: sign and size of every ratio agree with the kinematics, also
-    where no two joints are alike."""
+def test_power_is_conserved(unlike: bool) -> None:
+    """k I omega = f . v for turning motors, also if all joints differ: checks sign and size of each ratio."""
     given = rig_options("woodenhaptics-polhem-v1").kinematics
     assert isinstance(given, Chain)
     if unlike:
@@ -108,8 +106,8 @@ def test_power_is_kept(unlike: bool) -> None:
         assert electrical == pytest.approx(mechanical, abs=1e-11)  # rounding of positions over 2 h
 
 
-def test_too_much_current_keeps_the_direction() -> None:
-    """Past the largest current all three come down by the same factor, and it is said."""
+def test_limited_currents_preserve_the_direction() -> None:
+    """Beyond the maximum current all three are scaled by the same factor, and the result is marked as limited."""
     arm = arm_of("woodenhaptics-2019")
     angles = chain.angles_of(arm, (500.0, -800.0, 1200.0))
     whole, cut = chain.currents_for(arm, angles, (5.0, 1.0, 2.0))
@@ -121,7 +119,7 @@ def test_too_much_current_keeps_the_direction() -> None:
 
 
 def test_wrist_turns_as_published() -> None:
-    """R = Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F), against scipy's composition of axis rotations."""
+    """R = Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F) equals scipy's composition of axis rotations."""
     arm = arm_of("woodenhaptics-polhem-v1")
     generator = np.random.default_rng(8)
     for a, b, c, d, e, f in generator.uniform(-3, 3, (100, 6)):

@@ -1,4 +1,4 @@
-"""HID through threads: what is carried, what waits, a device that hangs, zero force on every shutdown path."""
+"""HID through threads: order of reports, held-back forces, a hanging device, zero force at every shutdown."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """Whatever a test did to the device, its threads have ended with it."""
+    """The device's threads have ended with it, whatever the test did."""
     before = set(threading.enumerate())
     yield
     left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
-    for thread in left:  # one that hung ends once its write returns
+    for thread in left:  # a hung thread ends once its write returns
         thread.join(5.0)
     assert not any(thread.is_alive() for thread in left)
 
 
 class Linked:
-    """The described device with its hidapi at hand: `heard` is what it was sent, `end` its end of the bus."""
+    """Described device with its hidapi: `heard` are the reports sent to it, `end` is its end of the bus."""
 
     def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
         self.heard: list[bytes] = []
@@ -57,14 +57,14 @@ class Linked:
         self.servo = Servo(self.device)
 
     def force(self, index: int = -1) -> tuple[int, ...]:
-        """Of a report that the device was sent (mN)."""
+        """Return the force (mN) of a report sent to the device."""
         return struct.unpack("<3i", self.heard[index][1:])
 
     def push(self, newtons: float) -> int:
         return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def until(self, wanted: Callable[[int], bool], within_s: float = 5.0) -> int:
-        """Read once a millisecond until a status is `wanted`; that status."""
+        """Read once a millisecond until a status is `wanted`, and return it."""
         end = time.monotonic() + within_s
         while not wanted(status := self.servo.read()[0]):
             assert time.monotonic() < end, f"the last status was {status}"
@@ -80,8 +80,8 @@ class Linked:
         self.answering.unplug()
 
 
-def test_reports_are_carried_byte_for_byte() -> None:
-    """2 000 random reports of every length arrive in order as they were sent, longer ones longer by the spare byte."""
+def test_reports_are_transferred_byte_for_byte() -> None:
+    """2 000 random reports of all lengths arrive in order, truncated to one spare byte more than the longest report."""
     fd, end = ends()
     options = build(Options, described(), "rig")
     link = link_by_threads(Api(fd), options)
@@ -104,9 +104,8 @@ def test_reports_are_carried_byte_for_byte() -> None:
     end.close()
 
 
-def test_one_force_waits_behind_another() -> None:
-    """While one write takes its time, one more force waits and the rest are told to be held; zeros go behind a force
-    at once, and none piles up behind another."""
+def test_one_force_is_queued_behind_another() -> None:
+    """During a slow write one force is queued, further ones are HELD; a zero follows a force, but not another zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
@@ -123,8 +122,7 @@ def test_one_force_waits_behind_another() -> None:
 
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
-    """The device keeps its force while a write hangs, and still sends reports. The loop, which commands zero, ends with
-    TIMEOUT before `timeout_s`."""
+    """During a hanging write the device retains its force, so the loop ends with TIMEOUT before `timeout_s`."""
     with Linked(timeout_s=2.0) as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -145,8 +143,8 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
-    """The loop goes on and ends with TIMEOUT, also where the device goes on to report; `stop` and `close` return in
-    time, say so once, and when the write returns the zero goes out, and no older force."""
+    """During a hanging write the loop ends with TIMEOUT, even if the device still sends reports; `stop` and `close`
+    return in time with one message. When the write returns, the zero is sent, and no older force."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -188,13 +186,13 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
             speaker.join()
 
 
-def test_old_reports_are_no_flood() -> None:
-    """What piles up while nobody reads is less than one tick reads, so that after a pause the report is one of now."""
+def test_old_reports_fit_into_one_tick() -> None:
+    """Fewer reports are queued during a pause than one tick reads, so the report after it is current."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         for n in range(400):
             linked.answering.end.send(b"\x03" + struct.pack("<7fBB", n, 0, 0, 1, 0, 0, 0, 0, 0))
-        time.sleep(0.05)  # a pause past which queued reports are thrown away
+        time.sleep(0.05)  # a pause after which queued reports are discarded
         drained = linked.device.counts()["reports"]
         status, sample = linked.servo.read()
         assert status == OK
@@ -203,7 +201,7 @@ def test_old_reports_are_no_flood() -> None:
 
 
 def test_stop_returns_after_the_zero() -> None:
-    """However slow the device takes its reports, when `stop` returns it has taken the zero, and no force after it."""
+    """When `stop` returns, a slow device has received the zero, and it gets no force afterwards."""
     for _ in range(10):
         with Linked() as linked:
             written: list[bytes] = []
@@ -231,7 +229,7 @@ def test_stop_returns_after_the_zero() -> None:
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
 def test_calibration_at_opening(rig: str) -> None:
-    """The preset is waited for: an arm in its calibration pose senses it, through a slow writer too."""
+    """Opening waits for the preset: an arm in its calibration pose senses that pose, also through a slow writer."""
     options = rig_options(rig, calibrate=True, timeout_s=1.0)
     itself = Arm(RIGS[rig])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -252,8 +250,8 @@ def test_calibration_at_opening(rig: str) -> None:
             assert sum(words[3] for words in arm.sent) == (options.reports.preset is not None)
 
 
-def test_a_calibration_that_fails_leaves_nothing_open() -> None:
-    """A board without an answer, and one that takes no report, are told apart at opening; hidapi is closed."""
+def test_a_failed_calibration_closes_the_device() -> None:
+    """A board without an answer and one that rejects the calibration raise different errors, and hidapi is closed."""
     options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
     for answer, error, said in (
         (None, DeviceTimeout, "sends no report"),
@@ -268,8 +266,8 @@ def test_a_calibration_that_fails_leaves_nothing_open() -> None:
             assert api.closed == 1
 
 
-def test_a_preset_that_is_not_taken_is_refused() -> None:
-    """A write that hangs at the preset ends the opening with what hangs."""
+def test_a_hanging_preset_raises_an_error() -> None:
+    """If the write of the preset hangs, opening fails with that reason."""
     options = rig_options("woodenhaptics-2019", calibrate=True)
     arm = Woody("woody-2019", 2, lambda _: (0.0, 0.0, 0.0))
     fd, end = ends()
@@ -283,12 +281,12 @@ def test_a_preset_that_is_not_taken_is_refused() -> None:
         link = link_by_threads(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
             HidDevice(options, link.fd, link.threads)
-    api.held.set()  # when nothing answers any more, which would hold it again
+    api.held.set()  # after the last answer, which would clear it again
 
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])
 def test_a_device_that_is_gone_is_a_loss(way: str) -> None:
-    """Unplugged, or failing one way: LOST with hidapi's word, and a device that still takes reports gets its zero."""
+    """Unplugging or a failure in one direction gives LOST; a device that accepts reports gets its zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -321,8 +319,8 @@ def gone(*_: object) -> list[int]:
     [GOOD[:-1], GOOD + b"\0", GOOD[:5], b"\x03" + struct.pack("<7fBB", math.nan, 0, 0, 1, 0, 0, 0, 0, 0)],
     ids=["short", "long", "shorter", "nan"],
 )
-def test_what_is_not_in_the_protocol_is_a_fault(report: bytes) -> None:
-    """A report of another length and one that holds no number end in PROTOCOL, and `stop` leaves a zero."""
+def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
+    """A report of another length and one with NaN give PROTOCOL, and `stop` sends a zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -337,12 +335,12 @@ def test_what_is_not_in_the_protocol_is_a_fault(report: bytes) -> None:
 
 
 def test_silence_is_kicked_and_then_given_up() -> None:
-    """A device that falls silent is woken with zeros, and given up after the time-out, as at a node."""
+    """A silent device is woken with zeros and times out, as at a node."""
     with woody(through="thread", timeout_s=0.1) as (device, arm, answering):
         servo = Servo(device, arm=False)
         servo.read()
         begun = time.monotonic()
-        while servo.read()[0] != OK:  # an answer that came after it, from which the silence counts at the soonest
+        while servo.read()[0] != OK:  # the answer after `begun`, from which the silence counts at the earliest
             time.sleep(0.0001)
         answering.mute.set()
         time.sleep(0.011)
@@ -357,8 +355,8 @@ def test_silence_is_kicked_and_then_given_up() -> None:
         assert device.reason() == ""
 
 
-def test_any_bytes_leave_a_finite_pose_or_a_fault() -> None:
-    """3 000 random reports of random lengths and ids through the threads: finite and unit, or a status below 0."""
+def test_random_reports_give_a_finite_pose_or_a_fault() -> None:
+    """3 000 random reports through the threads give a finite pose with a unit quaternion, or a status below 0."""
     generator = np.random.default_rng(12)
     with Linked() as linked:
         linked.until(lambda status: status == OK)

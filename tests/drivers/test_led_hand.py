@@ -1,4 +1,4 @@
-"""The hand of a simulated device that a program leads: its way, its bounds, and what it does when nobody asks."""
+"""Simulated hand that a program leads: speed limits, range, return to its recording, errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from softfinger.server.driver_contract import Servo
 AT = (0.0, 0.0, 0.02)
 BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
 FIRM = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}, **BARE}
-"""A hand that is where it wants to be, but for 3 kg m/s^2 / 1e5 N/m."""
+"""A hand that follows its goal to within 3 kg m/s^2 / 1e5 N/m."""
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 RATE_HZ = 1000.0
 
@@ -31,19 +31,20 @@ def opened(**options: Any) -> Simulated:
 
 
 def read(servo: Servo, count: int) -> np.ndarray:
-    """Samples (count, 7) of so many reads."""
+    """Return samples (count, 7) of `count` reads."""
     return np.array([servo.read()[1][:7] for _ in range(count)])
 
 
 def test_it_goes_where_it_is_asked_to_be_no_faster_than_a_hand_and_stays() -> None:
-    """40 mm and a quarter turn away: within both bounds all the way, there after some tenths, and still there later."""
+    """The hand moves 40 mm and a quarter turn within both speed limits, arrives and remains there."""
     turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
         read(servo, 10)
         device.hand().lead((0.04, 0.0, 0.02), turned)
         way = read(servo, 1500)
-    speeds = np.linalg.norm(way[50:, :3] - way[:-50, :3], axis=1) * RATE_HZ / 50  # over which the spring swings out
+    # averaged, because the spring oscillates
+    speeds = np.linalg.norm(way[50:, :3] - way[:-50, :3], axis=1) * RATE_HZ / 50
     assert 0.9 * SPEED_MAX_M_PER_S < speeds.max() < 1.05 * SPEED_MAX_M_PER_S
     turns = 2.0 * np.arccos(np.clip(np.abs((way[1:, 3:] * way[:-1, 3:]).sum(axis=1)), 0.0, 1.0)) * RATE_HZ
     assert turns.max() < TURN_MAX_RAD_PER_S * (1.0 + 1e-6)
@@ -51,8 +52,8 @@ def test_it_goes_where_it_is_asked_to_be_no_faster_than_a_hand_and_stays() -> No
     np.testing.assert_allclose(way[-1, 3:], turned, atol=1e-8)
 
 
-def test_without_an_orientation_it_stays_turned() -> None:
-    """Only the place is asked for: the turn of before is kept to the bit."""
+def test_a_lead_without_an_orientation_preserves_it() -> None:
+    """A lead without an orientation does not change the orientation of the goal."""
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
         device.hand().lead(AT, (0.6, 0.8, 0.0, 0.0))
@@ -60,11 +61,11 @@ def test_without_an_orientation_it_stays_turned() -> None:
         device.hand().lead((0.01, 0.0, 0.02))
         after = read(servo, 500)[-1]
     assert before[4] == pytest.approx(0.8, abs=1e-8)  # 40 time constants
-    np.testing.assert_allclose(after[3:], before[3:], atol=1e-14)  # a normalisation a tick
+    np.testing.assert_allclose(after[3:], before[3:], atol=1e-14)  # a normalisation per tick
 
 
-def test_it_comes_back_to_its_recording_to_the_bit() -> None:
-    """Led away and released, it intends again exactly what the recording has; a run that nobody leads is as ever."""
+def test_a_released_hand_follows_its_recording_again() -> None:
+    """After a lead and a release the hand follows exactly its recording again, as a hand that was never led."""
     with opened(recording="tap", loop=True, **FIRM) as led, opened(recording="tap", loop=True, **FIRM) as alone:
         ours, theirs = Servo(led), Servo(alone)
         read(ours, 100), read(theirs, 100)
@@ -72,12 +73,12 @@ def test_it_comes_back_to_its_recording_to_the_bit() -> None:
         assert np.abs(read(ours, 400) - read(theirs, 400)).max() > 0.02
         led.hand().release()
         read(ours, 2000), read(theirs, 2000)
-        # The plant forgets how it came there: time constants of a millisecond.
+        # The plant forgets its past within time constants of a millisecond.
         np.testing.assert_allclose(read(ours, 500), read(theirs, 500), atol=1e-12)
 
 
-def test_a_recording_that_is_over_ends_a_run_that_is_led() -> None:
-    """It ends when it would have ended."""
+def test_a_recording_ends_also_if_the_hand_is_led() -> None:
+    """The recording ends at the same tick as without a lead."""
     with opened(recording="tap", loop=False, **FIRM) as led, opened(recording="tap", loop=False, **FIRM) as alone:
         led.hand().lead(AT)
         ours, theirs = Servo(led), Servo(alone)
@@ -85,8 +86,8 @@ def test_a_recording_that_is_over_ends_a_run_that_is_led() -> None:
     assert all(a == b for a, b in statuses) and statuses[-1][0] != statuses[0][0]
 
 
-def test_what_the_device_cannot_is_refused_with_the_reason() -> None:
-    """Out of reach, turned without a wrist, no orientation at all, and a device whose hand is nobody's to lead."""
+def test_impossible_leads_raise_errors() -> None:
+    """Unreachable positions, impossible orientations and a device without a simulated hand raise errors."""
     rig = load_rig("replay")
     with opened(position_m=AT) as device, opened(position_m=AT, preset="omega.3") as wristless:
         with pytest.raises(ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is out of reach of simulated omega.6"):
@@ -100,19 +101,20 @@ def test_what_the_device_cannot_is_refused_with_the_reason() -> None:
         lead(replay, None, (0.0, 0.0, 0.0), None)
 
 
-def test_the_tip_of_a_tool_is_what_is_led() -> None:
-    """With a stylus 50 mm long and a tare of 10 mm, the handle goes where the tip is then where it was asked to be."""
+def test_a_lead_is_for_the_tip_of_the_tool() -> None:
+    """With a stylus of 50 mm and a tare of 10 mm, the handle moves so that the tip reaches the requested pose."""
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
         lead(device, tool, (0.01, 0.0, 0.0), RequestedPose((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
         sample = read(servo, 2000)[-1]
-    # The tip is turned half about x on the handle, so an upright handle holds it so, 50 mm above it, 10 mm aside.
+    # The tip is rotated by half a turn about x relative to the handle, so the handle is upright, 50 mm above and 10 mm
+    # aside.
     np.testing.assert_allclose(sample, [0.01, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0], atol=1e-7)
 
 
 def test_the_shipped_rig_waits_above_the_scenes() -> None:
-    """Its hand is where the rig says until it is led."""
+    """The hand of the shipped rig is at the rig's position until it is led."""
     rig: Rig = load_rig("simulated-hand")
     with registry.open_device(rig.device, rig.servo.rate_hz, "[device]") as device:
         assert device.hand() is not None
@@ -120,9 +122,9 @@ def test_the_shipped_rig_waits_above_the_scenes() -> None:
     np.testing.assert_allclose(samples, [[*AT, *UPRIGHT]] * 100, atol=1e-12)
 
 
-def test_a_hand_that_is_held_keeps_what_it_wants_and_so_its_grip() -> None:
-    """In the middle of a recording, against a push of 2 N: the goal stays, and so does the push; led on from there it
-    does not jump; a tool and a tare are in what it says."""
+def test_hold_freezes_the_goal_of_the_hand() -> None:
+    """During a recording with a push of 2 N, `hold` freezes the goal, so the push is constant; a lead from there causes
+    no jump. The returned pose includes tool and tare."""
     soft = {"hand": {"mass_kg": 0.1, "damping_ns_per_m": 20.0, "stiffness_n_per_m": 1000.0}, **BARE}
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(recording="tap", loop=True, **soft) as device:

@@ -30,7 +30,7 @@ from softfinger.drivers.kinematics.mechanism import (
 pytestmark = pytest.mark.plain
 
 EXACT: Any = {"rtol": 0, "atol": 1e-12}
-"""m, m/rad and N m of devices within 0.3 m: rounding, a thousand times over."""
+"""m, m/rad and N m of devices within 0.3 m: a thousand times rounding."""
 
 ARM = build(HidOptions, load_rig("woodenhaptics-2019").device.options, "woodenhaptics-2019").kinematics
 GIVEN: dict[str, options.Kinematics] = {
@@ -50,7 +50,7 @@ GIVEN: dict[str, options.Kinematics] = {
 
 
 def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Joint angles (rad) in the middle of a device's workspace; counts of a chain's encoders."""
+    """Return joint angles (rad) in the middle of a device's workspace; counts of a chain's encoders."""
     if name == "paddle":
         return (rng.uniform(-0.6, 0.6), 0.0, 0.0)
     if name == "chain":
@@ -60,7 +60,7 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 class Ask:
-    """The kernels of one mechanism, asked with joint values."""
+    """Kernels of one mechanism, called with joint values."""
 
     def __init__(self, given: options.Kinematics) -> None:
         self.kind, self.mechanism = kind_of(given, False), make_mechanism(given, 5.0)
@@ -74,7 +74,7 @@ class Ask:
         return np.array(position)
 
     def torques(self, joints: Any, force: Any) -> tuple[int, np.ndarray]:
-        """How the force was taken, and torques (N m), or currents (A) of a chain."""
+        """Return the status of the force, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
         given = np.zeros(table.COMMANDED_SIZE)
         how = force_to_command(self.kind, self.mechanism, self.values, self.last, tuple(force), given)
@@ -90,15 +90,15 @@ def along(of: Callable[[Any], np.ndarray], at: Any, way: Any, t: float) -> np.nd
 
 
 def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
-    """The derivative at 0 by central differences of the eighth order: h^8 of the ninth derivative, and rounding / h."""
+    """Return the derivative at 0 by central differences of order 8: error h^8 of the 9th derivative, rounding / h."""
     weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
     return sum(w * (of(k * h) - of(-k * h)) for k, w in enumerate(weights, 1)) / h
 
 
 @pytest.mark.parametrize("name", [name for name in GIVEN if not name.startswith("delta")])
 def test_power_out_is_power_in(name: str) -> None:
-    """f . v = tau . q' at random poses, motions and forces, with v by differences of the forward kinematics: each
-    column of the Jacobian, its sign, and the transposition."""
+    """f . v = tau . q' at random poses, motions and forces, with v by differences of the forward kinematics: checks
+    each column of the Jacobian, its sign, and the transposition."""
     rng, ask = np.random.default_rng(31), Ask(GIVEN[name])
     # of a chain's motors tau q' is k I 2 pi n' / N
     per = np.ones(3) if name != "chain" else np.array(ARM.torque_constant_nm_per_a) * 2 * pi / ARM.counts_per_turn
@@ -107,7 +107,7 @@ def test_power_out_is_power_in(name: str) -> None:
         joints, turning = np.array(pose(name, rng)), rng.normal(size=3) * ([1, 0, 0] if name == "paddle" else [1, 1, 1])
         if "pantograph" in name or "one axis" in name:
             turning[2] = 0.0
-        force = rng.normal(size=3) * (0.3 if name == "chain" else 1.0)  # no current past the largest
+        force = rng.normal(size=3) * (0.3 if name == "chain" else 1.0)  # no current beyond the maximum
         speed = derivative(partial(along, ask.end, joints, turning), step)
         how, torque = ask.torques(joints, force)
         assert how == FULL
@@ -116,7 +116,7 @@ def test_power_out_is_power_in(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_power_of_a_delta(name: str) -> None:
-    """The same, with the legs' speeds by differences of the inverse kinematics, which needs no search."""
+    """The same, with the legs' speeds by differences of the inverse kinematics, which is in closed form."""
     rng, ask = np.random.default_rng(34), Ask(GIVEN[name])
     d = ask.mechanism.delta
     for _ in range(200):
@@ -125,12 +125,12 @@ def test_power_of_a_delta(name: str) -> None:
         turning = derivative(partial(along, lambda at: np.array(delta.inverse(d, tuple(at))[0]), p, speed), 2e-4)
         how, torque = ask.torques(delta.inverse(d, tuple(p))[0], force)
         assert how == FULL
-        # eps / h of angles of 1 rad is 1e-12, and h^8 of what grows by 1 / 0.03 with each order
+        # eps / h of angles of 1 rad is 1e-12, and h^8 of a derivative that grows by 1 / 0.03 with each order
         np.testing.assert_allclose(np.dot(torque, turning), np.dot(force, speed), rtol=0, atol=1e-11)
 
 
 def test_a_paddle_moves_on_its_circle() -> None:
-    """The end is r from the axis, at the joint's angle from z, and 0 in the middle."""
+    """The end is at distance r from the axis, at the joint's angle from z, and at the origin for angle 0."""
     ask, r = Ask(GIVEN["paddle"]), 0.07
     assert ask.end((0.0, 0.0, 0.0)).tolist() == [0.0, 0.0, 0.0]
     for a in np.linspace(-1.0, 1.0, 21):
@@ -141,7 +141,7 @@ def test_a_paddle_moves_on_its_circle() -> None:
 
 @pytest.mark.parametrize("name", ["pantograph", "motors on one axis"])
 def test_a_pantograph_inverts_two_triangles(name: str) -> None:
-    """Angles that the law of cosines gives for a place bring it back, and the outer links have their length."""
+    """Angles by the law of cosines for a position give that position, so the outer links have their length."""
     given, rng = GIVEN[name], np.random.default_rng(32)
     assert isinstance(given, options.Pantograph)
     ask = Ask(given)
@@ -156,8 +156,8 @@ def test_a_pantograph_inverts_two_triangles(name: str) -> None:
 
 
 def test_the_published_pantograph() -> None:
-    """A 2DIY in its calibration pose, 168 and 12 degrees: by symmetry at half the base, and as high as Pythagoras
-    says; 1 N along y takes opposite torques."""
+    """A 2DIY in its calibration pose, 168 and 12 degrees: by symmetry at half the base, at the height given by
+    Pythagoras; 1 N along y gives opposite torques."""
     ask = Ask(GIVEN["pantograph"])
     joints = (radians(168.0), radians(12.0), 0.0)
     half = 0.019 + 0.07 * np.cos(radians(12.0))
@@ -170,7 +170,7 @@ def test_the_published_pantograph() -> None:
 
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
-    """Angles that a triangle in each leg's plane gives for a place bring it back."""
+    """Angles by the triangle in each leg's plane for a position give that position."""
     given, rng = GIVEN[name], np.random.default_rng(33)
     assert isinstance(given, options.Delta)
     ask = Ask(given)
@@ -187,9 +187,9 @@ def test_a_delta_inverts_its_triangles(name: str) -> None:
         np.testing.assert_allclose(ask.end(joints) + given.origin_m, p, **EXACT)
 
 
-def test_links_in_line_give_no_force() -> None:
-    """Where the outer links of a pantograph come into line the force fades to none, at no angle does a torque exceed
-    ten times that of links at a right angle, and it is told as singular; elbows too far apart give the middle."""
+def test_aligned_links_give_no_force() -> None:
+    """If the outer links of a pantograph align, the force fades to zero and is marked as singular, without torques
+    above ten times those at a right angle or steps. Elbows too far apart give their midpoint."""
     given = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
     ask, force = Ask(given), (0.3, 1.0, 0.0)
     seen = set()
@@ -206,19 +206,18 @@ def test_links_in_line_give_no_force() -> None:
         else:
             assert how == FULL
         assert np.abs(torque).max() <= 0.07 * np.hypot(0.3, 1.0) / pantograph.SINE_NONE
-        if last is not None:  # no step, 0.0075 degrees further on: it grows to 0.7 N m and falls to 0 in between
+        if last is not None:  # no step over 0.0075 degrees: it grows to 0.7 N m and falls to 0 in between
             assert np.abs(torque - last).max() < 0.02
         last = torque
     assert seen == {FULL, SINGULAR}
     np.testing.assert_allclose(ask.end((pi, 0.0, 0.0)), (0.1, 0.0, 0.0), **EXACT)
     both = Ask(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
-    assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # elbows in one place
+    assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # coincident elbows
     assert both.torques((1.0, 1.0, 0.0), force)[0] == SINGULAR
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    """Legs that cannot meet, and legs that are in line with their rods, have no place for the end, which takes no
-    torque; angles of a pose that there is are found from there again."""
+    """Legs that cannot meet, or align with their rods, give NaN and SINGULAR; a possible pose is found again."""
     given = GIVEN["delta"]
     assert isinstance(given, options.Delta)
     ask = Ask(given)
@@ -233,12 +232,11 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
         np.testing.assert_allclose(ask.end(there), np.subtract(home, given.origin_m), **EXACT)
 
 
-def test_a_delta_gives_no_force_where_it_cannot_hold_the_end() -> None:
-    """As three rods come into one plane they no longer hold the end across it: from DET_MIN on there is no torque, and
-    it is told."""
+def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
+    """If the rods approach one plane, they cannot support the end: up to DET_MIN the torque is zero."""
     d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
     seen = set()
-    # on the axis all rods lie flat where base + arm cos a = end + rod; the end is then as high as the elbows
+    # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
     flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
     for height in np.linspace(d.home[2], flat, 1000):
         torque, able = delta.torques_for(d, (0.0, 0.0, float(height)), (0.0, 0.0, 1.0))
@@ -251,9 +249,9 @@ def test_a_delta_gives_no_force_where_it_cannot_hold_the_end() -> None:
 
 
 @pytest.mark.parametrize("name", ["paddle", "chain"])
-def test_serial_joints_have_no_pose_that_takes_more_torque(name: str) -> None:
-    """tau = J^T f has no inverse in it: in a stretched arm, over the vertical axis and at any angle of a paddle the
-    torques are bounded by force and reach, and the force is taken whole."""
+def test_torques_of_serial_joints_are_bounded(name: str) -> None:
+    """tau = J^T f contains no inverse: for a stretched arm, above the vertical axis and at any angle of a paddle the
+    torques are bounded by force and reach, and the force is not reduced."""
     rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
     if name == "paddle":
         poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07
@@ -262,7 +260,7 @@ def test_serial_joints_have_no_pose_that_takes_more_torque(name: str) -> None:
         _, lb, lc = arm.link
         # link c in line with b where C = pi - B, as C is counted from below
         stretched = [(0.3, b, pi - b) for b in np.linspace(0.0, 1.5, 50)]
-        # the end on the axis that a turns about: lb sin B + lc sin C = 0
+        # the end on the axis of joint a: lb sin B + lc sin C = 0
         above = [(0.3, b, -asin(lb * sin(b) / lc)) for b in np.linspace(0.1, 1.0, 50)]
         poses = [tuple(np.array(angles) / arm.per_count) for angles in (*stretched, *above)]
         most = (lb + lc) * max(map(abs, arm.per_torque))
@@ -277,8 +275,8 @@ def test_serial_joints_have_no_pose_that_takes_more_torque(name: str) -> None:
     ("name", "kind", "joints"),
     [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))],
 )
-def test_too_much_torque_keeps_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
-    """Past the largest torque all come down by the same factor, and it is told."""
+def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
+    """Beyond the maximum torque all are scaled by the same factor, and the result is LIMITED."""
     ask = Ask(GIVEN[name])
     assert ask.kind == kind
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))

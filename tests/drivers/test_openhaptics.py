@@ -1,6 +1,6 @@
-"""3D Systems' devices on a stand-in for the maker's library: contract, opening, calibration, what the callback gives.
+"""3D Systems' devices on a stand-in for the maker's library: contract, opening, calibration, callback.
 
-The stand-in's thread is real, and so is its time: what is asked of the motors is asked of the journal of its ticks.
+The stand-in has a real thread in real time, so tests check forces of the motors in the journal of its ticks.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def until(met: Any) -> None:
 
 
 def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
-    """Write a force until the motors have it: this machine may let it grow too old on the way."""
+    """Write a force until the motors have it: on a busy machine it may become too old before."""
 
     def given() -> bool:
         servo.read()
@@ -80,12 +80,12 @@ def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> 
     until(given)
 
 
-# --- what the header says ------------------------------------------------------------------------
+# --- constants of the header ---
 
 
 @pytest.mark.parametrize("model", range(len(NAMES)))
 def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchBench) -> None:
-    """Each name opens with CHAI3D's limits, or with less where the device says less; a Premium turns the handle."""
+    """Each model opens with CHAI3D's limits, or with the device's if lower; a Premium 6DOF also has torques."""
     name, outputs = NAMES[model], 6 if "6DOF" in NAMES[model] else 3
     hd.update(model=model, outputs=outputs, max_force=50.0)
     with bench.open(model=name) as device:
@@ -102,7 +102,7 @@ def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchB
 
 
 def test_limits_are_those_of_chai3d() -> None:
-    """N, N m, N/m, N s/m by name, as published; of an unknown name the least of any."""
+    """N, N m, N/m, N s/m by name equal the published values; an unknown name has the lowest of each."""
     published = {
         "Touch": (3.3, 0, 400, 4), "PHANTOM Omni": (3.3, 0, 700, 5), "PHANTOM Desktop": (7.9, 0, 1000, 5),
         "PHANTOM Premium 1.5 6DOF": (8.5, 0.188, 800, 5), "PHANTOM Premium 3.0 6DOF": (22, 0.188, 1000, 5),
@@ -114,7 +114,7 @@ def test_limits_are_those_of_chai3d() -> None:
 def test_unknown_model_runs_with_the_least_limits(
     hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A name that nobody lists is opened with a warning and without torque; a rig that wants a model refuses it."""
+    """An unknown model opens with a warning and without torque; a rig for a certain model rejects it."""
     hd.update(model=6, outputs=6)
     with bench.open() as device:
         assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
@@ -127,8 +127,7 @@ def test_unknown_model_runs_with_the_least_limits(
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, hd: HdStub, bench: TouchBench) -> None:
-    """Positions and forces by the turn between the frames, mm and m, orientations by it on both sides; torques in mN m,
-    on a model that has the motors."""
+    """Positions (mm), orientations, forces and torques (mN m) are converted to the world frame and SI units."""
     place = np.array([11.0, 22.0, -33.0])
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
@@ -155,8 +154,8 @@ def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, h
     assert hd["misuse"] == 0
 
 
-def test_torque_is_not_sent_where_no_motor_turns_the_handle(hd: HdStub, bench: TouchBench) -> None:
-    """On a Touch the torque of the contact stays in telemetry."""
+def test_no_torque_is_sent_to_a_passive_handle(hd: HdStub, bench: TouchBench) -> None:
+    """A Touch gets no torque."""
     with bench.open() as device:
         servo = Servo(device)
         servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
@@ -171,11 +170,11 @@ def test_buttons_are_the_mask(hd: HdStub, bench: TouchBench) -> None:
         assert Servo(device).read()[1][8] == 10.0
 
 
-# --- opening -------------------------------------------------------------------------------------
+# --- opening ---
 
 
 def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None:
-    """Opening leaves the motors off, arming switches them on; closing ends the library's thread; no call is misused."""
+    """Motors are off after opening and on after arming; closing ends the library's thread; no call is misused."""
     with bench.open_unarmed() as device:
         assert hd["running"] and hd["output_sets"] == 0
         servo = Servo(device, arm=False)
@@ -188,7 +187,7 @@ def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None
 
 
 def test_a_force_that_a_killed_program_left_ends_with_the_opening(hd: HdStub, bench: TouchBench) -> None:
-    """A program that ended without a zero left its force to motors that keep it; the first frame takes it off."""
+    """The motors retain the force of a program that ended without a zero; the first frame after opening zeroes it."""
     call = ctypes.CDLL(str(hd.path))
     call.hdInitDevice.restype = ctypes.c_uint32
     which = call.hdInitDevice(None)
@@ -203,7 +202,7 @@ def test_a_force_that_a_killed_program_left_ends_with_the_opening(hd: HdStub, be
 
 
 def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None:
-    """A device that wants its calibration updated gets it, in the best of its styles: by itself before the inkwell."""
+    """A device that needs a calibration update gets it, by the best supported method: automatic before inkwell."""
     hd.update(style=7, calibration=library.NEEDS_UPDATE, updates_needed=3)
     with bench.open() as device:
         assert device.calibrated
@@ -213,7 +212,7 @@ def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None
 def test_calibration_in_the_inkwell_waits_for_the_user(
     hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Opening says what to do and goes on as soon as the stylus is docked; it gives up after the rig's time."""
+    """Opening logs instructions and continues once the stylus is docked; after `calibration_wait_s` it fails."""
     hd.update(style=library.INKWELL, calibration=library.NEEDS_MANUAL_INPUT)
     with pytest.raises(DeviceError, match="not calibrated: put the stylus into the inkwell"):
         bench.open(calibration_wait_s=0.1)
@@ -230,8 +229,8 @@ def test_calibration_in_the_inkwell_waits_for_the_user(
     user.join()
 
 
-def test_encoders_are_reset_on_the_rigs_word_alone(hd: HdStub, bench: TouchBench) -> None:
-    """Where the handle is then taken for its reset position: without `reset_encoders` the device is refused."""
+def test_encoders_are_reset_only_if_the_rig_allows_it(hd: HdStub, bench: TouchBench) -> None:
+    """Resetting encoders assumes the handle in its reset position, so opening fails without `reset_encoders`."""
     hd.update(style=library.ENCODER_RESET, calibration=library.NEEDS_UPDATE)
     with pytest.raises(DeviceError, match=r"reset position.*reset_encoders = true"):
         bench.open()
@@ -251,7 +250,7 @@ def test_encoders_are_reset_on_the_rigs_word_alone(hd: HdStub, bench: TouchBench
 def test_error_of_opening_has_its_kind(
     code: int, kind: type[HapticError], words: str, hd: HdStub, bench: TouchBench
 ) -> None:
-    """The library's code decides what a failed opening is called, and is told in words."""
+    """The error code of the library selects exception and message."""
     hd["init_error"] = code
     with pytest.raises(kind, match=words) as caught:
         bench.open()
@@ -259,7 +258,7 @@ def test_error_of_opening_has_its_kind(
 
 
 def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> None:
-    """With its port there it is no device that is missing."""
+    """If the port is attached, the error is not DeviceNotFound."""
     hd["devices"] = 0
     bench.ports((PORT,))
     with pytest.raises(
@@ -269,8 +268,8 @@ def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> 
     assert type(caught.value) is DeviceError
 
 
-def test_library_that_is_missing_broken_or_of_another_version(tmp_path: Path, bench: TouchBench) -> None:
-    """No file, a file that is none, a file without a function: each is said with the file and what to do."""
+def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None:
+    """A missing or unusable file and a library without a required function raise errors with instructions."""
     with pytest.raises(DeviceNotFound, match=r"library_file = '/no/libHD.so'.*OpenHaptics"):
         bench.open(library_file="/no/libHD.so")
     (tmp_path / "libHD.so").write_text("no library")
@@ -281,10 +280,8 @@ def test_library_that_is_missing_broken_or_of_another_version(tmp_path: Path, be
         bench.open(library_file=str(old))
 
 
-def test_library_is_looked_for_where_it_is_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hd_library: Path
-) -> None:
-    """The newest file of the first folder that has one; where none has, the error names every place."""
+def test_search_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hd_library: Path) -> None:
+    """The newest file of the first folder with one is loaded; without any, the error lists the search paths."""
     monkeypatch.setattr(library, "FOLDERS", (tmp_path / "a", tmp_path / "b"))
     with pytest.raises(
         DeviceNotFound, match=rf"{tmp_path}/a/libHD.so\*.*{tmp_path}/b/libHD.so\*.*libHD.so.3.4 by the loader"
@@ -296,8 +293,8 @@ def test_library_is_looked_for_where_it_is_installed(
     assert library.load(None)._name == str(tmp_path / "b" / "libHD.so.3.4.0")
 
 
-def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
-    """For `devices --ask`: model, serial, and whether it is calibrated; nothing is calibrated, no motor switched on."""
+def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
+    """For `devices --ask`: model, serial number and calibration state, without calibration or motors."""
     hd["calibration"] = library.NEEDS_MANUAL_INPUT
     said = openhaptics.identify(PORT, bench.options())
     assert said == {"model": "Touch", "serial": "70001", "calibrated": False}
@@ -305,8 +302,7 @@ def test_identify_asks_and_gives_no_force(hd: HdStub, bench: TouchBench) -> None
 
 
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`devices` names driver and rig, says that the library is missing and where it comes from, and `install` writes a
-    rule for the port, which ModemManager leaves alone."""
+    """`devices` names driver, rig and the missing library; `install` writes a rule that excludes ModemManager."""
     claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
@@ -326,11 +322,11 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
         (NEWEST, 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="2988", ATTR{idProduct}=="0304"'),
     ],
 )
-def test_each_generation_of_the_touch_is_known(
+def test_each_generation_of_the_touch_is_claimed(
     device: Attached, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first USB stylus is a port of 0301:2988, the newest a HID device of 2988:0304: each has driver, rig and udev
-    rules, and is named when it does not open."""
+    """The first USB stylus is a port of 0301:2988, the latest a HID device of 2988:0304: each has driver, rig and udev
+    rules, and is named if it does not open."""
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
     (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
@@ -348,11 +344,11 @@ def test_each_generation_of_the_touch_is_known(
         bench.open()
 
 
-def test_a_device_that_usb_does_not_list_is_asked_for(
+def test_a_device_that_usb_does_not_list_is_identified(
     hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`devices --ask --rig` opens the rig's device through the library where USB lists none, as for Ethernet and
-    FireWire, and reports the model; without a device, or without the library, the reason. Without --rig, nothing."""
+    """`devices --ask --rig` opens the rig's device through the library even if USB lists none, as for Ethernet and
+    FireWire, and reports the model, or the reason of a failure. Without --rig the list is empty."""
     rig = tmp_path / "touch.toml"
     text = find("touch", Rig).read_text("utf-8")
     rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))
@@ -375,12 +371,11 @@ def test_a_device_that_usb_does_not_list_is_asked_for(
     assert found["state"] == "library"
 
 
-# --- the callback --------------------------------------------------------------------------------
+# --- callback ---
 
 
 def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
-    """A servo that stands still leaves its force no longer than the rig's time and two ticks; when it goes on, it is
-    told once that the hand had zero, and that write gives zero, too."""
+    """If the servo stalls, its force ends after `force_age_max_s` and two ticks; one write returns WITHHELD."""
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
         servo = Servo(device)
@@ -401,8 +396,8 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
 
 
 def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -> None:
-    """Frames 40 ms apart, where a force may be 20 ms old: the motors have zero, telemetry has the same and that it is
-    withheld, and a warning names the cause. Frames in time bring the force back."""
+    """With frames 40 ms apart and a maximum age of 20 ms, the motors have zero, telemetry has zero and WITHHELD, and a
+    warning names the cause. The force returns with frames in time."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
         servo = Loop([device], pulling(), RATE_HZ)
@@ -423,8 +418,8 @@ def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -
 
 
 def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
-    """While the stylus is docked every force is withheld, which ends no run; undocked, it fades in. A rig may say that
-    the switch is not asked."""
+    """While the stylus is docked, forces are withheld without ending the run; after undocking they are accepted again.
+    With `inkwell = False` the switch is ignored."""
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
@@ -444,7 +439,7 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
-    """From 0.8 of the maker's scale on until they are below 0.7; the run goes on."""
+    """The warning starts at 0.8 of the maker's scale and ends below 0.7; the run continues."""
     with bench.open() as device:
         assert device.warning() == ""
         for temperature, warns in ((0.75, False), (0.85, True), (0.75, True), (0.65, False)):
@@ -463,10 +458,8 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
         (0x0777, PROTOCOL, "not known.*0x0777"),
     ],
 )  # fmt: skip
-def test_an_error_in_use_is_told_and_ends_the_force(
-    code: int, status: int, words: str, hd: HdStub, bench: TouchBench
-) -> None:
-    """The read has its status, the reason its words with the codes of library and device, the motors have zero."""
+def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
+    """The read has the status of the error, the reason its text and codes, and the motors have zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -477,7 +470,7 @@ def test_an_error_in_use_is_told_and_ends_the_force(
 
 
 def test_a_full_stack_of_errors_hides_nothing(hd: HdStub, bench: TouchBench) -> None:
-    """More errors than the stack holds, those of our own misuse first: what is told is what ended the device."""
+    """If more errors occur than fit on the stack, earlier misuse first, the error that ended the device is reported."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -488,11 +481,11 @@ def test_a_full_stack_of_errors_hides_nothing(hd: HdStub, bench: TouchBench) -> 
         assert "does not answer" in device.reason()
     assert hd["lost_errors"] > 0
     hd.reset()
-    bench.open().close()  # errors of before are nobody's
+    bench.open().close()  # earlier errors are ignored
 
 
 def test_an_error_of_another_device_is_not_this_ones(hd: HdStub, bench: TouchBench) -> None:
-    """Each error names its device."""
+    """Errors name their device; those of another are only counted."""
     with bench.open() as device:
         servo = Servo(device)
         hd.push(0x0302, 1)
@@ -502,23 +495,23 @@ def test_an_error_of_another_device_is_not_this_ones(hd: HdStub, bench: TouchBen
 
 
 def test_what_a_device_does_not_have_is_not_asked_again(hd: HdStub, bench: TouchBench) -> None:
-    """A device that refuses its inkwell switch and temperatures opens and runs."""
+    """A device that rejects the queries of inkwell switch and temperatures opens and runs; each is queried once."""
     hd.update(style=library.INKWELL, refuse_optional=1)
     with bench.open() as device:
         held(Servo(device), bench, (1.0, 0.0, 0.0))
         assert device.counts()["errors"] == 2
 
 
-def test_force_that_cannot_be_switched_on(hd: HdStub, bench: TouchBench) -> None:
-    """Arming says so, with the library's words."""
+def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
+    """`arm` raises an error with the library's message."""
     with bench.open_unarmed() as device:
         hd["refuse_force"] = 1
         with pytest.raises(DeviceError, match=r"cannot be switched on: it cannot do this now \(error 0x0102"):
             device.arm()
 
 
-def test_a_callback_that_is_not_called_any_more(hd: HdStub, bench: TouchBench) -> None:
-    """The library drops it, and the motors keep their force: the read says timeout, and `stop` gives zero itself."""
+def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
+    """After a dropped callback the motors retain the force: reads return TIMEOUT, and `stop` writes zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -531,7 +524,7 @@ def test_a_callback_that_is_not_called_any_more(hd: HdStub, bench: TouchBench) -
 
 
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
-    """`stop` from another thread gives zero over it, and does not wait for it; when it goes on, the motors stay off."""
+    """During a hanging frame `stop` writes zero without waiting; the motors remain off afterwards."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -540,13 +533,13 @@ def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
         frames = hd["frames"]
         device.stop()
         assert hd["frames"] == frames, "it waited for the library"
-        assert not any(hd.wrench()) and device.zero_failure() == ""  # given from another thread
+        assert not any(hd.wrench()) and device.zero_failure() == ""  # written by another thread
         hd.after(3)
         assert not any(hd.wrench())
 
 
-def test_poses_that_are_none(hd: HdStub, bench: TouchBench) -> None:
-    """A mirrored matrix is no rotation and a NaN no place: both are handed on as NaN, which the loop refuses."""
+def test_invalid_poses_are_nan(hd: HdStub, bench: TouchBench) -> None:
+    """A mirrored matrix and a NaN position are passed on as NaN, which the loop rejects."""
     with bench.open() as device:
         servo = Servo(device)
         hd["mirror"] = 1
@@ -558,8 +551,7 @@ def test_poses_that_are_none(hd: HdStub, bench: TouchBench) -> None:
 
 @entry
 def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, count: int) -> None:
-    """Frames, reads and writes in turn. Counts statuses that are neither OK nor STALE, orientations that are neither
-    NaN nor of unit length, and poses that were handed on."""
+    """Run frames, reads and writes; count unexpected statuses, orientations neither NaN nor unit, and poses."""
     for _ in range(count):
         call_int32(callback, (handle,))
         status = call_device(read, handle, sample)
@@ -579,10 +571,10 @@ def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench:
 
 @pytest.mark.scaled
 def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, int], int]) -> None:
-    """Whatever bits the library gives, and whatever comes of them as a force: the library is never given a number that
-    is none, a read ends with OK or STALE, and an orientation is NaN or of unit length."""
+    """For any bits from the library and forces computed from them, the library gets only finite numbers, reads return
+    OK or STALE, and orientations are NaN or of unit length."""
     with bench.open() as device:
-        hd["drop_at"] = 0  # from here on frames come from the test, as fast as they go
+        hd["drop_at"] = 0  # from here on the test calls the frames, as fast as possible
         hd.after(3)
         hd["garbage"] = 1
         io, out = device.io(), np.zeros(3, np.int64)
@@ -592,11 +584,11 @@ def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, 
         assert hd["misuse"] == hd["errors"] == 0
 
 
-# --- two devices ---------------------------------------------------------------------------------
+# --- two devices ---
 
 
 def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
-    """One thread calls for both: each has its own pose and force, and one that is closed leaves the other its force."""
+    """One thread serves both: each has its pose and force, and closing one does not affect the force of the second."""
     hd["devices"] = 2
     with bench.open_unarmed() as first, bench.open_unarmed(name="Left Device") as second:
         assert second.info.name.endswith("70002")
@@ -611,12 +603,12 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
     both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
     for device in both:
         device.arm()
-    assert open_devices.call_all(lambda device: device.close(), both) == []  # as an end of the process closes them
+    assert open_devices.call_all(lambda device: device.close(), both) == []  # as when the process ends
     assert not hd["running"] and not any(hd.wrench(0) + hd.wrench(1))
 
 
 def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBench) -> None:
-    """The library's thread would stand still while a hand feels the first one's force."""
+    """Opening would pause the library's thread while the first device has a force."""
     hd["devices"] = 2
     with bench.open() as first:
         held(Servo(first), bench, (1.0, 0.0, 0.0))
@@ -626,7 +618,7 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
 
 
 def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
-    """By the library's own word; the first one goes on."""
+    """The library reports the second opening as busy; the first device continues."""
     with bench.open_unarmed() as first:
         with pytest.raises(DeviceBusy, match="twice in this rig"):
             bench.open_unarmed()

@@ -1,6 +1,8 @@
-"""The callback of 3D Systems' library and the servo's side call by call, on a library and a clock by a script: what the
-motors are given in each frame, what errors are taken for, what the servo is told. To the nanosecond, which the stand-in
-in C, whose thread is real, cannot show."""
+"""Callback of 3D Systems' library and the servo's side, call by call, on a scripted library and clock: forces per
+frame, errors, statuses.
+
+Limits are checked to the nanosecond, which the stand-in in C with its real thread cannot do.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ LIBRARY_FUNCTIONS = (
 )  # fmt: skip
 BUTTONS, INKWELL, POSITION, TRANSFORM, TEMPERATURE = 0x2000, 0x2002, 0x2050, 0x2052, 0x2605
 FORCE, TORQUE, OUTPUT = 0x2700, 0x2701, 0x4000
-"""Names of the library's header."""
+"""Constants of the library's header."""
 INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE = 0x100, 0x101, 0x102, 0x103
 BAD_HANDLE, WARM_MOTORS, FORCE_ERROR, DEVICE_FAULT, COMM_ERROR, COMM_CONFIG_ERROR = (
     0x104, 0x200, 0x204, 0x300, 0x302, 0x303,
@@ -39,7 +41,7 @@ OVER, AGAIN = 0, 1
 
 
 class Library:
-    """The library, and a driver's block as after opening, armed, with a torque. Of the block's words each has one
+    """Scripted library, and a driver's block as after opening, armed, with torques. Each word of the block has one
     writer: the library's thread or the servo."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
@@ -59,7 +61,7 @@ class Library:
         self.temperatures = [0.05] * 6
         self.output, self.refuses = 0, False
         self.errors: list[tuple[int, int, int]] = []
-        """(code, internal, device), the newest last."""
+        """(code, internal, device), the last is popped first."""
         self.asked: list[Any] = []
 
     def _call(self, address: int, given: tuple[Any, ...]) -> Any:
@@ -69,7 +71,7 @@ class Library:
         self.asked.append((name, what) if given else name)
         if name == "get_error":
             code, internal, device = self.errors.pop() if self.errors else (0, 0, NOBODY)
-            return code | internal << 32, device | 0x5A << 32  # what a struct does not fill is not defined
+            return code | internal << 32, device | 0x5A << 32  # unused parts of the struct are undefined
         if name == "get_doubles":
             given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[what]
             (ctypes.c_double * len(given_to)).from_address(given[1])[:] = list(given_to)
@@ -89,7 +91,7 @@ class Library:
         return [float(v) for v in whole.T.ravel()]
 
     def frame(self, after: int = MS) -> int:
-        """A frame of the library's thread, so long after the one before."""
+        """Run a frame of the library's thread, `after` ns after the previous one."""
         self.clock.now += after
         self.clock.room = {self.block.handle + 8 * AT.frame_timespec}
         self.block.fixed = [
@@ -110,17 +112,17 @@ class Library:
         return self.block.call(exchange.write, wrench)
 
     def given(self, what: int = FORCE) -> list[float]:
-        """What the last frame gave the motors, in the world's frame (N, mN m)."""
+        """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
         (vector,) = [one[2] for one in self.asked if one[:2] == ("set_doubles", what)]
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
-        """Whether a frame gives just this."""
+        """Return True if the next frame writes exactly this wrench."""
         self.frame()
         return self.given() == list(wrench[:3]) and np.allclose(self.given(TORQUE), 1000.0 * np.array(wrench[3:]))
 
     def warmed_up(self) -> None:
-        """Frames of the opening, with what is asked for once."""
+        """Run the first frames, which include single queries."""
         for _ in range(exchange.PROBES + 1):
             assert self.frame() == AGAIN
         assert self.read()[0] == OK
@@ -131,7 +133,7 @@ class Library:
 
 @pytest.fixture
 def opening(monkeypatch: pytest.MonkeyPatch) -> Library:
-    """Without a frame yet."""
+    """Library before its first frame."""
     return Library(monkeypatch)
 
 
@@ -141,11 +143,11 @@ def library(opening: Library) -> Library:
     return opening
 
 
-# --- a frame ---------------------------------------------------------------------------------------------
+# --- frames ---
 
 
 def test_the_order_of_a_frame(library: Library) -> None:
-    """State is asked for and set between the frame's beginning and its end, errors after it."""
+    """State is read and written between begin and end of the frame, errors are read after it."""
     library.frame()
     assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
@@ -159,8 +161,8 @@ def test_the_order_of_a_frame(library: Library) -> None:
     ]  # fmt: skip
 
 
-def test_the_motors_are_switched_where_they_are_not_so(opening: Library) -> None:
-    """In the first frame whatever they were, then once; the library says whether they are."""
+def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
+    """Output is switched in the first frame and on changes only, and repeated if the library reports another state."""
     switches: list[list[Any]] = []
 
     def frame() -> None:
@@ -182,7 +184,7 @@ def test_the_motors_are_switched_where_they_are_not_so(opening: Library) -> None
 
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
-    """mm to m, the matrix column by column, 32 buttons, time from the opening."""
+    """The pose is in m in the world frame, the matrix is read by columns; 32 buttons, time since opening."""
     library.rotation, library.buttons = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1), -2
     library.frame()
     status, sample = library.read()
@@ -200,7 +202,7 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
 @pytest.mark.parametrize("row", [0, 1, 2])
 @pytest.mark.parametrize("length", [0.9891, 1.0109])
 def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
-    """Each of them, though the volume is within a hundredth of 1; else it is an orientation of NaN."""
+    """Each row is checked, though the volume is within a hundredth of 1; otherwise the orientation is NaN."""
     scale = np.full(3, length**-0.49)
     scale[row] = length
     assert abs(np.prod(scale) - 1.0) < 0.01
@@ -219,15 +221,16 @@ def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Li
     ids=["mirror", "askew", "nan"],
 )
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
-    """A volume that is off by more than a hundredth."""
+    """A volume off by more than a hundredth gives an orientation of NaN."""
     library.rotation = np.array(rotation)
     library.frame()
     sample = library.read()[1]
     assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
 
 
-def test_the_temperature_is_asked_for_each_hundredth_frame(opening: Library) -> None:
-    """And in the second, where the inkwell is not; the warmest counts, in thousandths, up to ten times hot."""
+def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
+    """The temperature is also read in the second frame, without the inkwell switch. The stored value is the maximum, in
+    thousandths, limited to ten times hot."""
     asked, inkwell = [], []
     for number in range(301):
         opening.frame()
@@ -249,11 +252,11 @@ def test_the_temperature_is_asked_for_each_hundredth_frame(opening: Library) -> 
     assert ("get_doubles", TEMPERATURE) not in opening.asked
 
 
-# --- what the motors are given ---------------------------------------------------------------------------
+# --- forces ---
 
 
-def test_a_wrench_is_given_in_the_librarys_frame(library: Library) -> None:
-    """N as they are, N m in mN m; each frame gives it again, as long as it is fresh."""
+def test_a_wrench_is_written_in_the_librarys_frame(library: Library) -> None:
+    """Forces are in N, torques in mN m; each frame repeats the wrench as long as it is recent."""
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
     assert library.displays(*PULL)
@@ -262,8 +265,8 @@ def test_a_wrench_is_given_in_the_librarys_frame(library: Library) -> None:
     assert [library.word[at] for at in (AT.has_force, AT.lapses, AT.writes)] == [0, 0, 2]
 
 
-def test_a_wrench_under_way_is_the_next_frames(library: Library) -> None:
-    """While the servo writes, the one before is given."""
+def test_a_wrench_being_written_is_used_in_the_next_frame(library: Library) -> None:
+    """While the servo writes a wrench, the frame uses the previous one."""
     library.write(*PULL)
     library.frame()
     library.write(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
@@ -274,7 +277,7 @@ def test_a_wrench_under_way_is_the_next_frames(library: Library) -> None:
 
 
 def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
-    """After the rig's time and not before; it counts as a lapse, once, and the servo is told once."""
+    """The force ends after `force_age_max_s`, is counted as one lapse, and one write returns WITHHELD."""
     library.write(*PULL)
     for _ in range(5):
         assert library.displays(*PULL)
@@ -289,7 +292,7 @@ def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
 
 
 def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
-    """`force_age_max_s` is the last moment."""
+    """A force of exactly `force_age_max_s` is still valid."""
     for late in (0, 1):
         library.write(*PULL)
         library.frame(AGE_MAX)
@@ -301,7 +304,7 @@ def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
 
 
 def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
-    """A fresh force is for where the hand was before it; the next frame gives what is written after the servo knows."""
+    """A force computed before the pause ends; frames have zero until the servo has detected the pause and writes."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -310,15 +313,14 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     assert library.given() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
-    assert library.given() == [0.0, 0.0, 0.0]  # written before the servo knew of it
+    assert library.given() == [0.0, 0.0, 0.0]  # written before the servo detected it
     assert library.write(*PULL) == WITHHELD
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
 
 
 def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
-    """Frames 6 ms apart at a limit of 5 ms: the motors have zero, each force of the servo is withheld for as long as
-    that lasts, and the first frame in time is the end of it."""
+    """With frames 6 ms apart and a limit of 5 ms, forces are withheld until the first frame in time."""
     statuses = []
     for _ in range(5):
         for _ in range(6):
@@ -327,15 +329,15 @@ def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
         library.frame(0)
         assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
         assert library.word[AT.late] == 1
-    assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms nothing was wrong yet
+    assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms no frame was late
     library.frame()
     assert library.word[AT.late] == 0
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
 
 
-def test_a_force_that_never_comes_to_the_motors_is_a_lapse(library: Library) -> None:
-    """Also the first one, which ended none: it is counted once, and the servo withholds."""
+def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> None:
+    """A first force that no frame could use is also one lapse, and the next is withheld."""
     assert library.write(*PULL) == OK
     for _ in range(3):
         library.frame(AGE_MAX + 1)
@@ -348,9 +350,8 @@ def test_a_force_that_never_comes_to_the_motors_is_a_lapse(library: Library) -> 
     assert library.displays(*PULL)
 
 
-def test_while_frames_have_stopped_the_motors_keep_their_force(library: Library) -> None:
-    """A force of the servo is not taken, nor is a zero, until a frame comes, which gives zero; without a force in the
-    motors it is withheld."""
+def test_writes_while_frames_have_stopped(library: Library) -> None:
+    """If frames stop, writes are HELD while the motors have a force; if they have zero, forces are withheld."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -364,8 +365,8 @@ def test_while_frames_have_stopped_the_motors_keep_their_force(library: Library)
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Library) -> None:
-    """Also a torque alone."""
+def test_a_wrench_of_one_component_can_lapse(place: int, library: Library) -> None:
+    """A wrench with one component, also a torque, counts as a force and can lapse."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     library.write(*wrench)
@@ -377,8 +378,8 @@ def test_a_wrench_in_one_place_is_a_force_that_can_lapse(place: int, library: Li
 
 
 @pytest.mark.parametrize(("name", "value"), [("armed", 0), ("stopped", 1), ("is_leaving", 1), ("status", LOST)])
-def test_no_force_where_none_may_go_out(name: str, value: int, library: Library) -> None:
-    """And the motors are switched off; the frame that has seen a stop or the end says so."""
+def test_no_force_unless_armed_and_running(name: str, value: int, library: Library) -> None:
+    """The frame writes zero and disables the motors; the frame that detects a stop or the end sets its flag."""
     library.write(*PULL)
     library.frame()
     library.word[getattr(AT, name)] = value
@@ -389,8 +390,8 @@ def test_no_force_where_none_may_go_out(name: str, value: int, library: Library)
     assert library.word[AT.has_left] == (name == "is_leaving")
 
 
-def test_a_stop_during_a_frame_is_told_by_the_next(library: Library) -> None:
-    """What is told of is done: the frame that ran when it came may have given a force."""
+def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> None:
+    """A flag confirms a completed frame: a frame that was already running may have written a force."""
     call = library._call
 
     def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
@@ -406,8 +407,8 @@ def test_a_stop_during_a_frame_is_told_by_the_next(library: Library) -> None:
     assert [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [1, 1]
 
 
-def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
-    """No call of the library, and the callback is done."""
+def test_a_closed_device_is_not_called(library: Library) -> None:
+    """The library is not called, and the callback ends."""
     library.word[AT.open] = 0
     assert library.frame() == OVER
     assert library.asked == []
@@ -415,7 +416,7 @@ def test_a_device_that_is_closed_is_not_called_for(library: Library) -> None:
 
 
 def test_no_force_in_the_inkwell(library: Library) -> None:
-    """Every force is withheld for as long as it is docked. A device without an inkwell is never docked."""
+    """Forces are withheld while the stylus is docked. Without an inkwell a device is never docked."""
     library.write(*PULL)
     library.frame()
     library.switch = 0
@@ -434,7 +435,7 @@ def test_no_force_in_the_inkwell(library: Library) -> None:
     library.frame()
     assert [library.write(*PULL) for _ in range(2)] == [WITHHELD] * 2
     library.switch = 1
-    assert library.displays(*ZERO)  # what was written while it was docked comes to no hand
+    assert library.displays(*ZERO)  # wrenches written while it was docked are not used
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
     library.switch = library.word[AT.has_inkwell] = 0
@@ -443,8 +444,8 @@ def test_no_force_in_the_inkwell(library: Library) -> None:
     assert library.word[AT.docked] == 0
 
 
-def test_a_zero_is_no_less_displayed_after_a_lapse(library: Library) -> None:
-    """Nothing has been withheld from it."""
+def test_a_zero_after_a_lapse_is_ok(library: Library) -> None:
+    """A zero is OK, because nothing was withheld."""
     library.write(*PULL)
     library.frame()
     library.word[AT.armed] = 0
@@ -457,7 +458,7 @@ def test_a_zero_is_no_less_displayed_after_a_lapse(library: Library) -> None:
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Library) -> None:
-    """In whichever place, and all of it."""
+    """One such component makes the full wrench zero."""
     wrench = list(PULL)
     wrench[place] = bad
     assert library.write(*wrench) == WITHHELD
@@ -467,7 +468,7 @@ def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Lib
 
 @pytest.mark.parametrize(("armed", "stopped"), [(0, 0), (1, 1), (0, 1)])
 def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library: Library) -> None:
-    """A zero is no less displayed; the wrench that is kept is zero, too."""
+    """Forces are withheld and a zero is OK; the stored wrench is zero."""
     library.word[AT.armed], library.word[AT.stopped] = armed, stopped
     assert library.write(*PULL) == WITHHELD
     assert library.write(*ZERO) == OK
@@ -477,16 +478,16 @@ def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library:
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_a_wrench_in_one_place_is_no_zero(place: int, library: Library) -> None:
-    """What is withheld of it is told."""
+def test_a_wrench_of_one_component_is_no_zero(place: int, library: Library) -> None:
+    """A wrench with a single component is withheld with WITHHELD, not taken as a zero."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     library.word[AT.armed] = 0
     assert library.write(*wrench) == WITHHELD
 
 
-def test_what_is_written_to_the_lock(library: Library) -> None:
-    """The wrench, its time from the opening, and the lapses that the servo knew of."""
+def test_content_of_the_sequence_lock(library: Library) -> None:
+    """The lock contains the wrench, its time since opening, and the number of lapses that the servo had detected."""
     library.word[AT.lapses] = 3
     library.write(*ZERO)
     library.clock.now += 7
@@ -496,7 +497,7 @@ def test_what_is_written_to_the_lock(library: Library) -> None:
     assert library.word[AT.wrench_sequence] == 4
 
 
-# --- errors ----------------------------------------------------------------------------------------------
+# --- errors ---
 
 
 @pytest.mark.parametrize(
@@ -509,7 +510,7 @@ def test_what_is_written_to_the_lock(library: Library) -> None:
     ],
 )  # fmt: skip
 def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: Library) -> None:
-    """With the codes of library and device, from the next frame on without force; no pose of it is handed on."""
+    """The error's status and codes are stored; from the next frame on the force is zero and no pose is stored."""
     library.write(*PULL)
     library.frame()
     library.read()
@@ -525,8 +526,8 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     assert library.word[AT.pose_sequence] == sequence
 
 
-def test_the_gravest_error_is_told(library: Library) -> None:
-    """What ended the device before what was not allowed; else what came first, also of an earlier frame."""
+def test_the_most_severe_error_is_reported(library: Library) -> None:
+    """An error that ended the device precedes a misuse; otherwise the first is reported, also from an earlier frame."""
     library.errors = [(COMM_ERROR, 1, DEVICE), (WARM_MOTORS, 2, DEVICE), (0x402, 3, DEVICE), (0x401, 4, DEVICE)]
     library.frame()
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [FORCE_OFF, WARM_MOTORS, 2]
@@ -536,15 +537,15 @@ def test_the_gravest_error_is_told(library: Library) -> None:
     assert library.counts()["errors"] == 5
 
 
-def test_the_first_of_two_alike_is_told(library: Library) -> None:
-    """Two that were not allowed."""
+def test_the_first_of_two_errors_is_reported(library: Library) -> None:
+    """Of two misuses the first is stored."""
     library.errors = [(0x401, 4, DEVICE), (0x402, 3, DEVICE)]
     library.frame()
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [PROTOCOL, 0x402, 3]
 
 
 def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
-    """Each names its device, or none: then it may be this one's."""
+    """Errors of another device are only counted; an error without a device counts for this one."""
     library.errors = [(COMM_ERROR, 1, OTHER)] * 2
     library.frame()
     assert library.read()[0] == OK
@@ -554,8 +555,8 @@ def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
     assert library.read()[0] == LOST
 
 
-def test_a_frame_takes_eight_errors_off_the_stack(library: Library) -> None:
-    """The rest comes in the next."""
+def test_a_frame_reads_eight_errors(library: Library) -> None:
+    """A frame reads at most eight errors; later frames read the rest."""
     library.errors = [(COMM_ERROR, 1, OTHER)] * 20
     for left in (12, 4, 0):
         library.frame()
@@ -564,8 +565,7 @@ def test_a_frame_takes_eight_errors_off_the_stack(library: Library) -> None:
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
 def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Library) -> None:
-    """A first look that is refused ends no run: of the first frame that for the inkwell, of the second that for the
-    temperature."""
+    """A rejected first query is no failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 1, OK]
@@ -578,19 +578,19 @@ def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Libr
 
 
 @pytest.mark.parametrize("code", [INVALID_ENUM - 1, BAD_HANDLE])
-def test_other_errors_of_a_first_look_end_the_run(code: int, opening: Library) -> None:
-    """A code that refuses nothing."""
+def test_other_errors_of_a_first_query_end_the_run(code: int, opening: Library) -> None:
+    """Only four codes mean that a query was rejected."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature)] == [1, 1]
     assert opening.word[AT.status] < 0
 
 
-# --- the servo's reads -----------------------------------------------------------------------------------
+# --- reads ---
 
 
 def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
-    """One that is being written is the next tick's."""
+    """A frame being written is read in the next tick."""
     library.frame()
     first = library.read()[1].tolist()
     status, sample = library.read()
@@ -606,7 +606,7 @@ def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
 
 
 def test_a_silent_library_is_given_up(library: Library) -> None:
-    """After 0.1 s in which the servo listened: of a pause of its own 10 ms count. Each frame starts that time again."""
+    """The time-out is 0.1 s of listening: a pause of the servo counts as 10 ms. Each frame restarts it."""
     library.read()
     for _ in range(10):
         library.clock.now += 10 * MS
@@ -620,8 +620,8 @@ def test_a_silent_library_is_given_up(library: Library) -> None:
     assert library.read()[0] == TIMEOUT
 
 
-def test_an_error_is_told_before_a_sample(library: Library) -> None:
-    """Each of the statuses below 0."""
+def test_an_error_precedes_a_sample(library: Library) -> None:
+    """Each status below 0 is returned."""
     for status in (-1, LOST, FORCE_OFF, PROTOCOL):
         library.word[AT.status] = status
         assert library.read()[0] == status

@@ -1,4 +1,4 @@
-"""3D Systems' devices under the servo and the daemon: closed loop, faults, signals, and what the motors have then."""
+"""3D Systems' devices under the servo and the daemon: closed loop, faults, signals, forces of the motors afterwards."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ __all__ = ["hd", "hd_library", "touch"]  # fixtures
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 
 PRESSING = {"y": 11.5, "ay": 3.5, "ax": 6.0, "az": 12.0, "hz": 1.0, "turn": 0.5}
-"""Once a second the hand goes 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and lets go."""
+"""Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 DEEP = {"y": 8.0}
-"""2 mm deep, and still."""
+"""2 mm deep, without motion."""
 
 PLANE = """
 [coupling]
@@ -49,15 +49,15 @@ damping_ns_per_m = 0.0
 def touch_rig(stub: HdStub, **changes: Any) -> Rig:
     base = {
         "device.library_file": str(stub.path), "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
-        "guard.ramp_s": 0.01, "device.force_age_max_s": 0.1,  # it counts real time: this machine holds threads up
+        "guard.ramp_s": 0.01, "device.force_age_max_s": 0.1,  # it counts real time: this machine stalls threads
     }  # fmt: skip
     return load_rig("touch", base | changes)
 
 
 def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchBench) -> None:
-    """Press, roll, slide and release by a hand on a simulated handle, through the whole daemon, between two threads
-    that are not in step: forces and modes are those of the contact step on the sensed poses, the wall holds the
-    handle, no call of the library was misused, and the last tick of the motors has zero."""
+    """A hand presses, rolls, slides and releases through the daemon, between two unsynchronised threads: forces and
+    modes equal the engine's on the sensed poses, the wall stops the handle, no call of the library is misused, and the
+    last tick of the motors has zero."""
     hd.update(**PRESSING)
     scene = load_scene("paper-plane")
     records = records_of_daemon(touch_rig(hd), scene, 2500)
@@ -86,8 +86,7 @@ def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchB
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, hd: HdStub, touch: TouchBench
 ) -> None:
-    """Unplugged, motors too warm, too fast, a callback that is not called any more, a library that stands still or
-    hangs in a frame, all in contact: the daemon ends with the fault's own error, and the motors have no force."""
+    """The daemon raises the error of each fault in contact, and the motors have zero."""
     hd.update(**DEEP, **fault)
     with Daemon(touch_rig(hd), load_scene("paper-plane")) as running:
         running.start()
@@ -100,9 +99,8 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 
 @pytest.mark.exhaustive
-def test_two_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> None:
-    """A finger on each, one 1 mm larger and so 1 mm deeper: each device gets the forces of its own finger alone, and
-    both end at zero."""
+def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> None:
+    """One finger is 1 mm larger and deeper: each device displays only forces of its finger, and both end at zero."""
     hd["devices"] = 2
     hd.update(**DEEP)
     scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
@@ -141,9 +139,9 @@ OTHERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)])
-def test_what_the_motors_have_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
-    """The command line's daemon, pressing: what it can catch ends it in order and the motors have zero in their last
-    tick; after SIGKILL these motors keep the last force, and it is no more than the rig's."""
+def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
+    """A signal that the daemon in contact can catch ends it with zero in the motors' last tick. After SIGKILL these
+    motors retain the last force, which is within the rig's limit."""
     rig, left = tmp_path / "rig.toml", tmp_path / "journal"
     rig.write_text(
         f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
@@ -160,7 +158,7 @@ def test_what_the_motors_have_after_a_signal(number: signal.Signals, hd_library:
         pressed = 0
         for sample in subscribe(f"ipc://{tmp_path}/t"):
             pressed += sample.force[2] > 0.5
-            if pressed == 20:  # what is published is with the motors a tick or two later
+            if pressed == 20:  # a published force reaches the motors a tick or two later
                 break
         process.send_signal(number)
         _, said = process.communicate(timeout=60)
@@ -176,7 +174,7 @@ def test_what_the_motors_have_after_a_signal(number: signal.Signals, hd_library:
 
 
 def test_shipped_rig_opens_a_touch(hd: HdStub, touch: TouchBench) -> None:
-    """With its own limits below the device's, and no other model."""
+    """The rig's limit is below the device's."""
     rig = load_rig("touch", {"device.library_file": str(hd.path)})
     assert rig.device is not None
     from softfinger.drivers.openhaptics.device import open_device

@@ -1,4 +1,4 @@
-"""The replay device: samples in order, every wrench kept, zero at the end."""
+"""Replay device: samples in order, log of wrenches, zero at the end."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def opened(**options: Any) -> Replay:
     return open_device(Options(**{"recording": "tap", **options}), 1000.0)
 
 
-def test_read_n_gives_sample_n() -> None:
-    """Reads return the resampled poses in order, stamped with nominal time."""
+def test_reads_return_samples_in_order() -> None:
+    """Reads return the resampled poses in order with nominal time."""
     wanted = resample(load_poses("tap"), 1000.0)
     with opened(loop=False) as device:
         servo = Servo(device)
@@ -39,8 +39,8 @@ def test_read_n_gives_sample_n() -> None:
         assert device.reads == 500
 
 
-def test_once_through_ends_and_stays_ended() -> None:
-    """After the last sample every read says END and repeats it."""
+def test_a_recording_that_is_not_looped_ends() -> None:
+    """After the last sample every read returns END and repeats it."""
     with opened(loop=False) as device:
         servo, count = Servo(device), len(device.samples)
         statuses = [servo.read()[0] for _ in range(count)]
@@ -49,8 +49,8 @@ def test_once_through_ends_and_stays_ended() -> None:
             assert servo.read() == (END, [*device.samples[-1], (count - 1) * 0.001, 0.0, 0.0])
 
 
-def test_loop_goes_on() -> None:
-    """A looped recording starts over, and its device time keeps running."""
+def test_a_looped_recording_restarts() -> None:
+    """A looped recording restarts, and its device time continues."""
     with opened() as device:
         servo, count = Servo(device), len(device.samples)
         first = [servo.read()[1] for _ in range(count)]
@@ -60,8 +60,8 @@ def test_loop_goes_on() -> None:
         assert second[0][1][7] == count * 0.001
 
 
-def test_every_wrench_is_kept_with_its_read() -> None:
-    """Wrenches come back in order, each with the index of the read it answers; stop adds a zero."""
+def test_every_wrench_is_logged_with_its_read() -> None:
+    """Wrenches are logged in order, each with the index of its read; `stop` adds a zero."""
     with opened(loop=False) as device:
         servo = Servo(device)
         servo.write(9.0, 0, 0, 0, 0, 0)
@@ -76,8 +76,8 @@ def test_every_wrench_is_kept_with_its_read() -> None:
     assert wrench[-1].tolist() == [0.0] * 6
 
 
-def test_stopped_device_takes_no_force() -> None:
-    """After stop a force is refused and never kept; stopping again changes nothing."""
+def test_a_stopped_device_withholds_forces() -> None:
+    """After `stop` a force is withheld and not logged; a second stop changes nothing."""
     device = opened()
     servo = Servo(device)
     servo.write(1.0, 0, 0, 0, 0, 0)
@@ -90,8 +90,8 @@ def test_stopped_device_takes_no_force() -> None:
     assert kept[-1].tolist() == [0.0] * 6
 
 
-def test_log_of_a_long_loop_keeps_the_newest() -> None:
-    """When a loop outruns the log, at least the last 10 s remain, still in order, and the loss is counted."""
+def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
+    """If a loop exceeds the log, at least the last 10 s remain in order, and the loss is counted."""
     with opened() as device:
         servo = Servo(device)
         for n in range(15_000):
@@ -104,8 +104,8 @@ def test_log_of_a_long_loop_keeps_the_newest() -> None:
     assert forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
 
 
-def test_stop_during_writes_leaves_zero_last() -> None:
-    """However stop falls between the writes of a running servo, the last wrench kept is zero."""
+def test_a_stop_during_writes_ends_with_zero() -> None:
+    """If `stop` is called between writes of another thread, the last logged wrench is zero."""
     for _ in range(30):
         device = opened()
         servo, running = Servo(device), threading.Event()
@@ -128,7 +128,7 @@ def test_stop_during_writes_leaves_zero_last() -> None:
 
 
 def test_two_replays_are_equal() -> None:
-    """The same writes to the same recording leave logs that are equal to the bit."""
+    """The same writes to the same recording give identical logs."""
     logs = []
     for _ in range(2):
         with opened() as device:
@@ -144,7 +144,7 @@ def test_two_replays_are_equal() -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
-    """With `forces` set, closing writes the log to a file that gives the same numbers back."""
+    """With `forces` set, closing writes the log to a file that contains the same numbers."""
     path = tmp_path / f"forces{ending}"
     with opened(forces=str(path)) as device:
         servo = Servo(device)
@@ -164,7 +164,7 @@ def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
 
 
 def test_unusable_options_are_refused(tmp_path: Path) -> None:
-    """A recording that is not there, a forces file of no known kind or in no folder."""
+    """A missing recording, a forces file of unknown type and one in a missing folder are errors."""
     with pytest.raises(RecordingError, match="did you mean 'tap'"):
         opened(recording="tapp")
     with pytest.raises(RecordingError, match=r"must end in \.csv or \.npz"):
@@ -175,7 +175,7 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
 def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
-    """Compiled afresh, the body calls nothing, always returns status 0, and so never reaches numba's error path."""
+    """The compiled body calls only llvm.mem functions and always returns 0: it never reaches numba's error path."""
     fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)
     code = fresh.inspect_llvm()
     bodies = re.findall(r"^define [^\n]*?@(\S+?)\(.*?^}", code, re.M | re.S)

@@ -1,4 +1,4 @@
-"""Boards that a rig describes: a Haply 2DIY and a Hapkit with its shipped sketch, by the contract and under faults."""
+"""Boards described in a rig, a Haply 2DIY and a Hapkit with its shipped sketch: contract and faults."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.real_time
 
 
 class BoardBench(driver_contract.Bench):
-    """What both have: refusals of a port on a plain file."""
+    """Common part of both benches: refusals of a port from a plain file."""
 
     rig: ClassVar[str]
     patience_s: ClassVar[float] = 10.0
@@ -50,7 +50,7 @@ class BoardBench(driver_contract.Bench):
 
 
 class TwoDiy(BoardBench):
-    """A 2DIY's firmware; float32 rounds its torques."""
+    """Firmware of a 2DIY, whose torques are rounded to float32."""
 
     rig: ClassVar[str] = "haply-2diy"
     force_step_n: ClassVar[float] = 1e-6
@@ -94,7 +94,7 @@ class HapkitBench(BoardBench):
 
     rig: ClassVar[str] = "hapkit"
     force_step_n: ClassVar[float] = 0.02
-    """A duty of 255 steps, whose square is the torque: 0.017 N at 1 N."""
+    """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
     library: Path
 
     def open(self) -> Device:
@@ -149,7 +149,7 @@ class TestHapkit(Contract):
 
 @contextlib.contextmanager
 def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
-    """An open 2DIY in its calibration pose, whose arm then moves to the middle."""
+    """Open a 2DIY in its calibration pose; its arm then moves to the middle."""
     board = Firmware()
     with Port(board) as port, opened("haply-2diy", port.path, **changes) as device:
         board.angles = list(REST)
@@ -157,7 +157,7 @@ def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
 
 
 def test_pose_and_force_of_a_2diy() -> None:
-    """The place is where two circles meet, in the plane of the rig; a force in it is displayed, one across it not."""
+    """The position is the intersection of two circles in the rig's plane; only the force in it is displayed."""
     with two_diy() as (servo, device, board, _):
         fresh(servo)
         x, y = place(*REST)
@@ -184,9 +184,9 @@ Spoil = Callable[[bytes], bytes]
         "no angles", "400 degrees", "zeros", "ones",
     ],
 )  # fmt: skip
-def test_damaged_answers_of_a_2diy_are_no_pose_and_no_force(spoil: Spoil) -> None:
-    """Whatever comes in place of an answer, the last pose stays and the force ends within `quiet_s`; the next whole
-    answer mends it; if none comes, the run ends and the bytes are told."""
+def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
+    """A damaged answer repeats the last pose and the force ends within `quiet_s`; the next valid answer restores both.
+    Without one the run ends and the reason contains the bytes."""
     with two_diy(quiet_s=0.02, timeout_s=1.0) as (servo, device, board, port):
         known = fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -213,8 +213,8 @@ def test_damaged_answers_of_a_2diy_are_no_pose_and_no_force(spoil: Spoil) -> Non
         assert "its last bytes are" in device.reason()
 
 
-def test_an_answer_in_two_parts_is_read_when_it_is_whole() -> None:
-    """The rest of an answer a tick later is no pose before, and one after."""
+def test_an_answer_in_two_parts_is_read_once_complete() -> None:
+    """An answer received in two ticks gives a pose only once it is complete."""
     with two_diy() as (servo, _, _, port):
         fresh(servo)
         parts: list[bytes] = []
@@ -234,10 +234,10 @@ def test_an_answer_in_two_parts_is_read_when_it_is_whole() -> None:
 
 
 def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
-    """The board waits for the rest of a frame, and the driver for its answer: after `quiet_s` a zero with resync bytes
-    in front ends the wait, so that no other byte of the host is read as a torque or a command, and the run goes on."""
+    """If the board waits for the rest of a frame and the driver for its answer, then after `quiet_s` a zero with
+    preceding resync bytes ends the wait: no other byte is read as a torque or command, and the run continues."""
     with two_diy(quiet_s=0.02, timeout_s=2.0) as (servo, _, board, port):
-        for at in (1, 3, 6, 9):  # of the device's number, and of both torques
+        for at in (1, 3, 6, 9):  # of the device number, and of both torques
             fresh(servo)
             setups, logged = board.setups, len(board.log)
             cut = at
@@ -260,7 +260,7 @@ def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
 
 
 def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() -> None:
-    """A reset leaves the motors on and the board deaf to torques: the run ends, and closing sets it up to zero it."""
+    """After a reset the motors retain their force and torques are ignored: the run ends, and closing zeroes them."""
     with two_diy(quiet_s=0.02, timeout_s=0.3) as (servo, device, board, _):
         fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -271,13 +271,13 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
             servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
             time.sleep(0.001)
         assert status in (PROTOCOL, TIMEOUT)
-        assert any(board.torques)  # so the board is
+        assert any(board.torques)  # the motors retain their force
         device.close()
         assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
 
 
-def test_links_of_a_2diy_in_line_give_no_force_and_say_so() -> None:
-    """Where the outer links come into line there is no torque, and the write says so and counts."""
+def test_aligned_links_of_a_2diy_give_no_force() -> None:
+    """If the outer links align the torque is zero, the write returns STALE, and the pose is counted as singular."""
     with two_diy(kinematics={**rig_kinematics("haply-2diy"), "outer_m": 0.0875}) as (servo, device, board, _):
         board.angles = [168.0, 12.0]
         fresh(servo)
@@ -296,15 +296,15 @@ def rig_kinematics(rig: str) -> dict[str, Any]:
     return kinematics
 
 
-def test_a_described_rig_without_a_port_writes_to_none() -> None:
-    """With neither ids nor a path no port is opened: the error names what is attached."""
+def test_a_described_rig_without_a_port_is_rejected() -> None:
+    """A rig without ids and path opens no port: the error asks for a path."""
     for rig in ("haply-2diy", "hapkit"):
         with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
             open_device(rig_options(rig), 1000.0)
 
 
-def test_a_board_that_never_answers_is_told() -> None:
-    """A port where nobody answers: the time is named, and what to check."""
+def test_a_board_that_never_answers_raises_an_error() -> None:
+    """The error of a port without answers contains the time and what to check."""
     board = Firmware()
     with Port(board) as port:
         port.mute.set()
@@ -313,7 +313,7 @@ def test_a_board_that_never_answers_is_told() -> None:
 
 
 def test_the_sketch_switches_off_by_itself(library: Path) -> None:
-    """Without a frame the Hapkit's motor is off after 50 ms, as its sketch says, and no sooner than frames may come."""
+    """Without frames the Hapkit's sketch switches its motor off after 50 ms, and not before 45 ms."""
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)
@@ -326,8 +326,7 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
 
 
 def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
-    """The handle is where the joint has it, across jumps of the sensor; crc8 keeps bytes that are lost, doubled or
-    changed from being a pose."""
+    """The position follows the joint, also across jumps of the sensor; crc8 rejects damaged frames."""
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)

@@ -1,5 +1,7 @@
-"""The whole daemon on described boards: contact, faults in contact, a second program, every signal, and kill -9. What
-the motors had is in the boards' own logs, with times."""
+"""The daemon on described boards: contact, faults in contact, a second program, all signals, and kill -9.
+
+The boards log the forces of their motors with times.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,15 @@ from softfinger.server.app import Daemon
 pytestmark = pytest.mark.real_time
 
 FLOOR = (168.0, 12.0)
-"""Angles of the 2DIY's links where its rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
+"""Link angles at which the 2DIY's rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
 ZEROS = bytes.fromhex("5a0000a3") * 2
 """Two frames to a Hapkit, without torque."""
 DEEP = (142.0, 38.0)
-"""And where the fingertip is some 4 mm in it."""
+"""Angles at which the fingertip is some 4 mm deep."""
 
 
 def rig(name: str, path: str) -> Rig:
-    """A shipped rig on an emulated board; a thread of a busy machine may answer late."""
+    """Load a shipped rig for an emulated board; a thread of a busy machine may answer late."""
     changes: dict[str, Any] = {
         "device.path": path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
         "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -50,7 +52,7 @@ def rig(name: str, path: str) -> Rig:
 
 @contextmanager
 def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
-    """A daemon that pushes a 2DIY's handle out of a floor."""
+    """Daemon that pushes a 2DIY's handle out of a floor."""
     board = Firmware()
     with Port(board) as port, Daemon(rig("haply-2diy", port.path), load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -89,7 +91,7 @@ def tear(port: Port) -> None:
 def test_faults_in_contact_end_the_daemon_without_force(
     fault: Callable[[Port], None], error: type[DeviceError], words: str
 ) -> None:
-    """Unplugged, silent, NaN, torn answers: the run ends with its own error, and the motors are off when it does."""
+    """The daemon ends with the error of each fault, and the motors are off when it does."""
     with pressing() as (daemon, board, port):
         begun = time.monotonic()
         fault(port)
@@ -101,9 +103,9 @@ def test_faults_in_contact_end_the_daemon_without_force(
         assert begun <= off <= ended + 1.0
 
 
-def test_a_late_board_goes_on() -> None:
-    """A board that answers after 5 ms gets a new force every few ticks, and the run goes on; one after 150 ms loses its
-    force, and has it again when it is in time."""
+def test_a_late_board_continues() -> None:
+    """A board that answers after 5 ms gets a new force every few ticks and the run continues. One that answers after
+    150 ms loses its force until it is in time again."""
     with pressing() as (daemon, board, port):
         for late, stays in ((0.005, True), (0.15, False)):
 
@@ -140,7 +142,7 @@ def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
 def command(
     name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    """`softfinger run` in a process of its own."""
+    """Run `softfinger run` in a separate process."""
     words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
     try:
@@ -164,8 +166,7 @@ SIGNALS = [
 
 @pytest.mark.parametrize(("number", "code"), SIGNALS)
 def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, tmp_path: Path) -> None:
-    """Each catchable signal ends the daemon with its code, and the board has a zero; meanwhile a second program finds
-    the port held."""
+    """A catchable signal ends the daemon with its code and zero; a second program finds the port in use."""
     board = Firmware()
     with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
         press(board, process)
@@ -188,7 +189,7 @@ def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, 
 
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:
-    """Take the handle into the floor, once the daemon runs, and wait until it is pushed out."""
+    """Move the handle into the floor once the daemon runs, and wait until it is pushed out."""
     until = time.monotonic() + 120.0
     while board.taken < 50:
         assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
@@ -202,8 +203,8 @@ def press(board: Firmware, process: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.parametrize("watched", [pytest.param(False, marks=pytest.mark.exhaustive), True])
-def test_a_killed_program_leaves_a_2diy_its_force_unless_it_is_watched(watched: bool, tmp_path: Path) -> None:
-    """The firmware has no watchdog: after kill -9 the last torque stays. A watcher takes it off."""
+def test_a_watcher_ends_the_force_of_a_killed_program(watched: bool, tmp_path: Path) -> None:
+    """The firmware has no watchdog: after kill -9 it retains the last torque, unless a watcher zeroes it."""
     board = Firmware()
     more = ("--watcher",) if watched else ()
     with Port(board) as port, command("haply-2diy", port.path, tmp_path, *more) as process:
@@ -221,10 +222,10 @@ UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-def test_a_line_that_stalls_gives_no_old_force_and_one_that_is_dead_no_word_of_zero(tmp_path: Path) -> None:
-    """A Hapkit that streams but reads nothing for a moment gets no old force, and then its force ramps up again. If
-    the run ends while the board does not read, the exit code is 4, the log does not claim zero force, and only zeros
-    wait for the board."""
+def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
+    """A Hapkit that streams but reads nothing for a moment gets no old force; then its force ramps up again. If the
+    run ends while the board does not read, the exit code is 4, the log does not claim zero force, and only zeros wait
+    for the board."""
     stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
         board.turn(0.3)
@@ -275,7 +276,7 @@ def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
             while board.torque() < 0.02:
                 assert process.poll() is None and time.monotonic() < until
                 down = max(down - 0.004, -0.2)
-                board.turn(down)  # counted from where the board was when the port was opened, or started
+                board.turn(down)  # counted from the position at the opening of the port, or at the start of the board
                 time.sleep(0.01)
             process.kill()
             killed = time.monotonic()

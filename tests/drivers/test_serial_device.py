@@ -1,5 +1,8 @@
-"""The exchange with a serial device: contract, one answer for each frame, silences, damaged frames, a blocked port,
-zero at every shutdown. The port is a pseudo terminal: the system's own code of terminals, with an emulated board."""
+"""Exchange with a serial device: contract, one answer per frame, silences, damaged frames, blocked port, zero at
+shutdown.
+
+The port is a pseudo terminal: the system's code of terminals, with an emulated board.
+"""
 
 from __future__ import annotations
 
@@ -37,13 +40,13 @@ pytestmark = pytest.mark.real_time
 STEP_M = 0.5e-6 * 1.001
 """A frame has micrometres: half of one, and rounding."""
 STEP_RAD = 1e-4
-"""Angles have four places: half of the last one in each of four joints, and they add up at most."""
+"""Angles have four digits: half of the last in each of four joints, which add up at most."""
 STEP_N = 0.5e-3 * 1.001
 """A frame has millinewtons: half of one, and rounding."""
 
 
 class Bench(driver_contract.Bench):
-    """An emulated board at the end of a pseudo terminal; refusals of a port on a plain file."""
+    """Bench with an emulated board at the end of a pseudo terminal; refusals of a port come from a plain file."""
 
     force_step_n: ClassVar[float] = STEP_N
     patience_s: ClassVar[float] = 10.0
@@ -88,11 +91,11 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 class TestContract(driver_contract.DriverContract):
-    """The contract over both forms of a frame, an emulated board behind each."""
+    """The contract over both forms of a frame, with an emulated board each."""
 
 
 def turned(axis: str, angle: float) -> np.ndarray:
-    """Rotation matrix about an axis."""
+    """Return the rotation matrix about an axis."""
     c, s = math.cos(angle), math.sin(angle)
     return {
         "x": np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
@@ -102,7 +105,7 @@ def turned(axis: str, angle: float) -> np.ndarray:
 
 
 def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """Rotation matrix of a unit quaternion, by its columns' definition q e q*."""
+    """Return the rotation matrix of a unit quaternion, by its columns' definition q e q*."""
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
@@ -110,8 +113,8 @@ def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool) -> None:
-    """The sample is the board's place and R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), turned and shifted as mounted; a force
-    in the world reaches the board in its own frame; info is the buttons."""
+    """The sample has the board's position and R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), also with a mounting; the board
+    gets the force in its frame; info contains the buttons."""
     half = math.sqrt(0.5)
     mounting = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]} if mounted else {}
     frame, origin = (turned("z", math.pi / 2), np.array([0.1, 0.2, 0.3])) if mounted else (np.eye(3), np.zeros(3))
@@ -132,8 +135,7 @@ def test_pose_and_force_in_the_world(mounted: bool) -> None:
 
 
 def test_a_force_past_the_largest_is_limited() -> None:
-    """A force of more than the rig's is cut to it in its direction, and the write says so; one that is not finite is
-    zero."""
+    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
     with board(force_max_n=5.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -151,7 +153,7 @@ def test_a_force_past_the_largest_is_limited() -> None:
 
 
 def test_a_frame_waits_for_the_answer_to_the_last() -> None:
-    """While a frame has no answer no force and no second zero follows it; the zero after a force does not wait."""
+    """Until a frame is answered, forces are HELD and a second zero is skipped, but the zero after a force is sent."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -171,8 +173,7 @@ def test_a_frame_waits_for_the_answer_to_the_last() -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause longer than the time-out a board that is late to answer is not given up: the sample of before
-    is repeated, no force goes with it, and a frame of now ends that."""
+    """After a pause a slow board does not time out: until a frame the old sample repeats without forces."""
     with board(timeout_s=1.0) as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -186,8 +187,8 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
         fresh(servo)
 
 
-def test_the_newest_of_many_frames_counts() -> None:
-    """Frames that have piled up within a tick are passed over for the newest."""
+def test_the_last_of_many_frames_is_used() -> None:
+    """The last of several queued frames is used."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -198,12 +199,12 @@ def test_the_newest_of_many_frames_counts() -> None:
             said.append(itself.frame())
         cable.say(b"".join(said))
         while (sample := fresh(servo))[2] != pytest.approx(0.02, abs=STEP_M):
-            assert sample[2] < 0.02  # a terminal may hand them over in two parts
+            assert sample[2] < 0.02  # a terminal may deliver them in two parts
         assert device.counts()["frames"] == device.counts()["bytes"] // FRAME_BYTES
 
 
-def test_a_pause_is_followed_by_a_frame_of_now() -> None:
-    """What was queued while the loop stood still is thrown away, and so is the force that was on."""
+def test_a_pause_is_followed_by_a_new_frame() -> None:
+    """After a pause of the loop, queued frames are discarded and the force is ended."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -220,8 +221,8 @@ def test_a_pause_is_followed_by_a_frame_of_now() -> None:
 
 
 def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
-    """A board that falls silent gets one zero, a newline every 100 ms and no force; after the time-out it is given up.
-    One that answers again in between goes on."""
+    """A silent board gets one zero, a newline every 100 ms and no force; after the time-out the read returns TIMEOUT. A
+    board that answers again before continues."""
     with board(quiet_s=0.02) as (device, itself, cable):
         servo = Servo(device)
         for again in (True, False):
@@ -267,9 +268,9 @@ def nonsense(text: bytes) -> Callable[[bytes], bytes]:
         "a byte lost", "two in one", "zeros", "newlines", "digits",
     ],
 )  # fmt: skip
-def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]) -> None:
-    """Whatever comes in place of a frame, the last pose stays and the force ends; a good frame mends it. A line that
-    never gets better is a device that speaks another language, and its bytes are told."""
+def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
+    """A damaged frame repeats the last pose and ends the force; a valid frame restores both. If frames are always
+    damaged, the read returns PROTOCOL and the reason contains the bytes."""
     with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
         servo = Servo(device)
         known = fresh(servo)
@@ -291,7 +292,7 @@ def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]
         assert fresh(servo)[:3] != known[:3]
         assert device.reason() == ""
         cable.spoil = spoil
-        device._block.word[BOARD.timeout_after] = 50_000_000  # ns: only from here on is a time-out waited for
+        device._block.word[BOARD.timeout_after] = 50_000_000  # ns: only from here on does the time-out matter
         while (status := servo.read()[0]) >= 0:
             cable.say(spoil(itself.frame()))
             time.sleep(0.001)
@@ -299,8 +300,8 @@ def test_damaged_frames_are_no_pose_and_no_force(spoil: Callable[[bytes], bytes]
         assert device.reason().startswith("its last bytes are b'")
 
 
-def test_a_frame_in_parts_is_read_when_it_is_whole() -> None:
-    """A frame whose second half comes a tick later is no pose before, and one after."""
+def test_a_frame_in_parts_is_read_once_complete() -> None:
+    """A frame received in two ticks gives a pose only once it is complete."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
@@ -314,7 +315,7 @@ def test_a_frame_in_parts_is_read_when_it_is_whole() -> None:
 
 
 def fill(device: SerialDevice) -> int:
-    """Write into a device's port until it takes no more, also after a while; how many bytes it took."""
+    """Write into a device's port until it accepts no more, also after a while; return the number of bytes."""
     took = full = 0
     while full < 10:
         try:
@@ -326,9 +327,9 @@ def fill(device: SerialDevice) -> int:
     return took
 
 
-def test_a_blocked_port_stops_no_tick() -> None:
-    """A board that takes nothing: writes come back at once with the force not taken, reads give the device up, stop
-    and close come back, and no force is behind what was stuck."""
+def test_a_blocked_port_does_not_block_the_loop() -> None:
+    """If the board reads nothing, writes return at once with HELD or WITHHELD, reads return TIMEOUT, `close` returns,
+    and no force follows the blocked bytes."""
     with Cable(Board(lambda _: PLACE)) as cable:
         device = opened(cable)
         servo = Servo(device)
@@ -346,9 +347,8 @@ def test_a_blocked_port_stops_no_tick() -> None:
         assert all(not any(words[:3]) for words in cable.board.sent[forces:])
 
 
-def test_a_port_is_read_only_where_something_is_there() -> None:
-    """A terminal that is asked for what it has not got waits for a thread of the kernel. In its place stands a pipe,
-    whose reader would wait for ever."""
+def test_an_empty_port_is_not_read() -> None:
+    """A read of an empty terminal waits for a kernel thread; a pipe in its place would block for ever."""
     with board(quiet_s=0.2, timeout_s=2.0) as (device, itself, _):
         servo = Servo(device)
         fresh(servo)
@@ -371,13 +371,13 @@ def test_a_port_is_read_only_where_something_is_there() -> None:
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
-    """After a write of which the port took 20 bytes, the rest comes before the next frame, so that no number is cut."""
+    """After a partial write of 20 bytes the rest is sent before the next frame, so no number is truncated."""
     with board() as (device, itself, cable):
         servo = Servo(device)
         fresh(servo)
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         settle(device, cable)
-        # The state after such a write, which no terminal can be made to do at will.
+        # State after such a write, which a terminal does not produce on demand.
         os.write(int(device._block.word[BOARD.fd]), ctypes.string_at(int(device._block.word[exchange.AT.outgoing]), 20))
         device._block.word[BOARD.unsent_bytes] = FRAME_BYTES - 20
         assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
@@ -390,7 +390,7 @@ def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of a board that is gone say so, and stop and close raise nothing."""
+    """Reads and writes of an unplugged board return LOST, and `stop` and `close` raise nothing."""
     with board() as (device, _, cable):
         servo = Servo(device)
         fresh(servo)
@@ -403,7 +403,7 @@ def test_unplugging_is_a_loss() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """Stopped from another thread twenty times over, no force follows the zero of the stop."""
+    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with board() as (device, itself, cable):
             servo = Servo(device)
@@ -419,7 +419,7 @@ def test_stop_while_the_loop_writes() -> None:
             thread.start()
             assert running.wait(10.0)
             until = time.monotonic() + 10.0
-            while not any(any(words[:3]) for words in itself.sent):  # a stop drops what the board has not read
+            while not any(any(words[:3]) for words in itself.sent):  # a stop drops bytes that the board has not read
                 assert time.monotonic() < until
                 time.sleep(0.0005)
             device.stop()
@@ -435,7 +435,7 @@ def test_stop_while_the_loop_writes() -> None:
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
-    """Arming wakes the board again and asks for a frame of now; one that has fallen silent is told before a tick."""
+    """`arm` wakes the board again and waits for a new frame; a board that no longer answers raises NoAnswer."""
     with board(wake_s=0.3, timeout_s=0.2) as (device, itself, cable):
         cable.say(20 * itself.frame())
         itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
@@ -448,8 +448,7 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 
 def test_a_sleeping_board_is_woken_at_opening() -> None:
-    """A board that starts slowly is kicked until it speaks; one that never does, and one that speaks nonsense, are
-    told apart."""
+    """A slow board is woken until it answers; a silent board and one that sends garbage raise different errors."""
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
         threading.Timer(0.3, cable.mute.clear).start()
@@ -479,14 +478,14 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         ("baud", 12345, "baud = 12345: must be one of"),
     ],
 )
-def test_options_that_cannot_be_are_refused(key: str, value: object, message: str) -> None:
-    """Each fault of a rig is named with its key, what was given, and what would be right."""
+def test_invalid_options_are_rejected(key: str, value: object, message: str) -> None:
+    """The error names the key, the value and the range."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         rig_options(**{key: value})
 
 
 def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
-    """Compiled afresh, the C functions name nothing outside themselves but system calls, clock and libm."""
+    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {
         "read",
         "write",
@@ -500,7 +499,7 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
         "acos",
         "atan",
     }
-    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
+    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     functions_of = {
         exchange.read: IO_SIGNATURE,
         exchange.write: IO_SIGNATURE,
@@ -510,7 +509,7 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
     found = set[str]()
     for function, signature in functions_of.items():
         ir = numba.cfunc(signature, error_model="numpy")(function.__wrapped__).inspect_llvm()
-        # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+        # without the wrapper that would report an exception, which `error_model="numpy"` never raises
         bodies = functions(ir)
         called = {name for body in bodies.values() for name in called_in(body)}
         outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}

@@ -1,4 +1,4 @@
-"""The exchange with a serial board call by call: which bytes go out, what a frame is taken for, what is counted."""
+"""Exchange with a serial board, call by call: bytes sent, decoding of frames, counters."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ ZERO = (0.0,) * 6
 
 
 def frame(x: float, y: float, z: float, *rest: float) -> bytes:
-    """A text frame of the board: mm, rad, info."""
+    """Return a text frame from the board: mm, rad, info."""
     a, b, d, e, info = rest or (0.0, 0.0, 0.0, 0.0, 0)
     return f"{x:.3f} {y:.3f} {z:.3f} {a:.4f} {b:.4f} {d:.4f} {e:.4f} {info}".ljust(63).encode() + b"\n"
 
 
 def text(*milli: int) -> bytes:
-    """A text frame to the board."""
+    """Return a text frame to the board."""
     return " ".join(map(str, [*milli, 2, 0, 0, 0])).ljust(63).encode() + b"\n"
 
 
 class Board:
-    """A driver's block with a port by a script, in the middle of a conversation."""
+    """A driver's block with a scripted port, after the first sample."""
 
     block: GuardedBlock
 
@@ -56,7 +56,7 @@ class Board:
         self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
         self.block.fixed = [(AT.model, AT.last_position)]
-        if given is not None:  # no text comes
+        if given is not None:  # no text is received
             self.block.fixed.append((AT.incoming, len(self.word)))
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
@@ -64,7 +64,7 @@ class Board:
         self.word[BOARD.read_at] = self.word[BOARD.kicked_at] = START_NS
 
     def _read(self, fd: int, address: int, size: int, word: int) -> int:
-        """Nothing is read past what there is room for."""
+        """Check that no byte is read beyond the buffer."""
         assert word == self.block.handle + 8 * AT.ioctl_scratch
         if self.word[AT.kind] == exchange.TEXT:
             assert address + size <= self.block.handle + self.word.nbytes
@@ -84,28 +84,27 @@ class Board:
         return self.block.call(lambda handle: exchange._wake(exchange.Serial(), handle))
 
     def sent(self) -> bytes:
-        """What the board has got since it was last asked for."""
+        """Return the bytes that the board received since the last call."""
         out = b"".join(self.port.sent)
         self.port.sent.clear()
         return out
 
     def counts(self) -> dict[str, int]:
-        """The counters that are not 0."""
+        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """WoodenHaptics' board, mounted turned and shifted, that has answered everything."""
+    """WoodenHaptics' board with a rotated and shifted mounting, without unanswered frames."""
     return Board(rig_options(**TEXT, mounting=MOUNTING), monkeypatch)
 
 
-# --- WoodenHaptics' text ---------------------------------------------------------------------------------
+# --- WoodenHaptics' text ---
 
 
 def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
-    """R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE) and the place, as mounted; info is a word of 16 bits; time from the
-    opening."""
+    """The world pose has R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE); info has 16 bits; time counts from opening."""
     a, b, d, e = 0.3, 0.5, 0.7, -1.1
     status, sample = board.read(frame(10.0, 20.0, -15.0, a, b, d, e, -2))
     assert status == OK
@@ -117,13 +116,13 @@ def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
 
 
 def test_every_bit_of_info_is_a_button(board: Board) -> None:
-    """Of 16, and of no more."""
+    """Exactly 16 bits are buttons."""
     for info in (1, 2, 32767, -32768, 4096):
         assert board.read(frame(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, info))[1][8] == info % 65536
 
 
-def test_frames_of_one_tick_are_counted_and_the_newest_is_taken(board: Board) -> None:
-    """Three at once: two were passed over. What makes none is misread, until the next frame."""
+def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
+    """The last of several frames is used, earlier ones are counted as drained, other bytes as misread."""
     status, sample = board.read(frame(1.0, 0.0, 0.0) + frame(2.0, 0.0, 0.0) + frame(3.0, 0.0, 0.0))
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
@@ -137,8 +136,7 @@ def test_frames_of_one_tick_are_counted_and_the_newest_is_taken(board: Board) ->
 
 
 def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
-    """Of a device that sends without end a tick takes 16 kB, four times what the kernel keeps for a port; what is left
-    is the next tick's."""
+    """A tick reads at most 16 kB, four times the kernel's queue of a port; the rest is read in the next tick."""
     assert board.read(b" " * 40_000)[0] == STALE
     assert board.counts() == {"bytes": 16 * 1024}
     assert board.port.reads == 16
@@ -147,11 +145,11 @@ def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
     assert board.counts() == {"bytes": 40_000}
     reads = board.port.reads
     board.read(b" " * (CHUNK - 1))
-    assert board.port.reads == reads + 1  # a read that brings less has taken all there was
+    assert board.port.reads == reads + 1  # a shorter read has emptied the port
 
 
 def test_a_port_that_fails_is_lost(board: Board) -> None:
-    """Reads, forces and the newline of a wake say so."""
+    """Reads, forces and the newline of a wake return LOST."""
     board.port.error = 5
     assert board.read()[0] == LOST
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
@@ -166,7 +164,7 @@ def test_a_port_that_fails_is_lost(board: Board) -> None:
 
 
 def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
-    """To the nearest mN, in the frame of the mounting; past the largest it is cut, and said so."""
+    """Forces are in mN in the frame of the mounting; beyond the maximum they are scaled and the write returns STALE."""
     board.read(frame(0.0, 0.0, 0.0))
     assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert board.sent() == text(-1000, -500, 2000)
@@ -177,22 +175,22 @@ def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
 
 
 def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """5 N on a board that displays 5 N are not limited."""
+    """A force of exactly the maximum is not limited."""
     board = Board(rig_options(**TEXT), monkeypatch)
     assert board.write(0.0, -3.0, 4.0, 0.0, 0.0, 0.0) == OK
     assert board.sent() == text(0, -3000, 4000)
     assert board.counts() == {"written": 1}
 
 
-def test_a_force_waits_for_the_whole_answer_to_the_last(board: Board) -> None:
-    """While 63 of the 64 bytes have come no force and no second zero goes out; the zero after a force does not wait."""
+def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
+    """With 63 of 64 bytes received, forces are HELD and a second zero is skipped, but a force is ended."""
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     board.read(frame(0.0, 0.0, 0.0)[:63])
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
     assert board.sent() == text(0, 0, 1000)
     assert board.write(*ZERO) == OK
     assert board.sent() == text(0, 0, 0)
-    assert board.write(*ZERO) == OK  # the board has it already
+    assert board.write(*ZERO) == OK  # the board has zero already
     assert board.sent() == b""
     board.read(b"\n" + frame(0.0, 0.0, 0.0)[:62])
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
@@ -203,7 +201,7 @@ def test_a_force_waits_for_the_whole_answer_to_the_last(board: Board) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A zero goes out over a missing answer as long as the board has a force, whichever way that is."""
+    """A zero is sent despite a missing answer while the board has a force, along any axis."""
     board = Board(rig_options(**TEXT), monkeypatch)
     wrench = [0.0] * 6
     wrench[axis] = 1.0
@@ -215,8 +213,8 @@ def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.M
     assert board.word[BOARD.has_force] == 0
 
 
-def test_a_zero_into_a_silence_is_for_a_board_with_a_force(board: Board) -> None:
-    """Where nothing has been heard for `quiet_s` a board that has zero gets nothing more, and no force."""
+def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> None:
+    """After `quiet_s` without an answer, a board with zero force gets no bytes, and forces are withheld."""
     board.clock.now += 21 * MS
     assert board.write(*ZERO) == OK
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -227,8 +225,8 @@ def test_a_zero_into_a_silence_is_for_a_board_with_a_force(board: Board) -> None
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
-    """Taken in pieces of 20, 0, 10 and the rest: no other byte comes between them, and a frame of which nothing was
-    taken is not sent."""
+    """A frame accepted in pieces of 20, 0, 10 and the rest is not interrupted by other bytes, and a frame of which no
+    byte was accepted is not counted as sent."""
     board.port.room = 20
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (44, 1)
@@ -236,9 +234,9 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     board.port.room = 10
     assert board.write(*ZERO) == HELD
     assert board.word[BOARD.unsent_bytes] == 34
-    assert not board.block.call(exchange.silence)  # as long as a force is on its way, it is not done
+    assert not board.block.call(exchange.silence)  # not done until the pending force is sent
     board.port.room = 34
-    assert board.write(*ZERO) == HELD  # finished; of the zero nothing was taken
+    assert board.write(*ZERO) == HELD  # frame completed, but no byte of the zero was accepted
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (0, 1)
     assert board.sent() == text(0, 0, 1000)
     assert board.counts() == {"written": 1}
@@ -248,8 +246,8 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     assert board.counts() == {"written": 2}
 
 
-def test_what_is_left_of_a_frame_goes_out_behind_it(board: Board) -> None:
-    """Where the port takes the rest at once, nothing is left."""
+def test_the_rest_of_a_frame_is_sent_at_once(board: Board) -> None:
+    """If the port accepts the rest at once, no bytes remain unsent."""
     taken = iter([20, None])
     write = board.port.write
 
@@ -273,7 +271,7 @@ def test_what_is_left_of_a_frame_goes_out_behind_it(board: Board) -> None:
 
 
 def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
-    """One with a force gets its zero in front; a port that takes nothing has not been kicked."""
+    """A board with a force gets a zero before the newline; a port that accepts nothing is not counted as kicked."""
     assert board.wake() == OK
     assert board.sent() == b"\n"
     board.word[BOARD.has_force] = 1
@@ -284,43 +282,42 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
     assert board.wake() == OK
     assert board.sent() == b"" and board.counts() == {"kicks": 2, "written": 1}
     board.word[BOARD.has_force] = 1
-    assert board.wake() == HELD  # nor has its force been ended
+    assert board.wake() == HELD  # its force was not ended
     board.port.room = 20
     assert board.wake() == OK
-    assert board.sent() == text(0, 0, 0)[:20]  # and no newline in the middle of it
+    assert board.sent() == text(0, 0, 0)[:20]  # no newline in the middle of a frame
     assert board.wake() == HELD
     assert board.counts() == {"kicks": 2, "written": 2}
 
 
 @pytest.mark.parametrize("room", [1, 63])
-def test_a_single_byte_counts(room: int, board: Board) -> None:
-    """One byte that was taken, and one that was not: the frame is not sent again."""
+def test_a_frame_of_which_one_byte_was_sent_is_not_repeated(room: int, board: Board) -> None:
+    """A frame with one byte accepted, or one byte missing, is completed and not sent again."""
     board.port.room = room
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.word[BOARD.unsent_bytes] == 64 - room
-    board.port.room = -1  # a port that says 0
+    board.port.room = -1  # a port that returns 0
     assert board.write(*ZERO) == HELD
     board.port.room = None
     assert board.write(*ZERO) == OK
     assert board.sent() == text(0, 0, 1000) + text(0, 0, 0)
 
 
-def test_a_port_that_says_that_it_took_nothing_is_full(board: Board) -> None:
-    """Whether it says so by an error or by 0."""
+def test_a_port_that_accepts_nothing_is_full(board: Board) -> None:
+    """A full port returns an error or 0."""
     board.port.room = -1
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == HELD
     assert board.counts() == {}
 
 
-def test_a_frame_that_comes_byte_by_byte(board: Board) -> None:
-    """Each tick has one; the last makes the frame."""
+def test_a_frame_received_byte_by_byte(board: Board) -> None:
+    """A frame received byte by byte gives a pose at the last byte."""
     whole = frame(1.0, 0.0, 0.0)
     assert [board.read(bytes([byte]))[0] for byte in whole] == [STALE] * 63 + [OK]
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
-    """After `quiet_s` each `kick_s`, and once it is longer than `timeout_s` the board is given up: what came and made
-    no frame says whether it speaks at all."""
+    """After `quiet_s` the board is woken; after `timeout_s` enough bytes without a frame give PROTOCOL."""
     board.clock.now += 21 * MS
     board.word[BOARD.read_at] = board.clock.now
     board.word[BOARD.kicked_at] = START_NS - 100 * MS
@@ -331,12 +328,12 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
     assert board.read(b"x" * 64)[0] == PROTOCOL
 
 
-# --- frames that a rig describes -------------------------------------------------------------------------
+# --- frames described in a rig ---
 
 
 def described(**changes: Any) -> Options:
-    """A board with a handle on a rail or more of a place, a quaternion, buttons and a gripper in its frames, answered
-    one by one and told by their length alone."""
+    """Options of a board whose frames have a position, a quaternion, buttons and a gripper, and are answered one by
+    one; an answer is identified by its length."""
     fields = [("x", 1), ("y", 5), ("z", 9), ("qw", 13), ("qx", 17), ("qy", 21), ("qz", 25)]
     frames = {
         "mode": "answer",
@@ -369,24 +366,24 @@ def described(**changes: Any) -> Options:
 
 
 def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
-    """Its frame."""
+    """Return a frame from the board."""
     place, q = numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0)
     return b"\7" + struct.pack("<7fBB", *place, *q, buttons, gripper)
 
 
 def given(x: int, y: int, z: int) -> bytes:
-    """A frame to it, in 0.1 mN."""
+    """Return a frame to the board, in 0.1 mN."""
     return b"\2" + struct.pack("<4h", x, y, z, 258)
 
 
 @pytest.fixture
 def other(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """A described board that has answered everything."""
+    """Described board without unanswered frames."""
     return Board(described(), monkeypatch)
 
 
 def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
-    """Place and orientation as mounted, buttons and gripper as they are; a quaternion of zeros is no orientation."""
+    """The pose follows the mounting, buttons and gripper are unchanged; a zero quaternion is a protocol error."""
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
@@ -397,8 +394,7 @@ def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
 
 
 def test_a_force_is_written_as_described(other: Board) -> None:
-    """In the board's frame, with its marks and constants; what a motor or a field cannot hold is limited, and counted;
-    an end of a force is a frame of zeros."""
+    """Forces are in the board's frame, with start bytes and constants; those beyond motor or field are limited."""
     other.read(answer(0.0, 0.0, 0.0))
     assert other.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert other.sent() == given(-10000, -5000, 20000)
@@ -406,7 +402,7 @@ def test_a_force_is_written_as_described(other: Board) -> None:
     assert other.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
     assert other.sent() == given(0, 0, -32768)
     other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # the field alone
+    assert other.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
     assert other.sent() == given(32767, 0, 0)
     other.read(answer(0.0, 0.0, 0.0))
     assert other.write(*ZERO) == OK
@@ -415,8 +411,8 @@ def test_a_force_is_written_as_described(other: Board) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_force_along_one_axis_is_driven(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever axis it is; what the one before left in the frame is gone."""
+def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A force along any axis sets `has_force`, and no value of the previous frame remains."""
     other = Board(described(mounting={}), monkeypatch)
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = 1.0
@@ -428,8 +424,8 @@ def test_a_force_along_one_axis_is_driven(axis: int, monkeypatch: pytest.MonkeyP
     assert other.sent() == given(0, 0, 0)
 
 
-def test_resync_bytes_stand_in_front_of_a_frame_whose_last_was_not_answered(other: Board) -> None:
-    """The zero after a force that has no answer ends a torn frame first; where all is answered, none are sent."""
+def test_resync_bytes_follow_an_unanswered_frame(other: Board) -> None:
+    """A frame after an unanswered one is preceded by resync bytes, which end a torn frame."""
     assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert other.sent() == given(0, 0, 10000)
     assert other.write(*ZERO) == OK
@@ -442,8 +438,8 @@ def test_resync_bytes_stand_in_front_of_a_frame_whose_last_was_not_answered(othe
     assert other.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
 
 
-def test_a_described_board_is_woken_once_its_frame_is_finished(other: Board) -> None:
-    """A port that takes nothing holds the kick back; one that is gone is lost."""
+def test_a_described_board_is_woken_after_its_frame(other: Board) -> None:
+    """A full port delays the kick until the pending frame is complete."""
     other.port.room = 3
     assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert other.wake() == HELD
@@ -454,8 +450,8 @@ def test_a_described_board_is_woken_once_its_frame_is_finished(other: Board) -> 
     assert other.counts() == {"written": 2, "kicks": 1}
 
 
-def test_an_answer_that_is_known_by_its_length_begins_with_the_request(other: Board) -> None:
-    """Bytes that came before it are thrown away; of a stream they may be the beginning of a frame, and are kept."""
+def test_bytes_before_a_request_are_discarded(other: Board) -> None:
+    """If an answer is identified by its length, bytes received before the request are discarded."""
     other.read(b"\7\7\7")
     other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     status, sample = other.read(answer(0.25, 0.0, 0.0))
@@ -466,7 +462,7 @@ def test_an_answer_that_is_known_by_its_length_begins_with_the_request(other: Bo
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])
 def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where it began before the last frame was sent; a stream is not asked, so that no force waits for it."""
+    """A frame with marks is also found if it started before the request; streams do not delay forces."""
     fields = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
     marked = {"mode": mode, "input": {"bytes": 14, "start": [7], "end": [9], "field": fields}}
     board = Board(described(frames=marked), monkeypatch)
@@ -476,7 +472,7 @@ def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: p
         assert board.write(0.0, 0.0, force, 0.0, 0.0, 0.0) == (OK if force == 1.0 or mode == "stream" else HELD)
     status, sample = board.read(whole[5:])
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
-    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]  # none is sensed, so none is turned
+    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]  # no orientation is sensed, so none is rotated
 
 
 PANTOGRAPH = {
@@ -495,9 +491,10 @@ PANTOGRAPH = {
 
 
 def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the links are in line there is no torque; where they are not, a force past the motors is cut."""
+    """With the links in line the torque is zero; elsewhere it is limited, with another counter."""
     board = Board(described(**PANTOGRAPH), monkeypatch)
-    # both inner links out along the line of their joints: 0.178 m apart at their ends, more than the outer ones reach
+    # both inner links outward along the line of their joints: their ends are 0.178 m apart, beyond the reach of the
+    # outer links
     for angles, counts in (((np.pi, 0.0), {"singular": 1}), ((np.radians(150.0), np.radians(30.0)), {"cut": 1})):
         before = board.counts()
         assert board.read(struct.pack("<2f", *angles))[0] == OK
@@ -515,7 +512,7 @@ def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: p
 
 
 def delta() -> Options:
-    """Three legs, unmounted."""
+    """Options of a delta with three legs, without mounting."""
     legs = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
     torques = [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
     kinematics = {
@@ -527,7 +524,7 @@ def delta() -> Options:
 
 
 def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Legs of a delta that do not meet: a place of NaN, which the guard answers with zero."""
+    """Legs of a delta that cannot meet give a position of NaN, for which the guard commands zero."""
     board = Board(delta(), monkeypatch)
     status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
     assert status == OK and np.isnan(sample[:3]).all()
@@ -537,7 +534,7 @@ def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPa
 
 
 def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    """tau . d(angles) = f . d(place), with the place's change from two samples."""
+    """tau . d(angles) = f . d(position), with the change of position from two samples."""
     board = Board(delta(), monkeypatch)
     angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
     ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]

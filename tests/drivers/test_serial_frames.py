@@ -1,4 +1,4 @@
-"""Frames as text: published examples, every number exactly, any bytes at all, and a stream that loses its place."""
+"""Text frames: published examples, exact numbers, random bytes, resynchronisation of a stream."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.jit.decorators import entry
 
 pytestmark = pytest.mark.plain
 
-# A frame that the maker's program shows as one of its device (haptikfabrikenapi, src/uhaptikfabriken.h).
+# A frame in the maker's program, from its device (haptikfabrikenapi, src/uhaptikfabriken.h).
 PUBLISHED = b" -59.276   13.383 -148.002   0.0919 -1.8483  1.0370 -1.9512 0"
 NUMBER = rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
 FRAME = re.compile(rb" *(" + NUMBER + rb")" + 6 * (rb" +(" + NUMBER + rb")") + rb" +([+-]?[0-9]+)[ \n]*\n")
@@ -36,8 +36,7 @@ def decode_all(given: Any, values: Any, usable: Any) -> None:
 
 @entry
 def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
-    """Hand a stream over in pieces of these sizes; the numbers of each piece's last frame go to `found`. `scratch` is
-    for two frames' numbers."""
+    """Process a stream in pieces; store the numbers of each piece's last frame in `found`. `scratch` has two rows."""
     at = came = 0
     newest = scratch[1]
     for size in sizes:
@@ -57,7 +56,7 @@ def encode_once(x: float, y: float, z: float, frame: Any) -> None:
 
 
 def decoded(*given: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (n, NUMBERS) of frames, and which of them are frames."""
+    """Return numbers (n, NUMBERS) of frames, and which of them are valid."""
     rows = np.frombuffer(b"".join(given), np.uint8).reshape(-1, FRAME_BYTES)
     values, usable = np.full((len(rows), NUMBERS), np.nan), np.zeros(len(rows), np.bool_)
     decode_all(rows, values, usable)
@@ -72,7 +71,7 @@ def encoded(*force: float) -> bytes:
 
 
 def expected(frame: bytes) -> list[float] | None:
-    """The numbers by a regular expression and Python's own float; None where the bytes are no frame."""
+    """Return the numbers by a regular expression and Python's float, or None if the bytes are no frame."""
     match = FRAME.fullmatch(frame)
     if match is None or any(sum(48 <= c <= 57 for c in text) > frames.DIGITS_MAX for text in match.groups()):
         return None
@@ -83,14 +82,14 @@ def expected(frame: bytes) -> list[float] | None:
 
 @pytest.mark.parametrize("end", [b"", b"\n"], ids=["one newline", "two newlines"])
 def test_the_published_frame(end: bytes) -> None:
-    """The maker's own example is read to its digits, with and without the newline before the padding."""
+    """The maker's example is decoded to its digits, with and without a newline before the padding."""
     values, usable = decoded(framed(PUBLISHED + end))
     assert usable.all()
     assert values[0].tolist() == [-59.276, 13.383, -148.002, 0.0919, -1.8483, 1.0370, -1.9512, 0.0]
 
 
 def test_frames_to_the_device() -> None:
-    """Millinewtons to the nearest, the command for forces, three zeros, blanks and a newline: 64 bytes."""
+    """A frame has rounded millinewtons, the command for forces, three zeros, blanks and a newline: 64 bytes."""
     assert encoded(0.1, -2.0, 3.3333) == framed(b"100 -2000 3333 2 0 0 0")
     assert encoded(0.0, -0.0, 0.0) == framed(b"0 0 0 2 0 0 0")
     assert encoded(-0.0004, 0.0006, 0.009) == framed(b"0 1 9 2 0 0 0")
@@ -98,8 +97,8 @@ def test_frames_to_the_device() -> None:
 
 
 @given(st.tuples(*[st.floats(-32.0, 32.0)] * 3))
-def test_every_force_is_written_to_the_nearest_millinewton(force: tuple[float, float, float]) -> None:
-    """Any force that options allow comes out as whole numbers, in a frame of its length."""
+def test_forces_are_rounded_to_a_millinewton(force: tuple[float, float, float]) -> None:
+    """Any force within the options' range is rounded to the closest millinewton, in a frame of 64 bytes."""
     words = encoded(*force).split()
     assert [int(word) for word in words] == [*(floor(1e3 * f + 0.5) for f in force), 2, 0, 0, 0]
 
@@ -114,20 +113,20 @@ def test_every_force_is_written_to_the_nearest_millinewton(force: tuple[float, f
         b"\n0 0 0 0 0 0 0 0", b"0\t0 0 0 0 0 0 0", b"0 0 0 0 0 0 0 0\0", b"0 0 0 0 0 0 0 0 x", b"", b"9" * 63,
     ],
 )  # fmt: skip
-def test_what_is_no_frame_is_refused(text: bytes) -> None:
-    """Not a number, too long, too large, too many or too few, a stray byte: never a pose."""
+def test_invalid_frames_are_rejected(text: bytes) -> None:
+    """Values that are not finite, out of range or too long, a wrong count of values, and stray bytes are rejected."""
     assert not decoded(framed(text))[1].any()
     assert expected(framed(text)) is None
 
 
-def test_a_frame_has_its_newline_last() -> None:
-    """Without the newline at its end, 64 bytes are no frame."""
+def test_a_frame_ends_with_a_newline() -> None:
+    """64 bytes without a newline at the end are no frame."""
     assert not decoded(framed(PUBLISHED)[:-1] + b" ")[1].any()
 
 
 @pytest.mark.scaled
 def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
-    """Frames with bytes replaced at random: within bounds or refused, some of them compared with Python's reading."""
+    """Frames with random bytes are decoded within bounds or rejected; a part is compared with Python."""
     generator = np.random.default_rng(17)
     alphabet = np.frombuffer(b"0123456789" * 4 + b" .-+ .-+einfax,\n\r\0\xff\x80", np.uint8)
     base = np.frombuffer(framed(PUBLISHED) + framed(PUBLISHED + b"\n"), np.uint8).reshape(2, FRAME_BYTES)
@@ -153,17 +152,17 @@ def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
 
 
 def numbered(n: int) -> bytes:
-    """A frame whose numbers all tell n, so that one made of two can be told; either kind of end in turn."""
+    """Return a frame with `n` in each number, so that a frame made of two is detectable; the ends alternate."""
     mm, rad = n / 1e3, n / 1e4
     text = f"{mm: 8.3f} {-mm: 8.3f} {2 * mm: 8.3f} {rad: 7.4f} {-rad: 7.4f} {rad: 7.4f} 0 {n}"
     return framed(text.encode() + b"\n" * (n % 2))
 
 
 @pytest.mark.scaled
-def test_a_stream_finds_its_place_again(cases: Callable[[int, int], int]) -> None:
-    """Frames with bytes lost, doubled, changed and put in, in pieces of any size: every whole frame behind a
-    whole one is found, and nothing is read that was not sent. No two neighbours are damaged, and none by a frame's
-    length: where just 64 bytes remain of two frames, nothing in the format tells."""
+def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) -> None:
+    """Frames with bytes removed, repeated, changed and inserted, in pieces of any size: each valid frame after a valid
+    frame is found, and no other is read. No two neighbours are damaged, and none by the length of a frame: if just 64
+    bytes of two frames remain, the format cannot detect it."""
     generator = np.random.default_rng(23)
     stream, whole, count = bytearray(), [], cases(4000, 20_000)
     for n in range(count):
@@ -178,7 +177,7 @@ def test_a_stream_finds_its_place_again(cases: Callable[[int, int], int]) -> Non
             frame = frame[:at] + generator.bytes(size) + frame[at:]
         whole.append(frame == numbered(n))
         stream += frame
-    sizes = generator.integers(1, FRAME_BYTES + 1, len(stream) // 16)  # so that a piece ends one frame at most
+    sizes = generator.integers(1, FRAME_BYTES + 1, len(stream) // 16)  # so that a piece completes at most one frame
     sizes = sizes[np.cumsum(sizes) <= len(stream)]
     found = np.zeros((len(sizes), NUMBERS))
     buffer = np.full(LOOKBACK + FRAME_BYTES, frames.NEWLINE, np.uint8)

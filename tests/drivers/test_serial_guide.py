@@ -1,4 +1,4 @@
-"""The guide of docs/devices/serial.md: its rig, as printed, runs the board that it describes, from check to a floor."""
+"""Guide of docs/devices/serial.md: its printed rig passes `check` and renders a floor on the board it describes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAGE = "devices/serial.md"
 
 
 def printed(folder: Path) -> Path:
-    """The rig of the page, saved under its title."""
+    """Save the rig of the page under its title."""
     ((_, title, text),) = [fence for fence in fences(PAGE) if fence[1]]
     path = folder / title
     path.write_text(text)
@@ -36,8 +36,7 @@ def printed(folder: Path) -> Path:
 def test_the_printed_rig_is_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each command of the page for a terminal succeeds in the reader's folder, and says along which line the handle
-    moves."""
+    """Each shell command of the page succeeds in the folder of the rig, and `check` prints the direction of motion."""
     printed(tmp_path)
     monkeypatch.chdir(tmp_path)
     lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]
@@ -53,8 +52,8 @@ def test_the_printed_rig_is_checked(
         ("hapkit", "on an arc, in its middle along (0.00, 0.00, 1.00) of the world; forces across it are shown"),
     ],
 )
-def test_check_says_in_what_a_device_moves(rig: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """For devices of one and two degrees of freedom; others have no such line."""
+def test_check_prints_the_motion_of_a_device(rig: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`check` prints the motion of devices with one and two degrees of freedom only."""
     assert main(["check", rig]) == 0
     assert words in capsys.readouterr().out
     assert main(["check", "woodenhaptics-v3"]) == 0
@@ -63,8 +62,8 @@ def test_check_says_in_what_a_device_moves(rig: str, words: str, capsys: pytest.
 
 @pytest.mark.real_time
 def test_the_printed_rig_runs(tmp_path: Path) -> None:
-    """A daemon on the page's rig renders a floor on the board: no torque above it, one that lifts the handle in it, and
-    none once the daemon has ended."""
+    """A daemon on the page's rig renders a floor on the board: no torque above it, a torque that lifts the handle in
+    it, and none after the daemon has ended."""
     with GuideBoard() as board:
         board.angle = 0.3  # 24 mm up, and the fingertip has a radius of 10
         changes: dict[str, Any] = {
@@ -125,7 +124,7 @@ outer_m = 0.1
 origin_m = [0.025, 0.12, 0.0]
 torque_max_nm = 0.05
 """
-"""As somebody writes it who follows the page, for a board with another protocol."""
+"""A rig written by the page's instructions, for a board with another protocol."""
 
 
 def asked_rig(folder: Path, board: AskedBoard, check: str) -> Rig:
@@ -140,9 +139,9 @@ def opened_by(rig: Rig) -> Device:
 
 
 @pytest.mark.real_time
-def test_a_board_with_another_protocol_runs_by_the_page(tmp_path: Path) -> None:
-    """High byte first, answers, a checksum of another kind each way: the place is where two circles meet, by symmetry;
-    a force along y takes opposite torques, whose work is its own; buttons arrive; no request was damaged."""
+def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
+    """Big-endian numbers, answers, and different checksums in each direction: the position is the intersection of two
+    circles, a force along y gives opposite torques with the same work, buttons are read, and no request is damaged."""
     out = np.deg2rad(60.0)
     with AskedBoard() as board:
         board.angles, board.buttons = (np.pi - out, out), 5
@@ -150,7 +149,7 @@ def test_a_board_with_another_protocol_runs_by_the_page(tmp_path: Path) -> None:
             device.arm()
             servo = Servo(device)
             sample = fresh(servo)
-            elbow = 0.025 + 0.08 * np.cos(out)  # beside the middle
+            elbow = 0.025 + 0.08 * np.cos(out)  # from the middle
             height = 0.08 * np.sin(out) + np.sqrt(0.1**2 - elbow**2)
             # steps of 0.01 degrees, on links within 0.2 m
             np.testing.assert_allclose(sample[:3], (0.0, height - 0.12, 0.0), atol=0.2 * 1.75e-4)
@@ -167,8 +166,8 @@ def test_a_board_with_another_protocol_runs_by_the_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.real_time
-def test_a_board_that_takes_another_checksum_is_told_by_what_it_was_sent(tmp_path: Path) -> None:
-    """It answers nothing, as if it had no power: the error has the frame that it would have to answer."""
+def test_a_board_with_another_checksum_never_answers(tmp_path: Path) -> None:
+    """A board that rejects the checksum never answers, as if without power: the error contains the unanswered frame."""
     with AskedBoard() as board:
         with pytest.raises(DeviceTimeout, match=r"sends no frame within 0\.5 s.*has not answered 55 54 00 00 00 00 "):
             opened_by(asked_rig(tmp_path, board, "crc16-ccitt"))

@@ -23,7 +23,7 @@ SERIAL = [name for name in shipped(Rig) if 'driver = "serial"' in find(name, Rig
 
 @pytest.mark.parametrize("rig", SERIAL)
 def test_shipped_rigs_fit(rig: str) -> None:
-    """Every shipped serial rig fits its line at its own rate."""
+    """Each shipped serial rig fits its line at its rate."""
     config = load_rig(rig)
     registry.check(config.device, config.servo.rate_hz)
 
@@ -42,7 +42,7 @@ def test_shipped_rigs_fit(rig: str) -> None:
         ({"baud": 115200}, 1920.0, ""),
         ({"baud": 115200}, 1921.0, "set baud to 230400 or more"),
         ({"baud": 2000000}, 8000.0, ""),
-        # a port that the system calls so is a board's own USB, and one of a chip is a line
+        # ttyACM is the USB port of a board, ttyUSB and ttyS are lines
         ({"baud": 9600, "path": "/dev/ttyACM0"}, 1000.0, ""),
         ({"baud": 9600, "path": "/dev/ttyUSB0"}, 1000.0, "960 bytes/s"),
         ({"baud": 9600, "path": "/dev/ttyS0"}, 1000.0, "960 bytes/s"),
@@ -52,7 +52,7 @@ def test_shipped_rigs_fit(rig: str) -> None:
         ({"baud": 9600, "vendor_id": 0x16C0, "product_id": 0x0483, "path": "/dev/ttyUSB3"}, 1000.0, "960 bytes/s"),
     ],
 )  # fmt: skip
-def test_what_fits_a_line(changes: dict[str, object], rate_hz: float, says: str) -> None:
+def test_frames_are_compared_with_the_line_rate(changes: dict[str, object], rate_hz: float, says: str) -> None:
     """Compare a hapkit's frames with baud / 10 in each direction; accept ports without a line rate."""
     if not says:
         line.check(rig_options("hapkit", **changes), rate_hz, "rig")
@@ -61,21 +61,21 @@ def test_what_fits_a_line(changes: dict[str, object], rate_hz: float, says: str)
         line.check(rig_options("hapkit", **changes), rate_hz, "rig")
 
 
-def test_a_link_is_followed_to_its_port(tmp_path: Path) -> None:
+def test_a_link_has_the_line_rate_of_its_port(tmp_path: Path) -> None:
     """A link such as those in /dev/serial/by-id has the line rate of its target."""
     link = tmp_path / "usb-board"
     link.symlink_to("/dev/ttyACM0")
     line.check(rig_options("hapkit", baud=9600, path=str(link)), 1000.0, "rig")
 
 
-def test_no_speed_is_offered_where_none_is_enough() -> None:
+def test_no_baud_rate_is_suggested_if_none_suffices() -> None:
     """64 bytes at 8 kHz need more than 2 MBd."""
     text = rig_options("woodenhaptics-v3", vendor_id=None, product_id=None)
     with pytest.raises(ConfigError, match=r"arrive late: lower servo\.rate_hz"):
         line.check(text, 8000.0, "rig")
 
 
-def test_check_and_run_refuse_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_and_run_reject_a_slow_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`check` returns exit code 2, and opening raises before it looks for the port, also for a changed rate."""
     text = find("hapkit", Rig).read_text()
     slow, fits = tmp_path / "slow.toml", tmp_path / "fits.toml"

@@ -1,4 +1,4 @@
-"""The whole daemon on an emulated board behind a pseudo terminal: closed loop, faults, a second program, signals."""
+"""The daemon on an emulated board behind a pseudo terminal: closed loop, faults, a second program, signals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LIFT_M = 0.012
 
 
 def comes_to_rest(board: Board) -> bool:
-    """Whether its force ends: when the daemon has, the last zero is on the line, and the board reads it in its turn."""
+    """Return True if the board's force ends; the board may read the last zero after the daemon has ended."""
     until = time.monotonic() + 5.0
     while board.force != (0.0, 0.0, 0.0) and time.monotonic() < until:
         time.sleep(0.001)
@@ -40,7 +40,7 @@ def comes_to_rest(board: Board) -> bool:
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
-    """The shipped rig on an emulated board; a thread of a busy machine may answer late."""
+    """Load the shipped rig for an emulated board; a thread of a busy machine may answer late."""
     base = {
         "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
         "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -49,8 +49,8 @@ def rig(cable: Cable, **changes: Any) -> Rig:
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """A hand presses into the plane, drags and lets go: modes and forces are the engine's on the same poses, the poses
-    are the board's to its micrometres, the forces reach it and hold its hand up, and the last one is zero."""
+    """A hand presses into the plane, drags and releases: modes and forces equal the engine's on the same poses, poses
+    equal the board's to its micrometres, the forces support its hand, and the last is zero."""
     board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
     scene = load_scene("paper-plane")
     with Cable(board) as cable:
@@ -62,16 +62,16 @@ def test_closed_loop_through_the_daemon() -> None:
     assert compared > 300, "the guard left too few ticks in contact to compare"
     places = records[:, AT.probe_position : AT.probe_position + 3] * 1e6
     np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
-    # What the board was sent are forces of the ticks, to the millinewton, in their order.
+    # The board received forces of the ticks, to the millinewton, in order.
     given = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
     felt = [row for row in np.round(reached * 1e3).tolist() if any(row)]
     assert len(felt) > 300
     assert all(any(row == tick for tick in given) for row in felt)
-    # The hand's spring (300 N/m) and the wall's share what the hand means to press; without a wall it would be 4 mm.
+    # The hand's spring (300 N/m) and the wall's share the hand's depth; without a wall it would be 4 mm.
     stiffness = scene.object[0].material.stiffness_n_per_m
-    # It presses half of the time: the middle of that half, since a board that answers late lets the hand go deeper.
+    # It presses half of the time: the middle of that half, since a late board lets the hand go deeper.
     depth = (0.010 - np.percentile(places[:, 2], 25) * 1e-6) / 0.004
-    assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # it drags meanwhile
+    assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # it drags at the same time
     assert not reached[-1].any()
     assert comes_to_rest(board)
 
@@ -97,7 +97,7 @@ def garble(cable: Cable) -> None:
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    """A board unplugged, mute or garbled while it pushes ends the daemon with its own error, and without force."""
+    """A board unplugged, mute or garbled while it pushes ends the daemon with the matching error, without force."""
     board = Board(lambda _: (0.0, 0.0, 0.006))
     with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -113,8 +113,7 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 
 
 def test_the_command_line_on_a_port(tmp_path: Path) -> None:
-    """`run` on a rig that names the port: it starts, a second one finds the port held by it, and a signal ends it in
-    order, with the force off."""
+    """`run` uses the rig's port, a second run finds it in use, and a signal ends the first with zero force."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"

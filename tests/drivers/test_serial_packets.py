@@ -1,4 +1,4 @@
-"""Frames that a rig describes: published checksums, both byte orders, a stream that is damaged, and what is refused."""
+"""Frames described in a rig: published checksums, byte orders, damaged streams, invalid descriptions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PUBLISHED = {"sum8": 0xDD, "xor8": 0x31, "crc8": 0xF4, "crc16-ccitt": 0x29B1, "c
 
 @entry
 def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: Any, found: Any) -> int:
-    """Hand a stream over in pieces; the newest value of `a` after each piece with a frame. `how`: aligned, rows."""
+    """Process a stream in pieces, and store the last value of `a` of each piece with a frame. `how`: aligned, rows."""
     shape, fields, scratch, spare, newest = memory
     at = came = 0
     for size in sizes:
@@ -62,7 +62,7 @@ def found_in(frame: InputFrame, stream: bytes, sizes: Any, aligned: bool = False
 @pytest.mark.parametrize("kind", CHECKS)
 @pytest.mark.parametrize("big", [False, True])
 def test_checksums_of_the_catalogue(kind: Any, big: bool) -> None:
-    """Of the digits 1 to 9 each gives its published value, in the order of the frame; any other byte is refused."""
+    """Each checksum of the digits 1 to 9 equals its published value in both byte orders; damage is rejected."""
     frame = Frame(bytes=12, check=Checksum(kind=kind, offset=10, first=1))
     shape = packets.make_shape(frame, big)
     data = np.frombuffer(b"!" + DIGITS + b"\0\0", np.uint8).copy()
@@ -85,7 +85,7 @@ def build_fields(kind: str, offset: int, **more: Any) -> Any:
 @pytest.mark.parametrize(("kind", "code"), [("int16", "h"), ("uint32", "I"), ("float32", "f")])
 @pytest.mark.parametrize("big", [False, True])
 def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
-    """Python's struct and the table agree on every type, from and to the board."""
+    """Each type is decoded like Python's struct in both byte orders."""
     order = ">" if big else "<"
     frame = InputFrame(bytes=6, start=(7,), end=(9,), field=build_fields(kind, 1))
     size = struct.calcsize(code)
@@ -94,7 +94,7 @@ def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
 
 
 def numbered(n: int) -> bytes:
-    """A frame with a mark and a CRC."""
+    """Return a frame with a mark and a CRC."""
     frame = Frame(bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5))
     data = np.frombuffer(b"\xa5" + struct.pack("<i", n) + b"\0", np.uint8).copy()
     packets.complete_frame_once(data, packets.make_shape(frame, False))
@@ -102,10 +102,9 @@ def numbered(n: int) -> bytes:
 
 
 @pytest.mark.scaled
-def test_a_damaged_stream_finds_its_place_again(cases: Callable[[int, int], int]) -> None:
-    """Frames with bytes lost, doubled, put in or changed, in pieces of any size: numbers only rise, what was
-    never sent is read not more often than a CRC of eight bits lets through, and every whole frame behind two whole
-    ones is found."""
+def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) -> None:
+    """Frames with bytes removed, repeated, inserted or changed, in pieces of any size: numbers increase, wrong frames
+    are as rare as an 8 bit CRC implies, and each valid frame after two valid ones is found."""
     rng = np.random.default_rng(41)
     stream, whole, count = bytearray(), [], cases(2500, 10_000)
     for n in range(count):
@@ -127,7 +126,7 @@ def test_a_damaged_stream_finds_its_place_again(cases: Callable[[int, int], int]
         bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5), field=build_fields("int32", 1, least=0, most=1e5)
     )
     found = found_in(given, bytes(stream), sizes)
-    # a piece of six bytes may end one frame and hold another: of two in a piece the newer counts
+    # a piece of six bytes may complete one frame and contain another: the later of two in a piece counts
     rising = [n for n in found if n == int(n) and int(n) < count]
     wrong = len(found) - len(rising) + int((np.diff(rising) <= 0).sum())
     assert wrong <= 10  # at most some 3000 damaged frames, each with a few marks in it, 1 in 256 of which pass
@@ -136,8 +135,8 @@ def test_a_damaged_stream_finds_its_place_again(cases: Callable[[int, int], int]
     assert len(certain - {int(n) for n in found}) <= 10
 
 
-def test_an_answer_without_a_checksum_has_its_length() -> None:
-    """Just as many bytes as answers have are an answer, in as many pieces as they come; one more or fewer is none."""
+def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
+    """Exactly the bytes of an answer, in any pieces, are one; another length or a number out of range is none."""
     frame = InputFrame(bytes=9, start=(5,), field=build_fields("float32", 5, least=-4.0, most=4.0))
     answer = b"\x05" + struct.pack("<ff", 1.0, 0.5)
     assert found_in(frame, answer, [9], aligned=True) == [0.5]
@@ -153,8 +152,7 @@ def test_an_answer_without_a_checksum_has_its_length() -> None:
 
 @pytest.mark.scaled
 def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
-    """Bytes of any kind, in pieces of any size: nothing out of a field's range is read, with a checksum next to
-    nothing, and the buffer never holds more than two frames."""
+    """Random bytes in any pieces give no value outside a field's range, and with a checksum next to none."""
     rng = np.random.default_rng(43)
     count = cases(5000, 1_000_000)
     stream = rng.bytes(count)
@@ -169,7 +167,7 @@ def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
 
 
 def test_shipped_frames_byte_by_byte() -> None:
-    """What both shipped rigs send is what the makers' programs send."""
+    """The frames of both shipped rigs equal those of the makers' programs."""
     frames = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames
     assert frames is not None and frames.setup is not None
     assert _encode_frame(frames.output, frames) == b"\x02\x05" + bytes(8)
@@ -205,7 +203,7 @@ CHANGES: list[tuple[str, Any, str]] = [
     ("path", "value", "message"), CHANGES, ids=[f"{path} {value}"[:40] for path, value, _ in CHANGES]
 )
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
-    """Each fault of a description is named with its key, what was given, and what would be right."""
+    """The error of a description names the key, the value and the expected value."""
     options = copy.deepcopy(dict(load_rig("hapkit").device.options))
     *way, last = path.split(".")
     at: Any = options

@@ -1,4 +1,4 @@
-"""The serial port of a device: found, opened for this process alone, refused with what to do."""
+"""Serial port of a device: search by ids, exclusive opening, errors with instructions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from softfinger.drivers.system import discovery
 
 
 def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
-    """Absent, no port, held by this or another process: each is its own error with what to do."""
+    """A missing path, a file, and a port in use by this or another process raise different errors with instructions."""
     with pytest.raises(DeviceNotFound, match=r"ttyACM9 cannot be opened: No such file.*plug"):
         open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
     for path in ("/dev/null", str(tmp_path / "file")):
@@ -33,7 +33,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         command = [sys.executable, "-c", OPEN, cable.path]
         other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
         assert other.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
-        # A program that asks for no lock is kept out by the port itself, unless it runs as root.
+        # TIOCEXCL also excludes programs without a lock, unless they run as root.
         user, mine = os.geteuid(), rig_options(path=cable.path)
         if user == 0:
             os.chmod(cable.path, 0o666)
@@ -61,14 +61,14 @@ except Exception as error:
 
 
 def test_a_port_without_permission() -> None:
-    """A user who may not open the port is told the group that may, or the command that lets him."""
+    """The error without permission contains the group to join or the command that grants it."""
     folder = tempfile.mkdtemp(dir="/tmp")
     node, user = Path(folder) / "ttyACM9", os.geteuid()
     try:
         node.write_bytes(b"")
         Path(folder).chmod(0o755)
         cases = [(0o000, "run `sudo .* install --system`, and plug the device in again")]
-        if user == 0:  # who alone may give a file to another group
+        if user == 0:  # only root may change a file's group
             os.chown(node, 0, 20)
             cases.append((0o060, r"run `sudo usermod -aG dialout \$USER`, and log in again"))
         for mode, said in cases:
@@ -85,8 +85,8 @@ def test_a_port_without_permission() -> None:
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A port is looked for by the rig's ids; of several the serial number tells, and none is an error that lists what
-    is there. A path of another device is refused."""
+    """The port is found by the rig's ids, and by serial number if there are several; without one the error lists the
+    attached ports. A path of another device is rejected."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
@@ -112,9 +112,9 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
         port.open_port(rig_options(path="/dev/ttyUSB0"))
 
 
-def test_a_board_is_not_known_by_its_ids_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any Teensy has 16c0:0483: one whose product string tells nothing is not opened before somebody names its port,
-    and a Haply Inverse3 never; ids that a rig gives for another board are nobody else's."""
+def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any Teensy has 16c0:0483: one with a generic product string is opened only if the rig names its port or serial
+    number, and a Haply Inverse3 never. The ids of another board are sufficient."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))

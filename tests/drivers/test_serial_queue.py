@@ -1,8 +1,8 @@
-"""Forces that wait in a serial port: frames that a simulated board receives, by board, port, line fault and exit.
+"""Forces queued in a serial port: frames that a simulated board receives, by board, port, line fault and exit.
 
 The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write,
-and the driver of a USB chip ignores a flush. The simulated boards parse frames with their own code. The test with a
-real daemon and a real clock is in `test_serial_boards_loop`.
+and the driver of a USB chip ignores a flush. The simulated boards have independent frame parsers. The test with a real
+daemon and a real clock is in `test_serial_boards_loop`.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Port:
 
 
 class Reader:
-    """Frame parser of a board. `given` has one entry per frame: whether it has a force, and its age at arrival (ms)."""
+    """Frame parser of a board. `given` has one entry per frame: if it has a force, and its age at arrival (ms)."""
 
     def __init__(self) -> None:
         self.given: list[tuple[bool, float]] = []
@@ -104,7 +104,7 @@ class Reader:
         raise NotImplementedError
 
     def streams(self) -> bytes:
-        """Return the bytes that the board sends unasked in one millisecond."""
+        """Return the bytes that the board sends without a request in one millisecond."""
         return b""
 
     @property
@@ -149,7 +149,7 @@ class Haply2diy(Reader):
         if self.rest[0] != 2:
             self.rest = b""
         elif len(self.rest) >= 10:
-            # a frame cut short takes resync bytes for its rest: 1e-36 N m
+            # resync bytes complete a truncated frame with 1e-36 N m
             self.given.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
             self.rest = b""
             return b"\5" + struct.pack("<2f", 30.0, 150.0)
@@ -280,7 +280,7 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No board receives a force that waited behind two others, and the last force after an exit is zero. A USB chip
-    cannot drop what it has accepted, so at most three old forces arrive there."""
+    cannot discard bytes it has accepted, so at most three old forces arrive there."""
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -292,13 +292,13 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     run.goes_on()
     kept = 3 if kind == "chip" else 0
     assert old_forces(run) <= kept
-    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= kept + 1  # one that was being carried
+    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= kept + 1  # one force was being transmitted
     assert not run.reader.pushes
-    # confirmed if it has gone out, and only then
+    # confirmed only if the line transmits the zero
     assert bool(failure) == (held and end is stopped)
 
 
-def test_a_stop_says_why_its_zero_is_not_confirmed(
+def test_a_stop_reports_why_its_zero_is_not_confirmed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A stop reports bytes that do not leave, a full port and a lost port. It logs once, and only the first attempt
@@ -349,7 +349,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     run.port.stalled = True
     run.ticks(2)
     assert run.statuses[20:] == [OK] * 2
-    waiting = len(run.port.waiting)  # the one of the tick before the stall, too
+    waiting = len(run.port.waiting)  # including the frame of the tick before the stall
     assert waiting == 3 * 4
     run.ticks(50)
     assert run.statuses[22:] == [WITHHELD] * 50
@@ -372,8 +372,8 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 def test_a_board_that_stops_reading_is_given_up_in_time(
     timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The board keeps its force while it sends poses but reads nothing. The run ends after 0.25 s, as for any device
-    that accepts no force, or after a shorter `timeout_s`, also if the loop meanwhile commands zero."""
+    """The board retains its force while it sends poses but reads nothing. The run ends after 0.25 s, as for any device
+    that accepts no force, or after a shorter `timeout_s`, also if the loop commands zero."""
     run = Run("hapkit", "uart", 10.0, monkeypatch, timeout_s=timeout_s)
     run.ticks(20)
     assert run.reader.pushes
@@ -410,8 +410,8 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     assert len(run.port.waiting) == 64
 
 
-def test_who_writes_is_not_flushed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`discard` disarms while another thread writes, and returns 0 so that the caller tries again."""
+def test_discard_does_not_interrupt_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`discard` disarms while another thread writes, and returns 0 so that the caller repeats the call."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.word[BOARD.lock] = 1

@@ -1,4 +1,4 @@
-"""The simulated device behind its C functions: it feels what is written, stops in order, and repeats to the bit."""
+"""Simulated device behind its C functions: motion under force, stop, determinism, options."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from softfinger.server.driver_contract import Servo
 AT = [0.0, 0.0, 0.02]
 LOOSE = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 0.0, "stiffness_n_per_m": 0.0}}
 BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
-"""A mass and nothing else."""
+"""Only a mass."""
 
 
 def opened(rate_hz: float = 1000.0, **options: Any) -> Simulated:
     return open_device(build(Options, options, "[device]"), rate_hz)
 
 
-def test_force_moves_the_handle_and_stop_lets_it_go_on() -> None:
-    """A mass of 0.5 kg under 1 N goes t^2 m; after stop no force acts, whatever is written, and it flies straight."""
+def test_a_force_moves_the_handle_until_stop() -> None:
+    """A mass of 0.5 kg under 1 N moves by t^2 m; after `stop` forces are withheld and its speed is constant."""
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
         servo, x = Servo(device), []
         for n in range(100):
@@ -46,13 +46,13 @@ def test_force_moves_the_handle_and_stop_lets_it_go_on() -> None:
         device.stop()
         assert servo.write(1.0, 0, 0, 0, 0, 0) == WITHHELD
         flown = np.diff([servo.read()[1][0] for _ in range(50)])
-    # The stop falls before the tick of the last write: the speed is that of 99 ticks.
-    np.testing.assert_allclose(flown, 0.099 * 2.0 * 0.001, rtol=1e-9)  # a way of 2e-4 m as a difference of 2e-2 m
+    # The stop precedes the tick of the last write: the speed is that of 99 ticks.
+    np.testing.assert_allclose(flown, 0.099 * 2.0 * 0.001, rtol=1e-9)  # a step of 2e-4 m as a difference of 2e-2 m
     assert device.logged().wrench[-1].tolist() == [0.0] * 6
 
 
-def test_force_is_held_until_the_next_is_written() -> None:
-    """Reads without a write go on under the last force, as motors do."""
+def test_a_force_continues_until_the_next_write() -> None:
+    """Without a write the last force continues, as with motors."""
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
         servo = Servo(device)
         servo.read()
@@ -62,7 +62,7 @@ def test_force_is_held_until_the_next_is_written() -> None:
 
 
 def test_free_hand_follows_its_recording() -> None:
-    """Without force a stiff hand without friction is where the recording is, and turned as the recording is."""
+    """Without force, a stiff hand without friction follows position and orientation of its recording."""
     wanted = resample(load_poses("tap"), 1000.0)
     hand = {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}
     with opened(recording="tap", loop=False, hand=hand, **BARE) as device:
@@ -71,22 +71,22 @@ def test_free_hand_follows_its_recording() -> None:
         assert [status for status, _ in reads] == [OK] * len(wanted)
         assert servo.read() == (END, reads[-1][1])
     samples = np.array([sample for _, sample in reads])
-    # Spring and damper leave m a / k behind: 0.3 kg, 3 m/s^2 (a tap of 10 mm within 0.08 s has 9) over 1e5 N/m.
+    # Spring and damper cause an error of m a / k: 0.3 kg, 3 m/s^2 (a tap of 10 mm within 0.08 s has 9) over 1e5 N/m.
     assert np.abs(samples[:, :3] - wanted[:, :3]).max() < 1e-4
     assert samples[:, 3:7].tobytes() == np.ascontiguousarray(wanted[:, 3:]).tobytes()
 
 
 @pytest.mark.parametrize("preset", ["omega.3", "falcon"])
 def test_devices_without_a_wrist_sense_no_rotation(preset: str) -> None:
-    """Three sensed degrees of freedom: the orientation stays the unit quaternion while the recording turns."""
+    """Devices with three sensed degrees of freedom return the unit quaternion, though the recording rotates."""
     with opened(preset=preset) as device:
         servo = Servo(device)
         assert {tuple(servo.read()[1][3:7]) for _ in range(4000)} == {(1.0, 0.0, 0.0, 0.0)}
         assert device.info.sensed_dof == device.info.actuated_dof == 3
 
 
-def test_sway_is_a_sinusoid_about_the_place() -> None:
-    """The hand's intention is position + amplitude sin(2 pi f t + phase), to rounding, also after a million ticks."""
+def test_sway_is_a_sinusoid_about_the_position() -> None:
+    """The hand's goal is position + amplitude sin(2 pi f t + phase), to rounding, also after a million ticks."""
     device = opened(position_m=AT, sway_m=[0.001, 0.0, 0.002], sway_hz=7.3, sway_phase_rad=0.4)
     simulation = device.simulation
     for n in (0, 1, 500, 10**6):
@@ -98,7 +98,7 @@ def test_sway_is_a_sinusoid_about_the_place() -> None:
 
 
 def test_two_runs_are_equal_to_the_bit() -> None:
-    """The same writes give the same samples and the same log, with every effect of the preset on."""
+    """The same writes give identical samples and logs, with all effects of the preset."""
     runs = []
     for _ in range(2):
         with opened(preset="falcon", forces=None) as device:
@@ -111,8 +111,8 @@ def test_two_runs_are_equal_to_the_bit() -> None:
     assert runs[0] == runs[1]
 
 
-def test_pushed_handle_comes_back_to_rest_near_its_goal() -> None:
-    """Pushed for 50 ticks and left alone, it stands still within what friction holds against the spring."""
+def test_a_pushed_handle_returns_to_its_goal() -> None:
+    """After a push of 50 ticks the handle is at rest, as close to its goal as friction allows against the spring."""
     hand = build(Options, {}, "").hand
     with opened(preset="omega.6", position_m=AT, resolution_m=0.0) as device:
         servo, x = Servo(device), []
@@ -125,7 +125,7 @@ def test_pushed_handle_comes_back_to_rest_near_its_goal() -> None:
 
 
 def test_forces_are_saved_on_close(tmp_path: Path) -> None:
-    """With `forces` the wrenches are in the file, as a replay leaves them."""
+    """With `forces` closing saves the wrenches, in the format of a replay."""
     path = tmp_path / "forces.npz"
     with opened(position_m=AT, forces=str(path)) as device:
         servo = Servo(device)
@@ -147,7 +147,7 @@ def test_forces_are_saved_on_close(tmp_path: Path) -> None:
     ],
 )
 def test_unusable_options_name_key_and_range(options: dict[str, Any], words: list[str]) -> None:
-    """Each fault says which key, what it holds and what it may."""
+    """The error names the key, the value and the range or names."""
     with pytest.raises(ConfigError) as caught:
         build(Options, options, "rig.toml [device]")
     for word in words:
@@ -155,13 +155,13 @@ def test_unusable_options_name_key_and_range(options: dict[str, Any], words: lis
 
 
 def test_unknown_recording_is_refused() -> None:
-    """The hand's recording is looked up as a replay's is."""
+    """An unknown recording of the hand raises the error of a replay."""
     with pytest.raises(RecordingError, match="did you mean 'tap'"):
         opened(recording="tapp")
 
 
 def test_shipped_rigs_open_their_device() -> None:
-    """Every shipped rig with this driver opens, with the limits of its preset, without the puck of one."""
+    """Each shipped rig of this driver without a puck opens with the limits of its preset."""
     devices = {name: load_rig(name).device for name in shipped(Rig)}
     single = {name: device for name, device in devices.items() if device is not None}
     names = [n for n, device in single.items() if device.driver == "simulated" and "puck" not in device.options]
@@ -174,7 +174,7 @@ def test_shipped_rigs_open_their_device() -> None:
 
 
 def test_read_neither_allocates_nor_raises() -> None:
-    """Compiled afresh, the body calls mathematics alone, and returns status 0: it never reaches numba's error path."""
+    """The compiled body calls only mathematical functions and returns 0: it never reaches numba's error path."""
     function = simulated._read
     code = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc).inspect_llvm()
     bodies = [part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0]]

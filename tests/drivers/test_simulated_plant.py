@@ -1,4 +1,4 @@
-"""The simulated handle against closed forms and against a high-order integration of its equations."""
+"""Simulated handle compared with closed forms and with a high-order integration of its equations."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ GOOD = Handle((0.2,) * 3)
 
 @entry
 def travel(plant, state, commands, goals, turns, line, places, felt):
-    """One tick for each row of `commands` (n, 3); positions, velocities, motor forces, orientations -> (n, 13)."""
+    """Run one tick per row of `commands` (n, 3); store positions, velocities, motor forces and orientations (n, 13)."""
     for i in range(commands.shape[0]):
         command = (commands[i, 0], commands[i, 1], commands[i, 2])
         goal = (goals[i + 1, 0], goals[i + 1, 1], goals[i + 1, 2])
@@ -73,7 +73,7 @@ def moving(v: float) -> PlantState:
 
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_free_mass_under_constant_force(period):
-    """x = F t^2 / 2 m and v = F t / m at every tick, each axis with its own mass."""
+    """x = F t^2 / 2 m and v = F t / m at every tick, with a different mass for each axis."""
     mass, force = np.array([0.1, 0.3, 2.0]), np.array([1.0, -2.0, 0.5])
     trip = Journey(make_plant(period, Handle(tuple(mass))), np.tile(force, (500, 1)))
     t = period * np.arange(1, 501)[:, None]
@@ -82,7 +82,7 @@ def test_free_mass_under_constant_force(period):
 
 
 def test_damped_mass_runs_down():
-    """v = v0 exp(-b t / m) and x = v0 m / b (1 - exp(-b t / m)), also where b T / m is 40."""
+    """v = v0 exp(-b t / m) and x = v0 m / b (1 - exp(-b t / m)), also for b T / m = 40."""
     for b in (0.5, 5.0, 8000.0):
         trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
         t = T * np.arange(1, 201)
@@ -91,7 +91,7 @@ def test_damped_mass_runs_down():
 
 
 def test_hand_spring_swings_at_its_frequency():
-    """Let go 10 mm from the goal: x = x0 exp(-c t / 2 m) (cos w t + ...), with handle and hand one mass."""
+    """Released 10 mm from the goal: x = x0 exp(-c t / 2 m) (cos w t + ...), with handle and hand as one mass."""
     m, c, k, x0 = 0.2 + 0.1, 1.5, 300.0, 0.01
     plant = make_plant(T, Handle((0.2,) * 3), Impedance(mass=0.1, damping=c, stiffness=k))
     start = make_rest_state((0.0, 0.0, 0.0))._replace(position=(0.0, 0.0, x0))
@@ -103,7 +103,7 @@ def test_hand_spring_swings_at_its_frequency():
     np.testing.assert_allclose(trip.x[:, 2], expected, atol=1e-12 * x0)  # 2000 steps, each rounded once
 
 
-def test_lag_is_a_first_order_one():
+def test_lag_is_of_first_order():
     """The motors' force is F (1 - exp(-t / tau)), and the mass moves by its double integral."""
     m, tau, f = 0.2, 0.004, 2.0
     trip = Journey(make_plant(T, Handle((m,) * 3, lag=tau)), along_z(np.full(300, f)))
@@ -111,12 +111,12 @@ def test_lag_is_a_first_order_one():
     np.testing.assert_allclose(trip.force[:, 2], -f * np.expm1(-t / tau), rtol=1e-12)
     np.testing.assert_allclose(trip.v[:, 2], f / m * (t + tau * np.expm1(-t / tau)), rtol=1e-10)
     x = f / m * (t**2 / 2.0 - tau * t - tau**2 * np.expm1(-t / tau))
-    np.testing.assert_allclose(trip.x[:, 2], x, rtol=1e-9)  # the form itself loses digits at small t
+    np.testing.assert_allclose(trip.x[:, 2], x, rtol=1e-9)  # the closed form itself loses digits at small t
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 7, DELAY_MAX])
 def test_force_acts_after_exactly_the_delay(delay):
-    """A force commanded in tick 3 alone changes the velocity in tick 3 + d alone."""
+    """A force commanded only in tick 3 changes the velocity only in tick 3 + d."""
     commands = np.zeros((40, 3))
     commands[3] = 0.5, 1.0, -2.0
     trip = Journey(make_plant(T, Handle((0.2,) * 3, delay=delay)), commands)
@@ -125,8 +125,8 @@ def test_force_acts_after_exactly_the_delay(delay):
     np.testing.assert_allclose(steps[3 + delay], commands[3] * T / 0.2, rtol=1e-13)
 
 
-def test_saturation_keeps_the_direction():
-    """A force beyond the motors' is brought down by its norm; one within passes unchanged, to the bit."""
+def test_saturation_preserves_the_direction():
+    """A force beyond the motors' maximum is scaled to it; a smaller one is unchanged, bit for bit."""
     commands = np.array([[3.0, 0.0, 4.0], [30.0, 0.0, 40.0], [1e150, 0.0, 0.0]])
     trip = Journey(make_plant(T, Handle((0.2,) * 3, force_max=10.0)), commands)
     assert trip.force[0].tolist() == [3.0, 0.0, 4.0]
@@ -135,7 +135,7 @@ def test_saturation_keeps_the_direction():
 
 
 def test_encoders_round_to_their_nearest_step():
-    """What is sensed is a multiple of the step, at most half a step off; the true place is not touched."""
+    """The sensed position is a multiple of the step, at most half a step off; the true position is unaffected."""
     step = 1e-4
     fine = Journey(make_plant(T, Handle((0.2,) * 3)), along_z(np.full(300, 0.5)))
     coarse = Journey(make_plant(T, Handle((0.2,) * 3, resolution=step)), along_z(np.full(300, 0.5)))
@@ -157,11 +157,11 @@ CASES = {
 
 
 def wander(h: handle.Handle, period: float, n: int, seed: int):
-    """Places and speeds of the plant and of the reference, under forces and goals that wander; both (n, 2)."""
+    """Return positions and velocities (n, 2) of the plant and of the reference, under random forces and goals."""
     rng = np.random.default_rng(seed)
     commands = 0.6 * np.sin(0.21 * np.arange(n)) + 0.4 * rng.normal(size=n)
     goals = 0.002 * np.sin(0.1 * np.arange(n + 1)) + 0.0002 * rng.normal(size=n + 1)
-    goals *= 800.0 / max(800.0, h.stiffness)  # a spring that outdoes friction in every tick would never stick
+    goals *= 800.0 / max(800.0, h.stiffness)  # a spring that exceeds friction in every tick would never stick
     goals[0] = 0.0
     alone = Handle((h.mass,) * 3, (h.damping,) * 3, (h.friction,) * 3, h.lag)
     plant = make_plant(period, alone, Impedance(damping=h.hand_damping, stiffness=h.stiffness))
@@ -170,7 +170,7 @@ def wander(h: handle.Handle, period: float, n: int, seed: int):
 
 
 def assert_close(got, want):
-    assert np.array_equal(got[:, 1] == 0.0, want[:, 1] == 0.0)  # held at the same ticks
+    assert np.array_equal(got[:, 1] == 0.0, want[:, 1] == 0.0)  # stuck at the same ticks
     np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max(axis=0).min(), rtol=1e-9)
 
 
@@ -178,17 +178,17 @@ def assert_close(got, want):
 @pytest.mark.parametrize("name", list(CASES))
 @pytest.mark.parametrize("period", [0.001, 0.01])
 def test_stick_and_slip_agree_with_a_high_order_integration(name, period):
-    """Forces and goals that wander, with stops, holds and reversals inside ticks: equal to 1e-9 of the motion."""
+    """Under random forces and goals, with stops, sticking and reversals inside ticks, the motion is equal to 1e-9."""
     got, want = wander(CASES[name], period, 120, seed=5)
     if CASES[name].friction:
-        assert (want[:, 1] == 0.0).any() and (want[:, 1] != 0.0).any()  # it is held, and it moves
+        assert (want[:, 1] == 0.0).any() and (want[:, 1] != 0.0).any()  # it sticks and it moves
     assert_close(got, want)
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_random_handles_agree_with_a_high_order_integration(seed):
-    """Masses, frictions, lags and hands over their usual ranges, 8 kHz to 100 Hz: equal to 1e-9 of the motion."""
+    """Masses, frictions, lags and hands over their usual ranges, 8 kHz to 100 Hz: the motion is equal to 1e-9."""
     rng = np.random.default_rng(seed)
     h = handle.Handle(
         10.0 ** rng.uniform(-1.5, 0.5), 10.0 ** rng.uniform(-1, 1), rng.uniform(0.05, 1.0),
@@ -198,7 +198,7 @@ def test_random_handles_agree_with_a_high_order_integration(seed):
 
 
 def test_nothing_gains_energy_without_a_command():
-    """Kinetic and spring energy together never rise while nothing pushes and the hand's goal stands still."""
+    """The sum of kinetic and spring energy never increases without a force and with a constant goal of the hand."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         m, k, c = rng.uniform(0.05, 1.0), 10.0 ** rng.uniform(1, 4), rng.uniform(0.0, 5.0)
@@ -208,13 +208,13 @@ def test_nothing_gains_energy_without_a_command():
         start = make_rest_state((0.0, 0.0, 0.0))._replace(position=(0.001, -0.01, 0.02), velocity=(0.3, 0.0, -0.1))
         trip = Journey(plant, np.zeros((800, 3)), start=start)
         energy = 0.5 * m * trip.v**2 + 0.5 * k * trip.x**2
-        # Where nothing is lost, rounding alone moves it: some ulps of each tick.
+        # Without losses only rounding changes it: some ulps per tick.
         assert (np.diff(energy, axis=0) <= 1e-14 * energy[0]).all()
-        assert energy[-1, 0] < energy[0, 0]  # the axis that was thrown; another may be held where it is
+        assert energy[-1, 0] < energy[0, 0]  # the axis with an initial velocity; another may stick at its start
 
 
 def test_orientation_follows_directly_or_with_its_lag():
-    """Without lag it is the hand's to the bit; with one, the angle to a goal at rest falls as exp(-t / tau)."""
+    """Without lag the orientation equals the hand's; with lag tau the angle decreases as exp(-t / tau)."""
     angle, tau = 1.2, 0.02
     turned = (np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0)
     turns = np.array([STILL] + [turned] * 100)
@@ -240,13 +240,13 @@ def test_orientation_follows_directly_or_with_its_lag():
     ],
 )
 def test_impossible_numbers_are_refused(period, alone, hand):
-    """A plant of no mass, of no period or with negative parts is a ValueError, not a kernel full of nan."""
+    """Zero mass, zero period or negative parameters raise ValueError."""
     with pytest.raises(ValueError, match="must"):
         make_plant(period, alone, hand)
 
 
 def test_matrix_exponential_agrees_with_scipy():
-    """For matrices of any size of entries, growing, decaying, turning and nilpotent."""
+    """Equality for matrices of any scale: growing, decaying, rotating and nilpotent."""
     rng = np.random.default_rng(1)
     for scale in (1e-6, 0.1, 1.0, 30.0):
         for matrix in (rng.normal(size=(7, 7)), np.triu(rng.normal(size=(5, 5)), 1), -np.eye(3)):
@@ -258,13 +258,13 @@ def test_matrix_exponential_agrees_with_scipy():
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("lag", [0.0, 0.02])
-def test_what_decays_comes_to_rest(lag):
-    """Pushed for 20 ms and let go, it ends at 0 and not among denormal numbers; before that it decays as it should."""
+def test_decaying_states_reach_zero(lag):
+    """After a push of 20 ms the state decays with the correct rate to exactly 0, without denormal numbers."""
     commands = np.zeros((20000, 3))
     commands[:20] = 0.3, -0.2, 0.1
     moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)
     for told in (moved.v, moved.force):
         assert np.all((told == 0.0) | (np.abs(told) >= FLUSH_MAX))
     assert np.all(moved.v[-1] == 0.0) and np.all(moved.force[-1] == 0.0)
-    # Half a second after the push nothing but the handle's own damping is left: v falls by exp(-B T / M) a tick.
+    # Half a second after the push only the handle's damping remains: v decreases by exp(-B T / M) per tick.
     assert moved.v[3000, 0] / moved.v[2999, 0] == pytest.approx(np.exp(-3.0 / 0.2 * T), rel=1e-12)

@@ -1,4 +1,4 @@
-"""The SpaceMouse: the driver contract, its reports, rate control against closed forms, and what goes wrong."""
+"""SpaceMouse: driver contract, reports, rate control against closed forms, faults."""
 
 from __future__ import annotations
 
@@ -37,12 +37,11 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate_devices
 
 PAST = 350 - 15
-"""Counts past the usual deadband at full deflection."""
+"""Counts beyond the usual deadband at full deflection."""
 
 
 class PuckBench(Bench):
-    """A puck at the end of a packet socket, which keeps the borders of reports as a hidraw node does; refusals of a
-    node on a plain file."""
+    """Bench with a puck at a packet socket, which preserves reports; refusals come from a plain file."""
 
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 
@@ -101,7 +100,7 @@ def puck(**options: Any) -> Iterator[tuple[SpaceMouse, Servo, socket.socket]]:
 
 
 def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
-    """Time (s), way (3,) and samples from the first of some reads, 2 ms apart, to the last."""
+    """Return the time (s), the displacement (3,) and the samples of some reads, 2 ms apart."""
     samples = []
     for _ in range(reads):
         status, sample = servo.read()
@@ -122,14 +121,14 @@ def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
         ({"up": 350}, (0, 0, 1)),
     ],
 )
-def test_a_push_moves_that_way(kind: Any, deflection: dict[str, int], direction: tuple[int, ...]) -> None:
-    """Pushed to the right, away or up all the way, the fingertip goes there at gain times counts past the deadband."""
+def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direction: tuple[int, ...]) -> None:
+    """Full deflection moves the fingertip right, away or up with gain times counts beyond the deadband."""
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
         seconds, way, table = over(servo)
     assert seconds > 0.006
-    # whatever the clock did: rounding of sums of a few centimetres
+    # for any clock: rounding of sums of a few centimetres
     np.testing.assert_allclose(way, np.array(direction) * 2e-4 * PAST * seconds, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(table[:, 3:7], np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
 
@@ -144,9 +143,9 @@ def test_a_push_moves_that_way(kind: Any, deflection: dict[str, int], direction:
         ({"nose_down": -350, "clockwise": 350}, (1, 0, -1)),
     ],
 )
-def test_a_twist_turns_that_way(kind: Any, deflection: dict[str, int], axis: tuple[int, ...]) -> None:
-    """Nose down is about -x, roll to the right about +y, clockwise from above about -z, and a twist about several axes
-    turns about the axis between them: right-handed rotation vectors, in the world, whatever was turned before."""
+def test_a_twist_rotates_the_fingertip(kind: Any, deflection: dict[str, int], axis: tuple[int, ...]) -> None:
+    """Nose down rotates about -x, roll to the right about +y, clockwise from above about -z, and several together about
+    the axis between them: right-handed rotation vectors in the world, independent of the orientation."""
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
@@ -158,8 +157,8 @@ def test_a_twist_turns_that_way(kind: Any, deflection: dict[str, int], axis: tup
     assert not way.any()
 
 
-def test_a_puck_in_its_deadband_moves_nothing() -> None:
-    """Up to the deadband nothing moves, one count past it moves with one count: no step in speed."""
+def test_a_puck_in_its_deadband_does_not_move() -> None:
+    """Up to the deadband the speed is zero, one count beyond it has the speed of one count: no step in speed."""
     with puck(deadband=20.0) as (_, servo, end):
         end.send(emulated.combined(right=20, away=-20, clockwise=20)[0])
         _, way, table = over(servo)
@@ -170,8 +169,8 @@ def test_a_puck_in_its_deadband_moves_nothing() -> None:
         np.testing.assert_allclose(way, (2e-4 * seconds, 0, 0), rtol=0, atol=1e-15)
 
 
-def test_axes_can_be_turned_round() -> None:
-    """`invert` turns the sign of the axes it names and of no other."""
+def test_axes_can_be_inverted() -> None:
+    """`invert` changes the sign of the given axes only."""
     with puck(invert=[True, False, False, False, False, True]) as (_, servo, end):
         end.send(emulated.combined(right=350, up=350, clockwise=350)[0])
         _, way, table = over(servo)
@@ -179,8 +178,8 @@ def test_axes_can_be_turned_round() -> None:
     assert table[-1, 6] > 0
 
 
-def test_the_workspace_is_not_left() -> None:
-    """At the wall of its box the fingertip slides along, and comes back at once when the puck is turned round."""
+def test_the_fingertip_remains_in_the_workspace() -> None:
+    """At the wall of its box the fingertip slides along, and leaves it at once when the puck is reversed."""
     box = {"workspace_min_m": [-1e-4, -0.1, 0.0], "workspace_max_m": [1e-4, 0.1, 0.1], "start_m": [0.0, 0.0, 0.03]}
     with puck(**box, gain_m_per_s=3e-3) as (_, servo, end):
         end.send(emulated.combined(right=350, away=100)[0])
@@ -193,7 +192,7 @@ def test_the_workspace_is_not_left() -> None:
 
 
 def test_buttons_and_lamp() -> None:
-    """The button mask arrives bit by bit without touching the motion; the lamp burns while the device is open."""
+    """The button mask is read without affecting the motion; the lamp is on while the device is open."""
     fd, end = ends()
     with end:
         with SpaceMouse(Options(), fd, RATE_HZ) as device:
@@ -213,8 +212,8 @@ def test_buttons_and_lamp() -> None:
             end.recv(64)
 
 
-def test_a_puck_that_falls_silent_is_let_go() -> None:
-    """Deflected when its radio stops, it moves for `hold_s` more and then stands; a button does not prolong that."""
+def test_a_silent_puck_stops_moving_the_fingertip() -> None:
+    """If reports stop, the fingertip moves for `hold_s` more; a button report does not extend that."""
     with puck(hold_s=0.05) as (_, servo, end):
         end.send(emulated.combined(right=350)[0])
         servo.read()
@@ -227,7 +226,7 @@ def test_a_puck_that_falls_silent_is_let_go() -> None:
 
 
 def test_a_pause_is_no_jump() -> None:
-    """After a loop that stood still for long the fingertip goes on from where it was, by 50 ms of motion at most."""
+    """After a long pause of the loop the fingertip moves by at most 50 ms of motion."""
     with puck() as (_, servo, end):
         end.send(emulated.combined(right=350)[0])
         before = servo.read()[1]
@@ -236,9 +235,9 @@ def test_a_pause_is_no_jump() -> None:
     assert after[0] - before[0] == pytest.approx(2e-4 * PAST * 0.05, abs=1e-15)
 
 
-def test_a_queue_that_was_full_tells_nothing_of_now() -> None:
-    """The kernel keeps 64 reports and loses the newest: after minutes before the first tick the last one may be of a
-    push that is long over, so the fingertip stands until the puck speaks again."""
+def test_reports_of_a_full_queue_are_ignored() -> None:
+    """The kernel queues 64 reports and loses later ones: after a full queue, the last report may be of a past push, so
+    the fingertip rests until a new report."""
     with puck() as (_, servo, end):
         for _ in range(spacemouse.QUEUE):
             end.send(emulated.combined(right=350)[0])
@@ -248,7 +247,7 @@ def test_a_queue_that_was_full_tells_nothing_of_now() -> None:
 
 
 def test_short_reports_and_foreign_ones() -> None:
-    """A motion report that is cut off breaks the protocol; a report of another kind (battery) is passed over."""
+    """A truncated motion report is a protocol error; reports of another kind (battery) are ignored."""
     with puck() as (_, servo, end):
         end.send(b"\x17\x5a")
         assert servo.read()[0] == OK
@@ -257,8 +256,8 @@ def test_short_reports_and_foreign_ones() -> None:
             assert servo.read()[0] == PROTOCOL
 
 
-def test_any_bytes_leave_a_pose_or_a_fault() -> None:
-    """20 000 random reports of random lengths and kinds: a finite pose in the box and a unit quaternion, or a fault."""
+def test_random_reports_give_a_pose_or_a_fault() -> None:
+    """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
     generator = np.random.default_rng(5)
     seen = {OK: 0, PROTOCOL: 0}
     with puck() as (_, servo, end):
@@ -278,7 +277,7 @@ def test_any_bytes_leave_a_pose_or_a_fault() -> None:
 
 @numba.njit
 def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.ndarray, buttons: np.ndarray) -> Any:
-    """How often each status came; -1 in place of the first when a deflection or a pose is none."""
+    """Return the number of reads per status, with -1 as the first for an invalid deflection or pose."""
     seen = np.zeros(3, np.int64)
     position, orientation = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     for n in range(len(counts)):
@@ -298,8 +297,7 @@ def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.nda
 
 @pytest.mark.scaled
 def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> None:
-    """Reports of random bytes, lengths and kinds, decoded and followed: counts that an int16 holds, buttons that a
-    float64 holds, a position in the box, a unit quaternion."""
+    """Random reports give counts of int16, buttons exact in float64, and a valid pose in the box."""
     generator = np.random.default_rng(8)
     total = np.zeros(3, np.int64)
     deflection, buttons = np.zeros(6), np.zeros(1)
@@ -315,11 +313,10 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
 
 @pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led_by_puck], ids=["spacemouse", "simulated"])
 def test_read_calls_libc_alone(function: Any) -> None:
-    """Compiled afresh, a read names nothing outside itself but system calls, clock and libm: no allocator, no
-    interpreter."""
+    """A newly compiled read calls nothing but system calls, the clock and libm: no allocator, no interpreter."""
     allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
-    allowed.add("NRT_MemInfo_call_dtor")  # the end of a view on memory that it does not own: never reached
-    # without the wrapper that would report an exception, which `error_model="numpy"` leaves no cause for
+    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
+    # without the wrapper that would report an exception, which `error_model="numpy"` never raises
     bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
@@ -328,7 +325,7 @@ def test_read_calls_libc_alone(function: Any) -> None:
 
 
 def test_a_closed_device_reads_as_lost() -> None:
-    """The C functions may be called once more after close, by a loop that hung: no access to what was released."""
+    """A hung loop may call the C functions after `close`: they return LOST without accessing freed memory."""
     fd, end = ends()
     with end:
         device = SpaceMouse(Options(), fd, RATE_HZ)
@@ -338,9 +335,8 @@ def test_a_closed_device_reads_as_lost() -> None:
 
 
 @pytest.mark.real_time
-def test_a_puck_feels_its_way_through_a_scene() -> None:
-    """Pushed down onto the plane through the servo's loop: contact begins, and every force is the engine's on the same
-    poses."""
+def test_a_puck_touches_a_scene() -> None:
+    """A push onto the plane through the servo loop makes contact; forces equal the engine's on the same poses."""
     scene, rig = load_scene("paper-plane"), load_rig("spacemouse")
     fd, end = ends()
     options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
@@ -361,7 +357,7 @@ def test_a_puck_feels_its_way_through_a_scene() -> None:
         step = engine.step(position[:3], orientation[:4], float(row[AT.dt]))
         assert step.mode == row[AT.contact_mode]
         if row[AT.servo_guard] == 0:
-            # the same arithmetic, compiled into the loop and into the engine
+            # same arithmetic, compiled into the loop and into the engine
             np.testing.assert_allclose(row[AT.force : AT.force + 3], step.force, rtol=0, atol=1e-12)
             compared += step.mode != 0
     assert compared > 100
@@ -372,7 +368,7 @@ FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "res
 
 @contextlib.contextmanager
 def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
-    """A simulated device with a hand that a puck leads."""
+    """Simulated device whose hand is led by a puck."""
     fd, end = ends()
     built = build(SimulatedOptions, {"puck": {}, **options}, "test")
     with end, Simulated(built, RATE_HZ, (fd, "puck")) as device:
@@ -380,8 +376,7 @@ def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
 
 
 def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
-    """Pushed for 300 ticks and let go, the handle comes to rest where gain times time says, turned by gain times time;
-    the way does not hang on the clock."""
+    """After 300 ticks of deflection the handle rests at gain times time, independent of the clock."""
     with led(**FREE) as (_, servo, end):
         servo.read()
         end.send(emulated.combined(right=350, clockwise=350)[0])
@@ -389,7 +384,7 @@ def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
             assert servo.read()[0] == OK
         end.send(emulated.combined()[0])
         end.send(emulated.buttons(2))
-        for _ in range(5000):  # the handle swings with a time constant 2 m / b below 0.1 s
+        for _ in range(5000):  # the handle oscillates with a time constant 2 m / b below 0.1 s
             status, sample = servo.read()
     assert status == OK
     assert sample[8] == 2.0
@@ -398,8 +393,8 @@ def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
     np.testing.assert_allclose(turned, (0.0, 0.0, -3e-3 * PAST * 0.3), rtol=0, atol=1e-12)
 
 
-def test_the_hand_that_a_puck_leads_feels_the_force() -> None:
-    """Against a constant force the handle rests where the hand's spring carries it: force over stiffness away."""
+def test_a_force_displaces_the_hand_of_a_puck() -> None:
+    """A constant force displaces the handle by force over stiffness of the hand's spring."""
     with led(**FREE, hand={"stiffness_n_per_m": 500.0}) as (_, servo, _):
         for _ in range(2000):
             servo.read()
@@ -408,8 +403,8 @@ def test_the_hand_that_a_puck_leads_feels_the_force() -> None:
     np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.03 + 1.0 / 500.0), rtol=0, atol=1e-9)  # a settled oscillation
 
 
-def test_a_puck_turns_no_device_that_senses_no_rotation() -> None:
-    """A Falcon stays unturned however the puck is twisted."""
+def test_a_puck_does_not_rotate_a_device_without_a_wrist() -> None:
+    """A Falcon does not rotate, however the puck is twisted."""
     with led(preset="falcon") as (_, servo, end):
         end.send(emulated.combined(clockwise=350)[0])
         for _ in range(50):
@@ -418,7 +413,7 @@ def test_a_puck_turns_no_device_that_senses_no_rotation() -> None:
 
 
 def test_the_simulated_device_is_lost_with_its_puck() -> None:
-    """Unplugged, the puck takes the device that it leads with it, and the fault says whose it is."""
+    """If the puck is unplugged, the device it leads is lost, and the reason names the puck."""
     with led() as (device, servo, end):
         servo.read()
         end.close()
@@ -426,8 +421,8 @@ def test_the_simulated_device_is_lost_with_its_puck() -> None:
         assert device.reason() == "its hand is led by puck"
 
 
-def test_a_puck_is_the_only_intention() -> None:
-    """A recording or a place beside a puck is refused, and so is a run without a clock."""
+def test_a_puck_excludes_other_goals() -> None:
+    """A puck with a recording or a position, and a puck without a clock, are errors."""
     for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
         with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
@@ -436,8 +431,8 @@ def test_a_puck_is_the_only_intention() -> None:
         whole(simulate_devices(load_scene("paper-plane"), rig, 0.1))
 
 
-def test_pucks_are_found_and_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of what is attached, the puck is taken; of two, the one named; without one, the message says what is there."""
+def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The only puck is selected, or the named one of several; without a puck the error lists the attached devices."""
     nodes = {
         "hidraw0": "0003:000016C0:00000486",
         "hidraw3": "0003:0000046D:0000C626",
@@ -474,7 +469,7 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
         ({"gain": 1.0}, "gain"),
     ],
 )
-def test_bad_options_are_named(wrong: dict[str, Any], said: str) -> None:
-    """A value out of its range, a start outside of the box, a box inside out, a key that is none."""
+def test_wrong_options_are_named(wrong: dict[str, Any], said: str) -> None:
+    """A value out of range, a start outside the box, an inverted box and an unknown key are named in the error."""
     with pytest.raises(ConfigError, match=said):
         build(Options, wrong, "rig [device]")

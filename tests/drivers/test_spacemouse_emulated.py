@@ -1,4 +1,4 @@
-"""The whole program beside an emulated SpaceMouse behind a hidraw node of umockdev: found, opened, followed, unplugged.
+"""The program on a SpaceMouse emulated as a hidraw node of umockdev: found, opened, followed, unplugged.
 
 Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi, as test_hid_emulated.py does.
 """
@@ -30,7 +30,7 @@ pytestmark = [
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """A command beside an emulated puck; what it printed, and what the puck was sent."""
+    """Run a command with an emulated puck attached, and return its result and the reports sent to the puck."""
     done = subprocess.run(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
         capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
@@ -41,14 +41,14 @@ def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedPro
 
 
 def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """The daemon beside an emulated puck."""
+    """Run the daemon on an emulated puck."""
     return beside(case, *CLI, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off", *words)
 
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Path) -> None:
-    """Pushed down and to the right, the daemon's fingertip goes there, into the plane, with the engine's modes and
-    forces on the same poses; buttons arrive, and the lamp is lit and put out.
+    """A push down and to the right moves the daemon's fingertip into the plane, modes and forces equal the engine's on
+    the same poses, buttons are read, and the lamp is switched on and off.
 
     It touches after some 1.4 s, and its force is clamped 0.8 s later: a pause of the emulated bus, after which the
     force fades in for half a second, leaves ticks to compare.
@@ -59,7 +59,7 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
     assert done.returncode == 0, done.stderr
     records = np.load(kept)
     way = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
-    assert way[0] / way[2] == pytest.approx((40 - 15) / (80 - 15), rel=1e-9)  # one time for both: rounding alone
+    assert way[0] / way[2] == pytest.approx((40 - 15) / (80 - 15), rel=1e-9)  # one time for both: only rounding
     assert way[1] == 0.0
     assert way[2] > 0.02, "the puck's reports came too late"
     assert {0.0, 1.0} <= set(records[:, AT.contact_mode])
@@ -69,14 +69,14 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
 
 
 def test_an_unplugged_puck_ends_the_run() -> None:
-    """Pulled out while it leads the fingertip, the puck ends the daemon with its exit code and what to do."""
+    """If the puck that leads the fingertip is unplugged, the daemon ends with exit code 4 and instructions."""
     done, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
     assert done.returncode == 4, done.stderr
     assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in done.stderr
 
 
-def test_a_daemon_that_does_not_use_it_tells_that_it_went(tmp_path: Path) -> None:
-    """Pulled out beside a daemon that replays, the puck is logged as detached, and the daemon runs on to its end."""
+def test_a_daemon_that_does_not_use_the_puck_logs_its_removal(tmp_path: Path) -> None:
+    """If a puck is unplugged while the daemon plays a recording, the daemon logs it as detached and runs to its end."""
     socket = tmp_path / "telemetry"
     done, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
     assert done.returncode == 0, done.stderr

@@ -1,8 +1,8 @@
-"""`softfinger run` in contact, on the emulated device of every driver: each signal, and faults of the device; what is
-asserted is what the far end was given, and when.
+"""`softfinger run` in contact, on the emulated device of every driver: signals, and faults of the device.
 
-Faults at the driver's own edge, one by one and of every kind, are in `tests/server/test_injected_faults.py`; what a
-killed program leaves is in the loop tests of each driver.
+Tests check the forces that the device received, and their times. Faults at the driver's side, one by one and of all
+kinds, are in `tests/server/test_injected_faults.py`; forces after a killed program are in the loop tests of each
+driver.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from softfinger.server.cli import main
 pytestmark = pytest.mark.real_time
 
 CONTACT_N = 0.3
-"""Less than any of these hands presses with."""
+"""Less than the force of any of these hands."""
 SIGNAL_S = 1.0
-"""A signal ends a run in order within a second (`server/signals.py`)."""
+"""Maximum time from a signal to the last force (`server/signals.py`)."""
 SIGNALS = {signal.SIGTERM: 0, signal.SIGINT: 0, signal.SIGHUP: 129, signal.SIGQUIT: 131}
-"""Those that a terminal, a shell and systemd send, and the exit code of each."""
+"""Signals of a terminal, a shell and systemd, with the exit code of each."""
 
 
 def when_pressed(far: Far, act: Callable[[], object]) -> AbstractContextManager[list[float]]:
-    """Press once ticks come, and do something once the far end has a force."""
+    """Press once ticks are running, and call `act` once the device has a force."""
 
     def begin(over: threading.Event) -> None:
         while not over.wait(0.005) and len(far.given(0)) <= 50:
@@ -62,10 +62,10 @@ CASES = [
 
 
 @pytest.mark.parametrize(("number", "name"), CASES)
-def test_a_signal_in_contact_leaves_zero_within_a_second(
+def test_a_signal_in_contact_ends_the_force_within_a_second(
     number: signal.Signals, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The last force that the far end was given came within a second of the signal, and a zero behind it."""
+    """The device received its last force within a second of the signal, followed by a zero."""
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
             code = main(words(far, tmp_path))
@@ -74,13 +74,12 @@ def test_a_signal_in_contact_leaves_zero_within_a_second(
     assert sent and code == SIGNALS[number]
     sizes = np.linalg.norm(given[:, 1:], axis=1)
     assert sizes.max() > CONTACT_N and sizes[-1] == 0.0
-    last = given[np.flatnonzero(sizes)[-1] + 1, 0]  # the zero behind the last force
+    last = given[np.flatnonzero(sizes)[-1] + 1, 0]  # the zero after the last force
     assert last - sent[0] < SIGNAL_S
 
 
 class Fault(NamedTuple):
-    """What happens to a device in contact, the exit code and words of the end, and whether the far end then has zero:
-    not where nothing reaches it any more."""
+    """Action on a device in contact, exit code and error text; `zero` unless the device is then unreachable."""
 
     act: Callable[[Far], object]
     code: int
@@ -89,7 +88,7 @@ class Fault(NamedTuple):
 
 
 def nothing_but_null(far: Far) -> None:
-    """As the maker's JSON writes a NaN."""
+    """Send null, as the maker's JSON writes a NaN."""
     far.device.set(
         spoil=f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":null,"y":0,"z":0}}}}}}]}}'
     )
@@ -100,7 +99,7 @@ def as_text(far: Far) -> None:
 
 
 def turned_round(far: Far) -> None:
-    """Beyond what a handle can turn by, as fast as a hand: of a sensor that jumps the sketch sees no half turn."""
+    """Turn the handle beyond its range as fast as a hand: the sketch misses half a turn if the sensor jumps."""
     slowly(lambda share: far.device.turn(0.05 + 1.95 * share))
 
 
@@ -127,12 +126,12 @@ FAULTS: dict[str, dict[str, Fault]] = {
         "no number": Fault(as_text, 4, "not in its protocol"),
     },
 }  # fmt: skip
-"""What no test of the driver's own asks. Unplugged, silent and without its list a haply, silent and unplugged boards:
-`test_haply_loop`, `test_serial_loop`, `test_serial_boards_loop`."""
+"""Cases that the loop tests of the drivers do not contain. Unplugged or silent boards and a haply that is unplugged,
+silent or not in the list are in `test_haply_loop`, `test_serial_loop`, `test_serial_boards_loop`."""
 
 
 def late(far: Far, by_s: float) -> None:
-    """The board answers so much later."""
+    """Delay the board's answers by `by_s`."""
 
     def wait(answer: bytes) -> bytes:
         time.sleep(by_s)
@@ -149,7 +148,7 @@ def late(far: Far, by_s: float) -> None:
 def test_a_fault_in_contact_ends_the_run_without_force(
     name: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One error that says what it was, its exit code, and zero at the far end wherever something still reaches it."""
+    """The run ends with one error that names the fault, its exit code, and zero at the device if that is reachable."""
     case = FAULTS[name][fault]
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: case.act(far)) as done:

@@ -1,6 +1,6 @@
-"""A force that the driver ended or could not send: what the board is given, frame by frame, through the real loop.
+"""Forces that the driver ended or could not send: forces received by the board, frame by frame, through the real loop.
 
-Emulated boards on real time that stall, or take long to answer, under a scene that pulls with 5 N from the start.
+Emulated boards in real time stall or answer late, in a scene that pulls with 5 N from the start.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.real_time
 
 PULL_N = 5.0
 SLEW_N = 0.2
-"""Largest change in a tick, as the guard here has it: so small that a few ticks together are seen."""
+"""Slew limit of the guard per tick, small enough that several ticks in one step show."""
 STEP_N = 1e-3 * 1.001
 """Both ends of a change are rounded to the millinewton, by half of one each."""
 QUIET_S = 0.02
@@ -40,7 +40,7 @@ Sent = Callable[[], np.ndarray]
 
 
 class SerialChip:
-    """A device, what its board was given ((n, 3) N, in order), and how to make the board stall or answer late."""
+    """A device, the forces its board received ((n, 3) N, in order), and functions that stall or delay the board."""
 
     def __init__(
         self, device: Device, forces: Sent, stall: Callable[[bool], None], late: Callable[[float], None]
@@ -76,7 +76,7 @@ def hid(through: str) -> Iterator[SerialChip]:
         return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 1, 0, 0, 0, 0, 0)
 
     class Slow(Api):
-        """A bus that takes its time: hidapi's write comes back when the report has gone."""
+        """A slow bus: hidapi's write returns when the report is sent."""
 
         def write(self, buff: bytes) -> int:
             time.sleep(wait[0])
@@ -101,7 +101,7 @@ WAYS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda:
 
 
 def pulling(ramp_s: float) -> Tuning:
-    """A scene that pulls with PULL_N wherever the finger is; of the contract's kind, so that it is compiled once."""
+    """Return a scene that pulls with PULL_N everywhere; of the contract's kind, so that it is compiled once."""
     scene = load_scene({**PULL, "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}]})
     guard = load_rig("woodenhaptics-v3", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
     return make_tuning(scene, guard)
@@ -109,7 +109,7 @@ def pulling(ramp_s: float) -> Tuning:
 
 @contextmanager
 def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
-    """The servo's loop on a line. A tick counts as one, however late a busy machine makes it: changes are per tick."""
+    """Run the servo loop on a line. Each tick counts as one period, however late it is on a busy machine."""
     line.device.info = replace(line.device.info, own_clock=True)
     servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
     servo.compile()
@@ -131,15 +131,15 @@ def until(true: Callable[[], bool]) -> None:
 
 
 def pulls(line: SerialChip) -> bool:
-    """Whether the board has the whole force now."""
+    """Return True if the board has the full force now."""
     forces = line.forces()
     return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
-    """A board that stalls for 60 ms while it pulls is sent a zero; when it is back the force begins again from zero,
-    with the ramp, and no frame differs from the one before by more than the guard's limit but for the zeros."""
+    """A board that stalls for 60 ms while it pulls gets a zero; then the force increases from zero by the ramp. No
+    frame exceeds the previous by more than the guard's slew limit."""
     ramp_s = 0.2
     with WAYS[way]() as line, running(line, ramp_s):
         until(lambda: pulls(line))
@@ -156,20 +156,19 @@ def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
     assert len(zeros) > 0
     assert np.diff(pull).max() <= SLEW_N + STEP_N
     back = pull[zeros[-1] + 1 :]
-    # The ramp counts ticks, of which a frame may have waited for QUIET_S at most.
+    # The ramp counts ticks; a frame may have waited for QUIET_S at most.
     assert back[0] <= PULL_N * 2 * QUIET_S / ramp_s
     assert np.diff(back).max() <= PULL_N * 2 * QUIET_S / ramp_s
 
 
 @pytest.mark.parametrize("way", ["serial", "hid thread"])
 def test_a_force_that_waits_is_no_wider_step(way: str) -> None:
-    """A board that takes four ticks for each frame has the force of before for that long: the next one is within the
-    guard's limit of it."""
+    """If each frame takes four ticks, the next force is within the slew limit of the previous one."""
     with WAYS[way]() as line:
         line.late(0.004)
         with running(line, 0.01):
             until(lambda: pulls(line))
             pull = line.forces()[:, 2]
-    # Upwards: a busy machine may make a silence, which ends the force at once.
+    # Upwards only: a busy machine may cause a silence, which ends the force at once.
     assert np.diff(pull).max() <= SLEW_N + STEP_N
     assert np.count_nonzero((pull > 0.0) & (pull < PULL_N - STEP_N)) >= PULL_N / SLEW_N / 2

@@ -1,6 +1,6 @@
-"""Machines without libusb, or without what hidapi needs: one clear error in place of a traceback.
+"""Machines without libusb or the libraries of hidapi: one clear error instead of a traceback.
 
-The libraries are truly out of the loader's reach, in the process of the command itself; nothing of pyusb's is replaced.
+The libraries are really inaccessible to the loader of the command's process; pyusb is not patched.
 """
 
 from __future__ import annotations
@@ -37,19 +37,20 @@ from softfinger.drivers.system import libusb
 print(libusb.backend() is not None)
 print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "libusb" in line})
 """
-"""A program that says whether pyusb has a libusb, and which files of that name it has loaded."""
+"""Program that prints if pyusb has a libusb, and which files of that name it has loaded."""
 
 
 def hidden(*paths: Path | str) -> list[str]:
-    """A command in front of another, for which these files are empty."""
+    """Return a command prefix for which these files are empty."""
     script = "".join(f"mount --bind /dev/null '{path}' && " for path in paths) + 'exec "$@"'
     return [*NAMESPACE, "sh", "-c", script, "sh"]
 
 
 def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
-    """Of a process where the system's libusb is "there", "broken" or "as it is", with the package's or without it.
+    """Return the environment of a process with the system's libusb "there", "broken" or "as it is", and with the
+    package or without.
 
-    folder  for the files that make it so
+    folder  for the files that it needs
     """
     environ = dict(os.environ)
     if system != "as it is":
@@ -68,7 +69,7 @@ def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
 
 
 def loaded(environ: dict[str, str]) -> tuple[bool, str]:
-    """What a process says that runs `LOADED`."""
+    """Return the result of `LOADED`: if a libusb was found, and its files."""
     done = subprocess.run(
         [sys.executable, "-c", LOADED], env=environ, capture_output=True, text=True, timeout=120, check=True
     )
@@ -78,13 +79,13 @@ def loaded(environ: dict[str, str]) -> tuple[bool, str]:
 
 @pytest.mark.parametrize("package", [True, False], ids=["package", "no package"])
 def test_the_systems_libusb_comes_first(package: bool, tmp_path: Path) -> None:
-    """Where the loader finds a libusb, no other is loaded."""
+    """If the loader finds the system's libusb, no other is loaded."""
     environ = environment(tmp_path, system="there", package=package)
     assert loaded(environ) == (True, str((tmp_path / SONAME).resolve()))
 
 
-def test_the_packages_libusb_stands_in(tmp_path: Path) -> None:
-    """Where the system's cannot be loaded, it is the one of libusb-package, and a look for a Falcon needs no other."""
+def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
+    """If the system's libusb cannot be loaded, libusb-package is used, and the search for a Falcon needs no other."""
     environ = environment(tmp_path, system="broken", package=True)
     assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
     code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
@@ -94,14 +95,14 @@ def test_the_packages_libusb_stands_in(tmp_path: Path) -> None:
 
 @pytest.fixture
 def bare(tmp_path: Path) -> tuple[list[str], dict[str, str]]:
-    """A command in front (none) and an environment in which no libusb can be loaded."""
+    """Empty command prefix, and an environment in which no libusb can be loaded."""
     environ = environment(tmp_path, system="broken", package=False)
     assert loaded(environ) == (False, ""), "libusb is still there"
     return [], environ
 
 
 def endpoints(folder: Path) -> list[str]:
-    """Words for a daemon that takes no port of this machine."""
+    """Return arguments of a daemon that needs no TCP port."""
     return ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
 
 
@@ -137,8 +138,8 @@ for rig in rigs:
 """
 
 
-def test_run_says_in_one_error_what_is_missing(bare: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
-    """Each rig of a device ends with one line and an exit code other than 0."""
+def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
+    """`run` of each rig ends with one line and an exit code other than 0."""
     front, environ = bare
     command = [*front, sys.executable, "-c", RUN_EACH, " ".join(endpoints(tmp_path)), *MISSING]
     done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=250, check=True)
@@ -151,7 +152,7 @@ def test_run_says_in_one_error_what_is_missing(bare: tuple[list[str], dict[str, 
 
 
 def test_no_libusb_at_all(tmp_path: Path) -> None:
-    """Where the loader finds no file of that name it is the same error as where the file is broken."""
+    """A missing libusb gives the same error as a broken one."""
     environ = environment(tmp_path, system="as it is", package=False)
     if loaded(environ)[0]:
         pytest.skip("this system has a libusb")
@@ -164,7 +165,7 @@ def test_no_libusb_at_all(tmp_path: Path) -> None:
 def test_makers_library_that_sees_no_device(
     bare: tuple[list[str], dict[str, str]], stub_library: Path, tmp_path: Path
 ) -> None:
-    """With the maker's library there and no device: not found, though USB cannot be asked why."""
+    """With the maker's library but no device the error is that none is attached, though USB cannot be listed."""
     rig = tmp_path / "rig.toml"
     rig.write_text(f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n')
     front, environ = bare
@@ -177,7 +178,7 @@ def test_makers_library_that_sees_no_device(
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
-    """What is attached is told as far as it can be seen, and the doctor says that libusb is missing."""
+    """`devices` lists the devices it can detect, and `doctor` reports the missing libusb."""
     code, said = said_by(bare, *words)
     if words[0] == "doctor":
         assert re.search(r"libusb: not found", said), said
@@ -189,7 +190,7 @@ def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str]
 @mounts
 @pytest.mark.parametrize("words", [("run", "--rig", "woodenhaptics-2019", "--duration", "1"), ("devices",)])
 def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) -> None:
-    """hidapi brings libraries of its own; where they are broken the error says what to install."""
+    """If the libraries bundled with hidapi are broken, `run` fails with one error and `devices` still works."""
     import hidraw
 
     bundled = list((Path(hidraw.__file__).parent / "hidapi.libs").glob("lib*"))
@@ -198,7 +199,8 @@ def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) ->
     own = endpoints(tmp_path) if words[0] == "run" else []
     code, said = said_by((hidden(*bundled), dict(os.environ)), *words, *own)
     if words[0] == "run":
-        # Without root the files are hidden in a namespace where nothing belongs to root: kept kernels are warned of.
+        # Without root the files are hidden in a namespace that contains no files of root, so cached kernels cause
+        # warnings.
         (error,) = [line for line in said.splitlines() if line.startswith("softfinger: ")]
         assert code != 0 and "hidapi cannot be loaded" in error and said.endswith(f"{error}\n"), said
     else:

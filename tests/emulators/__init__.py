@@ -1,1 +1,1 @@
-"""Devices computed from their published facts, without a look at the drivers they are to prove."""
+"""Devices emulated from published facts, independent of the drivers they test."""

@@ -1,11 +1,11 @@
-"""A board of somebody's own with a protocol of its own: it answers requests, numbers have their high byte first, and
-both directions have a checksum of two bytes, each of another kind. Python alone, in real time; nothing comes from the
-driver.
+"""Board with a custom protocol: it answers requests, numbers are big-endian, and checksums differ by direction.
+
+Pure Python in real time, independent of the driver.
 
     request   55 54  torque_a  torque_b  crc16 (Modbus, high byte first)    int16, 0.1 mN m
     answer    7E  buttons  angle_a  angle_b  crc16 (CCITT)                  int16, 0.01 degrees
 
-A request that is damaged is not answered. What it would miss: everything of a real board but these frames.
+Damaged requests are not answered. Not modelled: everything of a real board except these frames.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from emulators.farterminal import FarTerminal
 
 
 def modbus(data: bytes) -> int:
-    """Bit by bit, from the least: 0x8005 reflected."""
+    """Compute bit by bit, least significant first: 0x8005 reflected."""
     crc = 0xFFFF
     for byte in data:
         for bit in range(8):
@@ -26,7 +26,7 @@ def modbus(data: bytes) -> int:
 
 
 def ccitt(data: bytes) -> int:
-    """Bit by bit, from the greatest: 0x1021."""
+    """Compute bit by bit, most significant first: 0x1021."""
     crc = 0xFFFF
     for byte in data:
         for bit in range(7, -1, -1):
@@ -36,17 +36,17 @@ def ccitt(data: bytes) -> int:
 
 
 class AskedBoard(FarTerminal):
-    """`angles` (rad) are the joints', `torques` (N m) the motors'."""
+    """Board with joint `angles` (rad) and motor `torques` (N m)."""
 
     def __init__(self) -> None:
         super().__init__(period_s=0.0002)
         self.angles, self.torques, self.buttons = (0.0, 0.0), (0.0, 0.0), 0
         self.refused: list[bytes] = []
-        """Requests that were damaged."""
+        """Damaged requests."""
         self._rest = b""
 
     def answer(self, request: bytes) -> bytes:
-        """The answer to eight bytes; none to what is no request."""
+        """Return the answer to eight bytes, or nothing if they are no request."""
         if request[:2] != b"\x55\x54" or struct.unpack(">H", request[6:])[0] != modbus(request[:6]):
             self.refused.append(request)
             return b""

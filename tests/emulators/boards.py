@@ -1,12 +1,12 @@
-"""The boards that carry these arms, as their makers' sources have them: USB ids, HID interfaces, report descriptors.
+"""Boards of these arms by their makers' sources: USB ids, HID interfaces, report descriptors.
 
 Teensy: PJRC's cores, teensy4/usb_desc.h and usb_desc.c, type USB_RAWHID: product "Teensyduino RawHID", interface 0 with
 reports of 64 bytes both ways on usage page 0xFFAB, usage 0x0200, and interface 1, which emulates a serial port for
 debugging, with 64 bytes in, 32 out and a feature of 4 on usage page 0xFFC9, usage 4.
 
-LPC1768: mbed's USBHID, whose ids are 1234:0006 where a program names none, with one interface on the same usage page
-and usage as a Teensy's first: `USBHID hid(14, 14)` in haptikfabrikenapi, firmware/main.cpp, and `USBHID hid(8, 8)` in
-woody-experimental, mbed-code. Nothing here comes from the driver.
+LPC1768: mbed's USBHID, with default ids 1234:0006 and one interface on the same usage page and usage as a Teensy's
+first: `USBHID hid(14, 14)` in haptikfabrikenapi, firmware/main.cpp, and `USBHID hid(8, 8)` in woody-experimental,
+mbed-code. Independent of the driver.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 
 class Interface(NamedTuple):
-    """A HID interface: report descriptor, endpoints in and out, and their largest packets."""
+    """HID interface: report descriptor, endpoints in and out, and their maximum packets."""
 
     descriptor: bytes
     end_in: int
@@ -25,7 +25,7 @@ class Interface(NamedTuple):
 
 
 class Board(NamedTuple):
-    """USB ids, product string, and interfaces in their order; the first one with reports of an arm is `arm`."""
+    """USB ids, product string and interfaces in order; `arm` is the index of the arm's interface."""
 
     vendor: int
     product: int
@@ -35,7 +35,7 @@ class Board(NamedTuple):
 
 
 def raw_hid(size: int) -> bytes:
-    """One input and one output report of `size` bytes, not numbered: the same items in both makers' sources."""
+    """Return a descriptor of one input and one output report of `size` bytes, without ids, as in both sources."""
     head = bytes.fromhex("06abff 0a0002 a101 7508 1500 26ff00")
     return head + bytes([0x95, size, 0x09, 0x01, 0x81, 0x02, 0x95, size, 0x09, 0x02, 0x91, 0x02, 0xC0])
 

@@ -1,4 +1,4 @@
-"""The program beside an emulated device, for no longer than it may take."""
+"""Runs a program on an emulated device with a time limit."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import subprocess
 import sys
 
 LIMIT_S = 240.0
-"""A cold cache on a busy machine takes minutes. Whoever waits for the emulation waits longer: nothing is left alone."""
+"""A cold cache on a busy machine takes minutes. Callers of the emulation wait longer, so no process outlives them."""
 
 
 def run(command: list[str]) -> int:
-    """Its exit code; 124 if it was killed because it did not end, as of timeout(1)."""
+    """Return the exit code, or 124 if the command was killed at the limit, as timeout(1) does."""
     try:
         return subprocess.run(command, check=False, timeout=LIMIT_S).returncode
     except subprocess.TimeoutExpired:

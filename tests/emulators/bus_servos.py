@@ -1,11 +1,11 @@
 """Chain of bus servos behind a pseudo terminal, in real time: Feetech STS (protocol 0) or Dynamixel X (protocol 2.0).
 
 Written from the makers' manuals, as public tables and libraries quote them (Feetech: FT-SMS-STS memory table; Robotis:
-e-Manual, protocol 2.0 and the X series' control table). Nothing comes from the driver. A byte takes ten bits of the
-baud rate, each answer begins after the servo's return delay, and the servos of a sync read answer one after the other.
+e-Manual, protocol 2.0 and the X series' control table), independent of the driver. A byte takes ten bits of the baud
+rate, each answer starts after the servo's return delay, and the servos of a sync read answer one after another.
 
-What it misses: the time that USB takes (about 1 ms for each transaction), collisions on the half-duplex line, the
-motors' dynamics, EEPROM and its lock, and every register but those below.
+Not modelled: the time of USB (about 1 ms per transaction), collisions on the half-duplex line, the dynamics of motors,
+EEPROM and its lock, and registers except those below.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Registers(NamedTuple):
     force: int
     position: int
     watchdog: int
-    """0: none."""
+    """0 if there is none."""
     force_mode: int
 
 
@@ -38,7 +38,7 @@ WATCHDOG_UNIT_S = 0.02
 
 
 def crc16(data: bytes) -> int:
-    """Bit by bit, from the greatest: 0x8005, from 0."""
+    """Compute bit by bit, most significant first: 0x8005, from 0."""
     crc = 0
     for byte in data:
         crc ^= byte << 8
@@ -48,7 +48,7 @@ def crc16(data: bytes) -> int:
 
 
 class Servo:
-    """One servo: its registers, and what its motor gives."""
+    """One servo: its registers and the output of its motor."""
 
     def __init__(self, table: Registers, position: int) -> None:
         self.table, self.memory = table, bytearray(256)
@@ -56,7 +56,7 @@ class Servo:
         self.turn_to(position)
         self.heard_at = time.monotonic()
         self.mute = False
-        """Hears, and answers nothing."""
+        """If set, the servo receives but does not answer."""
         self.log: list[tuple[float, int]] = []
         """Time (s, monotonic clock) and counts of each change of the motor."""
 
@@ -64,7 +64,7 @@ class Servo:
         struct.pack_into("<H" if self.table is FEETECH else "<i", self.memory, self.table.position, position)
 
     def force(self, now: float) -> int:
-        """Counts that the motor gives: PWM in 0.1 % with bit 10 for the sign (Feetech), or mA (Dynamixel)."""
+        """Return the motor's output: PWM in 0.1 % with bit 10 for the sign (Feetech), or mA (Dynamixel)."""
         if not self.memory[self.table.enable] or self.memory[self.table.mode] != self.table.force_mode:
             return 0
         if self.table is FEETECH:
@@ -92,7 +92,7 @@ class BusServos(FarTerminal):
         self.table, self._byte_s, self.delay_s = table, 10.0 / baud, delay_s
         self.servos = {number: Servo(table, position) for number, position in positions.items()}
         self.damage: dict[int, int] = {}
-        """By id, how many of the next answers have a wrong checksum."""
+        """Number of the next answers with a wrong checksum, by id."""
         self._rest, self._free_at = b"", 0.0
         self.requests = 0
 
@@ -114,7 +114,7 @@ class BusServos(FarTerminal):
             size = int.from_bytes(parameters[wide : 2 * wide], "little")
             for each in parameters[2 * wide :]:
                 if each not in self.servos:
-                    return  # the next one waits for its answer, and with it all that follow
+                    return  # the next servo waits for its answer, and all after it
                 self._answer(each, bytes(self.servos[each].memory[address : address + size]))
         elif instruction == WRITE and number in self.servos:
             self.servos[number].store(address, parameters[wide:], now)
@@ -138,7 +138,7 @@ class BusServos(FarTerminal):
         self.write(packet)
 
     def _packet(self) -> tuple[int, int, bytes, int] | None:
-        """Id, instruction, parameters and size of the next request; None while it is not complete."""
+        """Return id, instruction, parameters and size of the next request, or None if it is incomplete."""
         mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)
         while (start := self._rest.find(mark)) >= 0 and len(self._rest) >= start + head:
             self._rest = self._rest[start:]

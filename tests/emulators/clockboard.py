@@ -1,7 +1,7 @@
-"""A serial board in a process of its own whose position is the time, for ages of poses and forces.
+"""Serial board in a separate process whose position is the time, to measure ages of poses and forces.
 
 x (m) is the fraction of the second (monotonic clock) at which a frame was made; each force is logged with the time at
-which its frame was complete. What it misses: the transfer time of a line, and a USB adapter's buffer.
+which its frame was complete. Not modelled: the transfer time of a line, and a USB adapter's buffer.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from emulators.guideboard import crc8
 
 FRAME: Final = struct.Struct("<B3fB")
 BYTES: Final = FRAME.size
-"""Of a frame, either way: a mark, three of four, checksum."""
+"""Bytes of a frame in either direction: a mark, three numbers of four bytes, checksum."""
 PERIOD_S: Final = 0.001
 
 
 def device_table(path: str, mode: str) -> dict[str, Any]:
-    """The [device] table of its rig."""
+    """Return the [device] table of its rig."""
     return {
         "path": path,
         "force_max_n": 3.0,
@@ -61,7 +61,7 @@ def device_table(path: str, mode: str) -> dict[str, Any]:
 
 
 class ClockBoard:
-    """The board at the far end of a pseudo terminal: it answers each frame, or sends one a millisecond (`stream`)."""
+    """Board at the far end of a pseudo terminal: it answers each frame, or sends one per millisecond (`stream`)."""
 
     def __init__(self, mode: str, log: Path) -> None:
         self._log = log
@@ -73,7 +73,7 @@ class ClockBoard:
         os.close(far)
 
     def taken(self) -> NDArray[np.float64]:
-        """Time (s, monotonic clock) and force along z (N) of every frame so far, shape (n, 2)."""
+        """Return time (s, monotonic clock) and force along z (N) of every frame so far, shape (n, 2)."""
         data = self._log.read_bytes()
         return np.frombuffer(data[: len(data) // 16 * 16]).reshape(-1, 2)
 

@@ -1,8 +1,8 @@
-"""A Falcon with a hand on its knob, behind its serial chip. Python alone: it also runs under the system's.
+"""Falcon with a hand on its knob, behind its serial chip. Pure Python: it also runs under the system's interpreter.
 
-Written from the published packets, dimensions and boot sequence; nothing here comes from the driver. Each packet of the
-host moves the knob by one millisecond, so that a slow connection changes no physics, and is answered with the encoders.
-The device's frame has x to the right, y up, z out to the user.
+Written from the published packets, dimensions and boot sequence, independent of the driver. Each packet of the host
+moves the knob by one millisecond, so that a slow connection changes no physics, and is answered with the encoders. The
+device's frame has x to the right, y up, z out to the user.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ BASE_U, BASE_V = 0.0400, -0.02309  # of the legs' motors on the base: m
 LEGS = (105.0, -15.0, -135.0)  # degrees about z
 CENTRE = (0.0, 0.0, 0.11)
 INDEX = 700
-"""Encoder count at which a leg's homing switch stands: near the end of the knob's way out."""
+"""Encoder count of a leg's homing switch: near the outer end of the knob's range."""
 
 
 def leg_angle(leg: float, place: Vector) -> float:
-    """Angle (rad) of a driven arm, from the triangle of arm, parallelogram and the line between their ends."""
+    """Return the angle (rad) of a driven arm, from the triangle of arm, parallelogram and connecting line."""
     x, y, z = place
     turn = radians(leg)
     u = x * cos(turn) + y * sin(turn) - BASE_U + SHIFT_U
@@ -40,14 +40,14 @@ ELBOW = -1
 
 
 def encoders(place: Vector) -> tuple[int, int, int]:
-    """True counts: 0 with an arm at 35 degrees."""
+    """Return the true counts: 0 with an arm at 35 degrees."""
     per_count = 0.01425 / 0.110 * 360 / 1280
     a, b, c = (round((degrees(leg_angle(leg, place)) - 35) / per_count) for leg in LEGS)
     return a, b, c
 
 
 def force(place: Vector, torques: Vector) -> Vector:
-    """Force (N) on the knob of leg torques (N m): virtual work, with the angles' change from differences."""
+    """Return the force (N) on the knob for leg torques (N m): virtual work, with differences of the angles."""
     h, out = 1e-6, []
     for axis in range(3):
         ahead, behind = list(place), list(place)
@@ -62,11 +62,11 @@ def force(place: Vector, torques: Vector) -> Vector:
 class Falcon(Handle):
     """The device behind its serial chip.
 
-    intention   place (m, device's frame) that the hand wants at a time (s)
-    gain        motor counts to a N m at a leg, negative where they pull in
-    firmware    bytes that it has to be given before it runs; None: it runs
-    spoil       tries of the firmware in which a byte comes back wrong
-    homed       whether its encoders have found their zeros
+    intention   goal (m, device's frame) of the hand at a time (s)
+    gain        motor counts per N m at a leg, negative if they pull in
+    firmware    bytes that it needs before it runs; None: it runs
+    spoil       number of firmware loads with a wrong echo
+    homed       True if its encoders have found their zeros
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Falcon(Handle):
         self.state = 0
         self.buttons = 0
         self.weight = 0.0
-        """N, hung on the knob."""
+        """Weight (N) at the knob."""
         self.most = [0, 0, 0]
         self.requests: list[tuple[int, int]] = []
         self.baud = self.latency_ms = 0
@@ -91,7 +91,7 @@ class Falcon(Handle):
         self.loaded = bytearray()
         self.stream = bytearray()
         self.reply = bytearray()
-        """What waits in the chip for the host."""
+        """Bytes in the chip for the host."""
 
     @property
     def displayed(self) -> Vector:
@@ -101,25 +101,25 @@ class Falcon(Handle):
 
     @property
     def at(self) -> Vector:
-        """Place of the knob (m) in the world, from the workspace's centre."""
+        """Position of the knob (m) in the world, from the workspace's centre."""
         x, y, z = (p - c for p, c in zip(self.place, CENTRE, strict=True))
         return to_world((x, y, z))
 
     def unplugged(self) -> None:
-        """The bus has gone: the firmware lets the motors go, the chip forgets what it was set to."""
+        """Unplug: the motors are off and the chip loses its settings."""
         self.motors, self.baud, self.latency_ms = (0, 0, 0), 0, 0
         self.stream.clear()
         self.reply.clear()
 
     def seen(self) -> dict[str, Any]:
-        """What the device was sent, and what became of it."""
+        """Return the state of the device and the packets it received."""
         return {
             "steps": self.steps, "motors": self.motors, "most": self.most, "state": self.state, "place": self.place,
             "runs": self.runs, "loads": self.loads, "requests": self.requests[:6], "found": self.found,
         }  # fmt: skip
 
     def request(self, kind: int, request: int, value: int, index: int) -> None:
-        """A control request to the chip."""
+        """Handle a control request to the chip."""
         if (kind, index) != (0x40, 0):
             raise ValueError(f"no request of the chip: {kind:#x}, index {index}")
         self.requests.append((request, value))
@@ -138,7 +138,7 @@ class Falcon(Handle):
             self.loaded.clear()
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host."""
+        """Receive bytes from the host."""
         if not self.runs:
             self._load(data)
         elif self.baud == 0x0002:
@@ -146,7 +146,7 @@ class Falcon(Handle):
                 self._take(byte)
 
     def read(self, count: int) -> bytes:
-        """Bytes for the host, behind the chip's two of its own."""
+        """Return bytes for the host, after the two status bytes of the chip."""
         data = bytes(self.reply[: count - 2])
         del self.reply[: count - 2]
         return b"\x01\x60" + data
@@ -196,17 +196,17 @@ class Falcon(Handle):
 
 
 def to_world(of_device: Vector) -> Vector:
-    """A vector of the device's frame: x right, y away from the user, z up."""
+    """Convert a vector from the device's frame to the world: x right, y away from the user, z up."""
     right, up, out = of_device
     return (right, -out, up)
 
 
 def from_case(case: dict[str, Any]) -> Falcon:
-    """The device and hand that a test describes.
+    """Return the device and hand of a test case.
 
-    place (m, world), press (m: how far the hand then goes down), drag (m: and to the side), homed (false: the hand
-    homes it), gain (motor counts per N m), firmware (bytes it wants first), spoil (tries spoilt), hand (false: nobody
-    holds the knob).
+    place (m, world), press (m: downward motion of the hand), drag (m: sideways motion), homed (false: the hand homes
+    it), gain (motor counts per N m), firmware (number of bytes it needs first), spoil (loads with a wrong echo), hand
+    (false: the knob is free).
     """
     world = stroke(tuple(case.get("place", (0.0, 0.0, 0.01))), case.get("press", 0.0), case.get("drag", 0.0))
 
@@ -225,7 +225,7 @@ def from_case(case: dict[str, Any]) -> Falcon:
 
 
 def homing(then: Callable[[float], Vector]) -> Callable[[float], Vector]:
-    """A hand that holds the knob in, pulls it out, pushes it in, and goes on with `then`, in a second each."""
+    """Return a hand that first pulls the knob out and pushes it in, in a second each, and continues with `then`."""
 
     def at(time_s: float) -> Vector:
         if time_s > 2.0:

@@ -1,16 +1,16 @@
-"""An emulated Falcon as a USB device of umockdev, and a program run beside it that sees no other devices.
+"""Emulated Falcon as a USB device of umockdev, and a program that sees no other devices.
 
     umockdev-wrapper /usr/bin/python3 falcon_testbed.py '{"place": [0, 0, 0.01]}' program argument ...
 
-Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
-device saw goes to the last line of standard output as JSON. The program reaches the device through the true libusb;
-here are the kernel's answers to libusb. It may ask for changes over the socket that SOFTFINGER_TESTBED names, in lines:
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The exit code is the program's; the state of the emulated
+device is the last line of standard output, as JSON. The program reaches the device through the real libusb; this module
+is the kernel that libusb calls. The program can change the device over the socket in SOFTFINGER_TESTBED, in lines:
 `displayed`, `place`, `make CASE`, `mend`.
 
-The first argument is the case of the emulator (`from_case` there), and besides: serial, late_every (every so many, a
-reply comes 4 ms late), and from which step on what happens: lost_after, mute_after, broken_after (an error on the bus),
-block_after (takes no more transfers out), garble_after (sends noise), unhomed_after (forgets its zeros), weight_after
-(weight_kg is hung on the knob); second (the same for a second device).
+The first argument is the case of the emulator (`from_case` there), and also: serial, late_every (each n-th reply is 4
+ms late), and steps after which a fault starts: lost_after, mute_after, broken_after (an error on the bus), block_after
+(accepts no more transfers), garble_after (sends noise), unhomed_after (loses its zeros), weight_after (weight_kg is
+added to the knob); second (the same for a second device).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NODES = "/dev/bus/usb/001/"
 
 
 def descriptors() -> bytes:
-    """Device and configuration, as the chip has them: one vendor interface, bulk in 0x81 and out 0x02."""
+    """Return the chip's device and configuration descriptors: one vendor interface, bulk in 0x81 and out 0x02."""
     device = bytes([18, 1, 0, 2, 0, 0, 0, 8]) + struct.pack("<HHH", 0x0403, 0xCB48, 0x0400) + bytes([1, 2, 3, 1])
     interface = bytes([9, 4, 0, 0, 2, 255, 255, 255, 0])
     ends = b"".join(bytes([7, 5, end, 2, 64, 0, 0]) for end in (0x81, 0x02))
@@ -55,14 +55,14 @@ def descriptors() -> bytes:
 
 
 def strings(serial: str) -> dict[int, bytes]:
-    """String descriptors by index; 0 is the language."""
+    """Return the string descriptors by index; 0 is the language."""
     texts = {1: "FTDI", 2: "FALCON HAPTIC", 3: serial}
     found = {n: bytes([2 + 2 * len(t), 3]) + t.encode("utf-16le") for n, t in texts.items()}
     return {0: bytes([4, 3, 9, 4]), **found}
 
 
 class Opened:
-    """The requests of one opening of the node: the kernel gives each its own back, and to no other."""
+    """Requests of one opening of the node: the kernel returns each only to its own opening."""
 
     def __init__(self) -> None:
         self.done: list[object] = []
@@ -71,7 +71,7 @@ class Opened:
 
 
 class Bed:
-    """The node, and what happens to it; `port` tells several on one testbed apart."""
+    """The node and its faults; `port` distinguishes several on one testbed."""
 
     def __init__(self, case: dict, bed: object, port: int = 1) -> None:
         self.case, self.made = case, ""
@@ -118,7 +118,7 @@ class Bed:
             code = -EBUSY if self.made == "busy" or self.claimed not in (None, mine) else 0
             self.claimed = self.claimed if code else mine
         elif request == RELEASE:
-            # What is still under way ends with the node's closing, which umockdev does not tell.
+            # Pending requests end when the node is closed, which umockdev does not report.
             self.claimed = None if self.claimed is mine else self.claimed
             mine.waiting, mine.blocked, mine.done = [], [], []
         elif request == GET_DRIVER:
@@ -136,7 +136,7 @@ class Bed:
 
     def _submit(self, mine: Opened, argument: object) -> int:
         if self.lost:
-            self.falcon.motors = (0, 0, 0)  # no cable, no force
+            self.falcon.motors = (0, 0, 0)  # unplugged: no force
             return -ENODEV
         urb = argument.resolve(0, 56)
         raw = bytes(urb.retrieve())
@@ -157,7 +157,7 @@ class Bed:
         return 0
 
     def _spoil(self, before: int) -> None:
-        """What is done to the replies that have just been made."""
+        """Apply the faults to the latest replies."""
         falcon, late = self.falcon, self.case.get("late_every")
         if self.made == "timeout" or self._past("mute_after"):
             del falcon.reply[before:]
@@ -214,8 +214,8 @@ class Bed:
         return 0
 
     def _discard(self, mine: Opened) -> int:
-        # The request's argument is the address of a URB in the program, which umockdev does not show. Only a program
-        # that gives up discards, and then all that it has.
+        # The request's argument is the address of a URB in the program, which umockdev does not expose. Programs
+        # discard only when they stop, and then all requests.
         waiting = [one[0] for one in mine.waiting] + mine.blocked
         mine.waiting, mine.blocked = [], []
         for urb in waiting:
@@ -223,7 +223,7 @@ class Bed:
         return 0 if waiting else -EINVAL
 
     def answer(self, line: str) -> str:
-        """One line of the program's."""
+        """Execute one line of the program."""
         word, _, rest = line.partition(" ")
         if word == "displayed":
             return json.dumps(to_world((0.0, 0.0, 0.0) if self.lost else self.falcon.displayed))
@@ -246,7 +246,7 @@ class Bed:
         return "null"
 
     def seen(self) -> dict:
-        """What the device was sent."""
+        """Return the state of the device."""
         return {**self.falcon.seen(), "ioctls": self.ioctls}
 
 
@@ -286,11 +286,11 @@ def main() -> int:
     serve(bed, path)
     os.environ["SOFTFINGER_TESTBED"] = path
     command = sys.argv[2:]
-    if os.geteuid() == 0:  # to root, no file is forbidden
+    if os.geteuid() == 0:  # root may open any file
         command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]
 
     def run() -> None:
-        # The environment of the C library is passed on, to which umockdev has added where the emulated files are.
+        # Pass on the environment of the C library, to which umockdev has added the paths of the emulated files.
         code.append(bounded.run(command))
         loop.quit()
 
@@ -305,4 +305,4 @@ def main() -> int:
 if __name__ == "__main__":
     result = main()
     sys.stdout.flush()
-    os._exit(result)  # umockdev's own threads would keep the process
+    os._exit(result)  # umockdev's threads would block the exit of the process

@@ -1,4 +1,4 @@
-"""The far end of a pseudo terminal, for boards that are emulated by a thread in Python."""
+"""Far end of a pseudo terminal, for boards emulated by a thread in Python."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Self
 
 
 class FarTerminal:
-    """Calls `turn` every `period_s` until the block ends; `path` is what a driver opens."""
+    """Call `turn` every `period_s` until the block ends; `path` is for the driver."""
 
     def __init__(self, period_s: float) -> None:
         self._far, self._near = os.openpty()
@@ -22,17 +22,17 @@ class FarTerminal:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def turn(self) -> None:
-        """What the board does each time."""
+        """Run one period of the board."""
         raise NotImplementedError
 
     def read(self) -> bytes:
-        """What has come since the last time."""
+        """Return the bytes received since the last call."""
         with suppress(BlockingIOError):
             return os.read(self._far, 4096)
         return b""
 
     def write(self, data: bytes) -> None:
-        """Lost where nobody reads."""
+        """Send bytes; they are lost if the host does not read."""
         with suppress(BlockingIOError):
             os.write(self._far, data)
 

@@ -1,6 +1,6 @@
-"""The board of the guide in docs/devices/serial.md, in Python and real time: one motor, frames with a mark and a crc8.
+"""Board of the guide in docs/devices/serial.md, in Python and real time: one motor, frames with a mark and a crc8.
 
-Written from the page. What it would miss: everything of a real board but these frames.
+Written from the page. Not modelled: everything of a real board except these frames.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def crc8(data: bytes) -> int:
 
 
 class GuideBoard(FarTerminal):
-    """`angle` (rad) is the joint's, `torque` (N m) the motor's, `most` the largest torque so far."""
+    """Board with a joint at `angle` (rad) and a motor with `torque` (N m); `most` is the maximum torque so far."""
 
     def __init__(self) -> None:
         super().__init__(period_s=0.001)

@@ -1,4 +1,4 @@
-"""The handle of an emulated device, and the hand on it. Python alone."""
+"""Handle of an emulated device with a hand on it. Pure Python."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ SUBSTEPS = 4
 
 
 class Handle:
-    """A mass with friction of bearings, and a hand that pulls it towards where it wants to be.
+    """A mass with bearing friction, and a hand that pulls it toward its goal.
 
     Each packet of the host moves it by one millisecond, so that a slow connection changes no physics.
 
-    intention  place (m, device's frame) that the hand wants at a time (s)
+    intention  goal (m, device's frame) of the hand at a time (s)
     """
 
     mass, bearing, hand_spring, hand_damper = 0.15, 1.5, 300.0, 8.0
@@ -27,7 +27,7 @@ class Handle:
         self.steps = 0
 
     def move(self, motors: Vector) -> None:
-        """One step under a force (N) of the motors."""
+        """Run one step under a force (N) of the motors."""
         wanted = self.intention(self.steps * STEP_S)
         h = STEP_S / SUBSTEPS
         for _ in range(SUBSTEPS):
@@ -43,7 +43,7 @@ class Handle:
 
 
 def stroke(place: Vector, press: float, drag: float) -> Callable[[float], Vector]:
-    """From `place` down by `press` m in 0.3 s, along x by `drag` m and back in 0.6 s, up in 0.3 s, and again."""
+    """Return a periodic motion: `press` m down in 0.3 s, `drag` m along x and back in 0.6 s, up in 0.3 s."""
 
     def smooth(share: float) -> float:
         return 0.5 - 0.5 * cos(pi * min(max(share, 0.0), 1.0))

@@ -1,6 +1,6 @@
-"""A Hapkit behind a pseudo terminal, in real time: the shipped sketch itself, compiled for this machine.
+"""Hapkit behind a pseudo terminal, in real time: the shipped sketch, compiled for this machine.
 
-`stubs/arduino/hapkit.cpp` stands in for the board, and says what it misses.
+`stubs/arduino/hapkit.cpp` replaces the board, and lists the effects that it does not model.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ COUNTS_PER_HALF_TURN = 980.0
 
 
 def compile_sketch(path: Path) -> Path:
-    """The sketch and its board as a shared library at `path`."""
+    """Compile the sketch and its board as a shared library at `path`."""
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f'-DSKETCH="{SKETCH}"']
     subprocess.run([str(COMPILER), *flags, "-o", str(path), str(STUB)], check=True)
     return path
 
 
 class Hapkit:
-    """The board at the far end of a pseudo terminal; one at a time for each library."""
+    """Board at the far end of a pseudo terminal; one at a time for each library."""
 
     def __init__(self, library: Path) -> None:
         self._code = ctypes.CDLL(str(library))
@@ -56,21 +56,21 @@ class Hapkit:
         self._code.board_mute(int(yes))
 
     def torque(self) -> float:
-        """What the motor gives at the handle's joint, N m."""
+        """Return the motor's torque at the handle's joint, N m."""
         return 0.0 if self.pulled else float(self._code.board_torque()) * SECTOR_M / PULLEY_M
 
     def changes(self) -> list[tuple[float, float]]:
-        """Time (s, monotonic clock) and torque at the motor (N m) of every change."""
+        """Return time (s, monotonic clock) and torque at the motor (N m) of every change."""
         out = (ctypes.c_double * (2 << 16))()
         count = self._code.board_changes(out, 1 << 16)
         return [(out[2 * k], out[2 * k + 1]) for k in range(count)]
 
     def say(self, data: bytes) -> None:
-        """Put bytes on the line to the host."""
+        """Send bytes to the host."""
         os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug it. Any number of times."""
+        """Unplug it; may be called repeatedly."""
         if not self.pulled:
             self.pulled = True
             self._code.board_stop()

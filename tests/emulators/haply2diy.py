@@ -1,11 +1,11 @@
-"""A Haply 2DIY behind a pseudo terminal, in real time: its M0 board's firmware byte by byte, and its pantograph.
+"""Haply 2DIY behind a pseudo terminal, in real time: its M0 board's firmware byte by byte, and its pantograph.
 
 Written from the firmware's published source (Haply_M0_Firmware V0.3: one command every 50 us at most, reads of torques
-that wait for missing bytes for a second, torques that stay until others come, a reset that switches no motor off) and
-from the maker's host program (HaplyHAPI 1.0.1: setup, order of ports, links). Nothing here comes from the driver.
+that wait for missing bytes for a second, torques that last until the next, a reset that switches no motor off) and from
+the maker's host program (HaplyHAPI 1.0.1: setup, order of ports, links), independent of the driver.
 
-What this would miss: which way motors and encoders of a real device turn, USB's packets (a terminal tears frames at
-other places), the time that the processor takes, steps of the encoders, and a board with another firmware.
+Not modelled: directions of motors and encoders of a real device, USB packets (a terminal splits frames elsewhere), the
+time of the processor, encoder steps, and a board with another firmware.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LINKS = (0.038, 0.07, 0.09)
 """Between the motors, inner, outer; m."""
 TORQUE_MAX = 0.123
 READ_WAIT_S = 1.0
-"""Arduino's Stream waits so long for bytes."""
+"""Time that Arduino's Stream waits for bytes."""
 STEP_S = 50e-6
 TREMOR = 3e-5
-"""Degrees of a hand, two steps of a float32: less than 0.1 um at the handle."""
+"""Tremor of a hand in degrees, two steps of a float32: less than 0.1 um at the handle."""
 
 
 def place(a: float, b: float) -> tuple[float, float]:
-    """The handle (m, from the axis of motor 1) at angles (degrees) of both inner links: where two circles meet."""
+    """Return the handle (m, from the axis of motor 1) for angles (degrees) of the inner links."""
     base, inner, outer = LINKS
     xa, ya = inner * cos(radians(a)), inner * sin(radians(a))
     xb, yb = base + inner * cos(radians(b)), inner * sin(radians(b))
@@ -46,13 +46,13 @@ class Firmware:
     def __init__(self) -> None:
         self.angles = [168.0, 12.0]
         self.torques = [0.0, 0.0]
-        """What the motors on ports 1 and 2 give (N m)."""
+        """Torques of the motors on ports 1 and 2 (N m)."""
         self.log: list[tuple[float, float, float]] = []
         """Time (s, monotonic clock) and torques of each change."""
         self.host = [0, 0]
         """Device that the motors and encoders of each port belong to; 0: none."""
         self.encoders = [(0.0, 0.0)] * 2
-        """What an encoder was told to show, and where its link was (degrees)."""
+        """Offset set for an encoder, and the angle of its link at that time (degrees)."""
         self.setups = self.answers = self.taken = 0
 
     def motor(self, port: int) -> int:
@@ -103,7 +103,7 @@ class Firmware:
         command = port.read()
         if command == 0:
             port.read()
-            self.host = [0, 0]  # and the motors go on
+            self.host = [0, 0]  # the motors retain their torque
         elif command == 1:
             self.setup(port)
         elif command == 2:
@@ -121,11 +121,11 @@ class Port:
         os.set_blocking(self._far, False)
         self.path = os.ttyname(self._near)
         self.mute = threading.Event()
-        """Set: the board hears, and says nothing."""
+        """If set, the board receives but does not answer."""
         self.hears: Callable[[bytes], bytes] = bytes
-        """What the line does to bytes for the board."""
+        """Change of the bytes to the board on the line."""
         self.says: Callable[[bytes], bytes] = bytes
-        """What it does to an answer."""
+        """Change of an answer on the line."""
         self._came = bytearray()
         self._pulled = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -147,12 +147,12 @@ class Port:
         return len(self._came)
 
     def read(self) -> int:
-        """The next byte, -1 where there is none: as Arduino's, without waiting."""
-        self._fill(0.0005)  # USB hands on a packet at once
+        """Return the next byte, or -1 if there is none, without waiting: as Arduino's."""
+        self._fill(0.0005)  # USB delivers a packet at once
         return self._came.pop(0) if self._came else -1
 
     def read_bytes(self, count: int) -> bytes:
-        """So many bytes, or fewer after READ_WAIT_S without one."""
+        """Return `count` bytes, or fewer after READ_WAIT_S without one."""
         out, until = b"", time.monotonic() + READ_WAIT_S
         while len(out) < count and time.monotonic() < until and not self._pulled.is_set():
             self._fill(0.002)
@@ -165,12 +165,12 @@ class Port:
             self.say(self.says(data))
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the host as they are; what has no room because nobody reads is lost."""
+        """Send bytes to the host unchanged; they are lost if the buffer is full."""
         with suppress(OSError):
             os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug the board. Any number of times."""
+        """Unplug the board; may be called repeatedly."""
         if not self._pulled.is_set():
             self._pulled.set()
             self._thread.join()

@@ -1,20 +1,20 @@
-"""Haply's Inverse Service as a process of its own, with devices and hands on them: `python -m emulators.haply_service`.
+"""Haply's Inverse Service in a separate process, with devices and hands on them: `python -m emulators.haply_service`.
 
-Written from the maker's pages of service 3.5 and from public programs that speak to 3.1 to 3.4; nothing here comes from
-the driver. WebSocket and HTTP share a port. A client that connects gets an inventory, then one state for each of its
-messages, and nothing unasked. A command lasts until the next one or until `IDLE_S` after it; forces of several sessions
-add up, and a session's end takes its force with it. Keys that the service does not know are ignored.
+Written from the maker's pages of service 3.5 and from public programs for 3.1 to 3.4, independent of the driver.
+WebSocket and HTTP share a port. A client gets an inventory on connect, then one state for each of its messages. A
+command lasts until the next one or for `IDLE_S`; forces of several sessions add up, and the end of a session ends its
+force. Unknown keys are ignored.
 
-The maker's page "HTTP" describes each answer twice: as the value alone (the example of `/version`), and as that of all
-GET and POST in an envelope, `{"ok": true, "data": value}`. `enveloped` selects one. A mount is flat in a snapshot and
-below `transform` in a command ("Mount & Workspace"); a test sets either.
+The maker's page "HTTP" describes each answer twice: as the plain value (the example of `/version`), and for all GET and
+POST in an envelope, `{"ok": true, "data": value}`. `enveloped` selects one. A mount is flat in a snapshot and below
+`transform` in a command ("Mount & Workspace"); a test sets either.
 
-A test steers it by lines of JSON on its standard input, each answered by a line (`Desk`).
+A test controls it by lines of JSON on its standard input, each answered by a line (`Desk`).
 
-It does not show: how long a device keeps its last force (`IDLE_S` is assumed, for no page says), what force gate,
-torque scaling and gravity compensation do to a force, how soon a device or grip that has gone leaves the list, whether
-3.1 to 3.4 tell their version on this port, battery and safety events, the second format of grips, navigation, and any
-time that the bus to the device takes.
+Not modelled: the time a device retains its last force (`IDLE_S` is assumed, no page defines it), the effects of force
+gate, torque scaling and gravity compensation on a force, the delay until a missing device or grip is removed from the
+list, if 3.1 to 3.4 report their version on this port, battery and safety events, the second format of grips,
+navigation, and the time of the bus to the device.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from websockets.server import ServerProtocol
 from emulators.hand import Handle, stroke
 
 IDLE_S: Final = 0.1
-"""How long a device keeps a force that nobody renews. Assumed."""
+"""Time after which a device ends a force that is not renewed. Assumed."""
 CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
-"""Where a cursor rests (m), as in the maker's example."""
+"""Rest position of a cursor (m), as in the maker's example."""
 ZERO: Final = (0.0, 0.0, 0.0)
 
 
 class Given(NamedTuple):
-    """A force (N) that a session gave a device, and when it ends by itself (s, monotonic clock)."""
+    """A force (N) of a session on a device, and the time at which it ends (s, monotonic clock)."""
 
     force: tuple[float, float, float]
     until: float
 
 
 class Inverse:
-    """A device: where its cursor is, what every session gives it, and what its motors have done, with times."""
+    """A device: cursor position, forces of the sessions, and log of its motors."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.position: Any = dict(CENTRE)
         """m; "clock": x is the fraction of the monotonic clock's second."""
         self.handle: Handle | None = None
-        """The hand on it; each message moves it by a millisecond. None: it stays where it is."""
+        """Hand on the device; each message moves it by a millisecond. None: the device does not move."""
         self.given: dict[int, Given] = {}
         self.log: list[tuple[float, float, float, float]] = []
         """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
@@ -70,7 +70,7 @@ class Inverse:
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
     def force(self, now: float) -> tuple[float, float, float]:
-        """Sum over the sessions, without those whose time is over; their end is in the log."""
+        """Return the sum over the sessions, without expired forces; the end of each is logged."""
         for session, given in sorted(self.given.items(), key=lambda one: one[1].until):
             if given.until <= now:
                 del self.given[session]
@@ -78,7 +78,7 @@ class Inverse:
         return self._sum()
 
     def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
-        """A command of a session, which ends by itself after a time."""
+        """Apply a command of a session, which expires after `idle_s`."""
         self.force(now)
         self.given[session] = Given(force, now + idle_s)
         self.log.append((now, *self._sum()))
@@ -88,7 +88,7 @@ class Inverse:
             self.position = {axis: CENTRE[axis] + value for axis, value in place}
 
     def leave(self, session: int, now: float) -> None:
-        """The session is over, and with it what it gave."""
+        """End the session and its force."""
         self.force(now)
         if self.given.pop(session, None) is not None:
             self.log.append((now, *self._sum()))
@@ -117,7 +117,7 @@ class Inverse:
 
 
 class Service:
-    """Devices by group and id, grips by group and id, sessions; what its clients see of it."""
+    """Devices and grips by group and id, sessions, and faults for tests."""
 
     def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
         self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
@@ -130,44 +130,43 @@ class Service:
             group, _, name = one.partition(":")
             self.grips.setdefault(group, {})[name] = _grip(group)
         self.gone: set[str] = set()
-        """Ids that have left the list."""
+        """Ids removed from the list."""
         self.sessions = 0
         self.filters: dict[int, dict[str, Any]] = {}
         """By session."""
         self.mount: dict[str, Any] | None = _identity()
         self.types: dict[str, str] = {}
-        """`config.type` by device, where it is not the name of its list."""
+        """`config.type` by device, if it differs from the name of its list."""
         self.enveloped = True
-        """Answers to a POST and, if `version_enveloped`, to /version are `{ok, data}`, else the value alone."""
+        """If set, answers to a POST (to /version: `version_enveloped`) are `{ok, data}`, otherwise the plain value."""
         self.version_enveloped = False
         self.mute = False
-        """Hears, and answers nothing."""
+        """If set, it receives but does not answer."""
         self.late_s = 0.0
         self.spoil: str | None = None
-        """Text in place of a state."""
+        """Text sent instead of a state."""
         self.copies = 1
-        """States for each message."""
+        """States per message."""
         self.raw: str | None = None
-        """Bytes in hexadecimal digits, sent once to each session in place of a state; the session then goes on."""
+        """Bytes in hexadecimal digits, sent once to each session instead of a state; the session then continues."""
         self.end: str | None = None
-        """How each session ends behind `raw`: "fin" closes the service's half of the connection, "rst" resets it."""
+        """End of each session after `raw`: "fin" closes the service's half of the connection, "rst" resets it."""
         self.broken: set[int] = set()
-        """Sessions that were sent `raw`."""
+        """Sessions to which `raw` was sent."""
         self.deaf = False
-        """Reads no further message from any session."""
+        """If set, it reads no further message from any session."""
         self.streams = False
-        """Sends states unasked, one a millisecond, while it is deaf."""
+        """If set, it sends a state per millisecond while `deaf`."""
         self.pages: dict[str, str] = {}
-        """Bodies in place of those of HTTP, by path."""
+        """Bodies that replace those of HTTP, by path."""
         self.asked: list[str] = []
-        """Lines of HTTP requests with their bodies."""
+        """HTTP request lines with their bodies."""
         self.heard = 0
-        """Messages of clients."""
+        """Number of messages from clients."""
         self.said: list[str] = []
-        """The first message of each session."""
+        """First message of each session."""
         self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
-        """Received forces (N) with their times (s, monotonic clock), in their order, by device. The end of a session is
-        not in here."""
+        """Received forces (N) with their times (s, monotonic clock), in order, by device; without ends of sessions."""
 
     @property
     def force_key(self) -> str:
@@ -188,7 +187,7 @@ class Service:
         return [device for group in self.devices.values() for device in group.values()]
 
     def hear(self, session: int, text: str) -> None:
-        """A message of a client; what it does not know is passed over."""
+        """Handle a message of a client; unknown parts are ignored."""
         with self.lock:
             message, now = json.loads(text), time.monotonic()
             self.heard += 1
@@ -204,7 +203,7 @@ class Service:
                         device.take(session, given, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
-        """The inventory, or a state."""
+        """Return the inventory, or a state."""
         with self.lock:
             now = time.monotonic()
             shown: dict[str, Any] = {"session_id": session} if whole else {}
@@ -224,7 +223,7 @@ class Service:
             return json.dumps(shown).replace("Infinity", "null").replace("NaN", "null")  # as the maker's JSON library
 
     def answer_http(self, method: str, path: str, body: str) -> tuple[int, str]:
-        """Status and body of a page."""
+        """Return status and body of a page."""
         with self.lock:
             self.asked.append(f"{method} {path} {body}".strip())
             if path in self.pages:
@@ -308,7 +307,7 @@ class Connection:
         self.protocol = ServerProtocol()
 
     def run(self) -> None:
-        with self.end, suppress(OSError, InvalidState):  # a client may close while it is answered
+        with self.end, suppress(OSError, InvalidState):  # a client may close during an answer
             head = b""
             while b"\r\n\r\n" not in head:
                 data = self.end.recv(65536)
@@ -375,7 +374,7 @@ class Connection:
             service.leave(session)
 
     def _break(self) -> bool:
-        """Send `raw`, and end the connection as `end` says; True if nothing more can be read from it."""
+        """Send `raw` and end the connection by `end`; return True if nothing more can be read from it."""
         self.end.sendall(bytes.fromhex(self.service.raw or ""))
         if self.service.end == "fin":
             self.end.shutdown(socket.SHUT_WR)
@@ -389,7 +388,7 @@ class Connection:
 
 
 class Desk:
-    """What a test asks for, a line of JSON each: `{"set": {...}}`, or a question."""
+    """Commands and queries of a test, a line of JSON each: `{"set": {...}}`, or a query."""
 
     def __init__(self, service: Service) -> None:
         self.service = service

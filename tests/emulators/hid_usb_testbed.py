@@ -1,8 +1,8 @@
-"""The emulated arm of testbed.py on the USB bus alone, without a hidraw node, for hidapi's libusb backend.
+"""The emulated arm of testbed.py only on the USB bus, without a hidraw node, for hidapi's libusb backend.
 
-The first argument is that of testbed.py, and: block_after (reports until it takes no more), claimed (true: its
-interface is another program's), listed (true: the system's table has a hidraw node that is not there, as in a
-container). Here are the kernel's answers to libusb.
+The first argument is that of testbed.py, and also: block_after (reports until it accepts no more), claimed (true:
+another program has its interface), listed (true: the system's table has a hidraw node that does not exist, as in a
+container). This module is the kernel that libusb calls.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Stream:
 
 
 class UsbBed(testbed.Bed):
-    """The node on the bus, and what happens to it."""
+    """The node on the bus and its faults."""
 
     node_path = NODE
 
@@ -64,7 +64,7 @@ class UsbBed(testbed.Bed):
         self.bed.attach_ioctl(NODE, self.node)
 
     def _descriptors(self) -> bytes:
-        """Device and configuration: HID interfaces, each with an interrupt endpoint in and one out."""
+        """Return device and configuration: HID interfaces, each with an interrupt endpoint in and one out."""
         body = b""
         for n, one in enumerate(self.board.interfaces):
             ends = bytes([7, 5, one.end_in, 3, one.bytes_in, 0, 1, 7, 5, one.end_out, 3, one.bytes_out, 0, 1])
@@ -80,7 +80,7 @@ class UsbBed(testbed.Bed):
         )
 
     def _report(self, interface: int) -> bytes:
-        """Report descriptor of an interface."""
+        """Return the report descriptor of an interface."""
         return self.descriptor if interface == self.board.arm else self.board.interfaces[interface].descriptor
 
     def _ioctl(self, _: object, client: object) -> bool:
@@ -117,7 +117,7 @@ class UsbBed(testbed.Bed):
             self._control(stream, urb, buffer)
         elif end == self.board.interfaces[self.board.arm].end_in:
             stream.waiting.append((urb, buffer, length))
-        elif end & 0x80:  # of an interface that says nothing
+        elif end & 0x80:  # of an interface without reports
             stream.blocked.append(urb)
         elif end != self.board.interfaces[self.board.arm].end_out:
             self.astray += 1
@@ -163,8 +163,8 @@ class UsbBed(testbed.Bed):
         return 0
 
     def _discard(self, stream: Stream) -> int:
-        # Which one is meant umockdev does not show: writes have a second, and reads are given up when the device is
-        # closed.
+        # umockdev does not expose which one is meant: writes time out after a second, and reads are discarded when the
+        # device is closed.
         given_up, stream.blocked = stream.blocked, []
         if not given_up:
             given_up, stream.waiting = [one[0] for one in stream.waiting], []
@@ -176,4 +176,4 @@ class UsbBed(testbed.Bed):
 if __name__ == "__main__":
     result = testbed.main(UsbBed)
     sys.stdout.flush()
-    os._exit(result)  # umockdev's own threads would keep the process
+    os._exit(result)  # umockdev's threads would block the exit of the process

@@ -1,8 +1,8 @@
-"""An emulated SpaceMouse as a hidraw node of umockdev, and a program run beside it, as in testbed.py.
+"""Emulated SpaceMouse as a hidraw node of umockdev, and a program on it, as in testbed.py.
 
-The first argument: product (number), push (deflection in counts by the words of puck.py), buttons, unplug_after_s
-(since it was first written to), unplug_when (a path, as soon as it exists), reports: split or combined.
-What the puck was sent goes to the last line of standard output as JSON.
+Keys of the first argument: product (number), push (deflection in counts, with the names of puck.py), buttons,
+unplug_after_s (after the first write), unplug_when (a path, as soon as it exists), reports: split or combined. The
+reports sent to the puck are the last line of standard output, as JSON.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ REPORT_PERIOD_MS = 16
 
 
 class PuckBed(testbed.Bed):
-    """A puck that is pushed from the start, and reports it 60 times a second."""
+    """A puck that is deflected from the start, and reports 60 times a second."""
 
     name = "SpaceNavigator"
 
@@ -40,7 +40,7 @@ class PuckBed(testbed.Bed):
     def _report(self) -> bool:
         kind = puck.combined if self.case.get("reports") == "combined" else puck.split
         for report in [*kind(**self.case.get("push", {})), puck.buttons(self.case.get("buttons", 0))]:
-            if len(self.queue) < 64:  # as many as the kernel keeps
+            if len(self.queue) < 64:  # as many as the kernel queues
                 self.queue.append(report)
                 os.write(self.terminal, b"\1")
         return not self.gone
@@ -69,11 +69,11 @@ class PuckBed(testbed.Bed):
         return True
 
     def seen(self) -> dict:
-        """The reports that the puck was sent."""
+        """Return the reports that the puck received."""
         return {"written": [data.hex() for data in self.written]}
 
 
 if __name__ == "__main__":
     result = testbed.main(PuckBed)
     sys.stdout.flush()
-    os._exit(result)  # umockdev's own threads would keep the process
+    os._exit(result)  # umockdev's threads would block the exit of the process

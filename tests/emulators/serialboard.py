@@ -1,8 +1,8 @@
-"""WoodenHaptics' third generation with a hand on it, behind a pseudo terminal. Python alone.
+"""WoodenHaptics' third generation with a hand on it, behind a pseudo terminal. Pure Python.
 
-Written from the published format of the frames; nothing here comes from the driver. The board answers each frame and
-each newline with a frame of its own, one for one, and keeps a force until the next. Each frame of the host moves the
-handle by one millisecond, so that a slow connection changes no physics.
+Written from the published format of the frames, independent of the driver. The board answers each frame and each
+newline with one frame, and retains a force until the next. Each frame of the host moves the handle by one millisecond,
+so that a slow connection changes no physics.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from emulators.hand import Handle, Vector
 
 FRAME_BYTES = 64
 FOOT_M = 0.2
-"""The arm's vertical axis stands so far behind the middle of its workspace."""
+"""Distance of the arm's vertical axis behind the middle of its workspace."""
 
 
 class Board(Handle):
     """The handle behind its board.
 
-    early_end  whether a newline stands behind the last number as well as at the end of a frame
+    early_end  True if a newline also follows the last number, not only the frame
     """
 
     def __init__(self, intention: Callable[[float], Vector], early_end: bool = False) -> None:
@@ -39,20 +39,20 @@ class Board(Handle):
         """Angles D and E (rad)."""
         self.info = 0
         self.force: Vector = (0.0, 0.0, 0.0)
-        """What the motors give now (N)."""
+        """Force of the motors now (N)."""
         self.wakes = 0
         self.sent: list[tuple[int, ...]] = []
         """Numbers of every frame of the host."""
         self.faults: list[bytes] = []
-        """Lines that were neither a frame nor a newline alone."""
+        """Lines that were neither a frame nor a single newline."""
 
     def angles(self) -> tuple[float, float, float, float]:
-        """tA, lambda, tD, tE (rad): the arm faces its handle, and dips towards it."""
+        """Return tA, lambda, tD, tE (rad): the arm points to its handle, and dips toward it."""
         x, y, z = self.place
         return (atan2(y, x + FOOT_M), atan2(z, hypot(x + FOOT_M, y)), *self.wrist)
 
     def answer(self, line: bytes) -> bytes:
-        """Take what came up to a newline; the frame that answers it."""
+        """Process a line, and return the frame that answers it."""
         words = line.split()
         if line == b"\n":
             self.wakes += 1
@@ -66,7 +66,7 @@ class Board(Handle):
         return self.frame()
 
     def frame(self) -> bytes:
-        """What the board sends now: mm to three places, rad to four."""
+        """Return the current frame: mm with three digits, rad with four."""
         x, y, z = (1e3 * p for p in self.place)
         a, b, d, e = self.angles()
         text = f"{x: 8.3f} {y: 8.3f} {z: 8.3f} {a: 7.4f} {b: 7.4f} {d: 7.4f} {e: 7.4f} {self.info}"
@@ -82,14 +82,14 @@ class Cable:
         os.set_blocking(self._far, False)
         self.path = os.ttyname(self._near)
         self.mute = threading.Event()
-        """Set: the board hears, and says nothing."""
+        """If set, the board receives but does not answer."""
         self._deaf, self._reading, self._saying = False, threading.Lock(), threading.Lock()
         self.spoil: Callable[[bytes], bytes] = bytes
-        """What the line does to an answer."""
+        """Change of an answer on the line."""
         self.came = 0
         """Bytes read from the line."""
         self.heard = 0
-        """Bytes heard and answered."""
+        """Bytes processed and answered."""
         self._pulled = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -121,22 +121,22 @@ class Cable:
         return waiting[0] + self.came
 
     def hear(self, now: bool) -> None:
-        """Whether the board reads; it reads nothing more once this has returned."""
+        """Let the board read or not; it reads nothing more once this has returned."""
         with self._reading:
             self._deaf = not now
 
     def hush(self) -> None:
-        """The board says nothing more once this has returned, until `mute` is cleared."""
+        """Silence the board: it sends nothing once this has returned, until `mute` is cleared."""
         with self._saying:
             self.mute.set()
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the host as they are; what has no room because nobody reads is lost."""
+        """Send bytes to the host unchanged; they are lost if the buffer is full."""
         with suppress(BlockingIOError):
             os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug the board. Any number of times."""
+        """Unplug the board; may be called repeatedly."""
         if not self._pulled.is_set():
             self._pulled.set()
             self._thread.join()

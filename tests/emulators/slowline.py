@@ -53,11 +53,11 @@ class SlowLine:
         """Bytes for the board with the time of their write (s, monotonic clock)."""
         self._back = bytearray()
         self.stalled = threading.Event()
-        """If set, the line carries nothing to the board, like a USB board that does not read."""
+        """If set, the line transmits nothing to the board, like a USB board that does not read."""
         self.oldest_s = 0.0
-        """Largest age of a byte at its arrival."""
+        """Maximum age of a byte at its arrival."""
         self.longest = 0
-        """Largest length of the queue."""
+        """Maximum length of the queue."""
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -68,7 +68,7 @@ class SlowLine:
         return len(self._queue)
 
     def queued(self) -> bytes:
-        """Copy of the queue; for a stalled line."""
+        """Return a copy of the queue of a stalled line."""
         return bytes(byte for _, byte in list(self._queue))
 
     def environment(self, stub: Path) -> dict[str, str]:
@@ -123,7 +123,7 @@ class SlowLine:
             data = os.read(self._board, most)
         except BlockingIOError:
             return 0
-        with suppress(BlockingIOError):  # nobody reads
+        with suppress(BlockingIOError):  # the host does not read
             os.write(self._far, data)
         return len(data)
 

@@ -1,15 +1,14 @@
-"""An emulated WoodenHaptics as a hidraw node of umockdev, and a program run beside it that sees no other devices.
+"""Emulated WoodenHaptics as a hidraw node of umockdev, and a program that sees no other devices.
 
     umockdev-wrapper /usr/bin/python3 testbed.py '{"arm": "woody-2019", "generation": 2}' program argument ...
 
-Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The program's exit code is this one's; what the emulated
-arm saw goes to the last line of standard output as JSON.
+Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi. The exit code is the program's; the state of the emulated
+arm is the last line of standard output, as JSON.
 
-The first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally board (a row of boards.py;
-without one, a single interface), descriptor (hex), place
-(m), press (m: how far the hand then goes down), drag (m: and to the side), lost_after (reports until the device is
-unplugged), short_after (reports until it sends short ones), mute_after, block_after (reports until a write hangs for
-ever), permission (mode of the node, octal text).
+Keys of the first argument: arm (a row of the emulator's table), generation (1 or 2), and optionally board (a row of
+boards.py; by default a single interface), descriptor (hex), place (m), press (m: downward motion of the hand), drag (m:
+sideways motion), lost_after (reports until the device is unplugged), short_after (reports until it sends short ones),
+mute_after, block_after (reports until a write blocks for ever), permission (mode of the node, octal text).
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
 
 
 class Bed:
-    """The node, and what happens to it."""
+    """The node and its faults."""
 
     node_path = "/dev/hidraw0"
 
@@ -56,7 +55,7 @@ class Bed:
         self.descriptor = bytes.fromhex(case["descriptor"]) if "descriptor" in case else mine
         self.woody = Woody(case["arm"], generation, intention, mine[mine.index(0x95) + 1])
         self.astray = 0
-        """Reports to an interface that is not the arm's."""
+        """Reports to interfaces other than the arm's."""
         self.woody.wrist = tuple(case.get("wrist", (0, 0, 0)))
         self.queue: list[bytes] = []
         self.blocked: list[object] = []
@@ -77,11 +76,11 @@ class Bed:
             node.connect("handle-write", self._write if mine else self._write_astray)
             self.bed.attach_ioctl(f"/dev/hidraw{number}", node)
             self.nodes.append(node)
-        # The node is a pseudo terminal here: a byte in it makes poll report that there is something to read.
+        # The node is a pseudo terminal here: a byte in it makes poll report input.
         self.terminal = self.bed.get_dev_fd(f"/dev/hidraw{self.board.arm}")
 
     def hidraw_table(self) -> tuple[str, ...]:
-        """The device, its interfaces and their nodes as the system lists them."""
+        """Return the device, its interfaces and their nodes as the system lists them."""
         vendor, product = self.ids
         texts = [
             f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
@@ -156,7 +155,7 @@ class Bed:
         return True
 
     def take(self, data: bytes) -> bool:
-        """A report of the host, id in front; whether it was answered."""
+        """Process a report of the host with its id; return True if it was answered."""
         answer = self.woody.answer(data)
         answered = not self._past("mute_after")
         if answered:
@@ -164,7 +163,7 @@ class Bed:
         return answered
 
     def seen(self) -> dict:
-        """What the arm was sent."""
+        """Return the state of the arm and the reports it received."""
         w = self.woody
         return {
             "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place, "silences": w.silences,
@@ -176,11 +175,11 @@ class Bed:
 def main(make: type[Bed] = Bed) -> int:
     bed, loop, code = make(json.loads(sys.argv[1])), GLib.MainLoop(), []
     command = sys.argv[2:]
-    if os.geteuid() == 0:  # to root, no file is forbidden
+    if os.geteuid() == 0:  # root may open any file
         command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]
 
     def run() -> None:
-        # Without the interpreter's own paths of this process: the program may be another Python.
+        # Without the interpreter's paths of this process: the program may be another Python.
         code.append(bounded.run(command))
         loop.quit()
 
@@ -193,4 +192,4 @@ def main(make: type[Bed] = Bed) -> int:
 if __name__ == "__main__":
     result = main()
     sys.stdout.flush()
-    os._exit(result)  # umockdev's own threads would keep the process
+    os._exit(result)  # umockdev's threads would block the exit of the process

@@ -1,7 +1,7 @@
-"""A WoodenHaptics arm with a hand on it, behind its two wire formats. Python alone: it also runs under the system's.
+"""WoodenHaptics arm with a hand on it, behind its two wire formats. Pure Python: it also runs under the system's.
 
-Written from the published wire formats and dimensions; nothing here comes from the driver. Each report of the host
-moves the arm by one millisecond, so that a slow connection changes no physics, and is answered with the encoders.
+Written from the published wire formats and dimensions, independent of the driver. Each report of the host moves the arm
+by one millisecond, so that a slow connection changes no physics, and is answered with the encoders.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from math import acos, atan2, cos, hypot, pi, sin
 
 from emulators.hand import Handle, Vector
 
-# capstans (mm), links (m), bodies (mm), origin (m), torque constants (N m/A), counts a turn, calibration, aligned
+# capstans (mm), links (m), bodies (mm), origin (m), torque constants (N m/A), counts per turn, calibration, aligned
 TABLE: dict[str, tuple[Vector, Vector, Vector, Vector, Vector, int, tuple[int, int, int], tuple[int, int, int]]] = {
     "woody-2019": (
         (10, 10, 10), (0.080, 0.205, 0.245), (160, 120, 120), (0.22, 0, 0.08), (0.321, 0.0603, 0.0603), 2000,
@@ -51,7 +51,7 @@ class Arm:
         self.ratio = [(-1 if x else 1) * c / b for x, c, b in zip(aligned, capstan, body, strict=True)]
 
     def position(self, angles: Vector) -> Vector:
-        """Where the end is (m): the links laid end to end, then turned about the vertical."""
+        """Return the position of the end (m): the links end to end, rotated about the vertical."""
         la, lb, lc = self.link
         a, b, c = angles
         across = lb * sin(b) + lc * cos(c - pi / 2)
@@ -59,7 +59,7 @@ class Arm:
         return (across * cos(a) - self.origin[0], across * sin(a) - self.origin[1], up - self.origin[2])
 
     def angles(self, position: Vector) -> Vector:
-        """Joint angles of a position in reach: the triangle of links b and c by the law of cosines."""
+        """Return the joint angles of a position in reach: the triangle of links b and c by the law of cosines."""
         la, lb, lc = self.link
         x, y, z = (p + o for p, o in zip(position, self.origin, strict=True))
         across, up = hypot(x, y), z - la
@@ -69,7 +69,7 @@ class Arm:
         return (atan2(y, x), b, both - b)
 
     def counts(self, position: Vector) -> tuple[int, int, int]:
-        """What the encoders show, once calibrated."""
+        """Return the encoder counts after calibration."""
         per_radian = self.counts_per_turn / (2 * pi)
         n = [round(angle / r * per_radian) for angle, r in zip(self.angles(position), self.ratio, strict=True)]
         return (n[0], n[1], n[2])
@@ -79,7 +79,7 @@ class Arm:
         return (a, b, c)
 
     def force(self, position: Vector, amperes: Vector) -> Vector:
-        """Force (N) of the motors at the end: J^T f = tau, with J from differences of `position`."""
+        """Return the force (N) of the motors at the end: J^T f = tau, with J from differences of `position`."""
         angles = self.angles(position)
         tau = [i * k / r for i, k, r in zip(amperes, self.torque_constant, self.ratio, strict=True)]
         h, rows = 1e-6, []
@@ -108,8 +108,7 @@ def _solve(m: list[list[float]], v: list[float]) -> Vector:
 
 
 class Woody(Handle):
-    """An arm with a hand on it; `name` is a row of the table, `report_bytes` 8 of the first generation, and 64 or 14 of
-    the second's boards."""
+    """Arm with a hand on it; `name` is a row of the table, `report_bytes` 8 (generation 1), 64 or 14 (generation 2)."""
 
     def __init__(
         self, name: str, generation: int, intention: Callable[[float], Vector], report_bytes: int | None = None
@@ -121,15 +120,15 @@ class Woody(Handle):
         self.button = self.calibration_button = False
         self.wrist = (0, 0, 0)
         self.zero = (0, 0, 0)
-        """Counts shown less true ones: not 0 before an arm is calibrated."""
+        """Displayed counts minus true ones: not 0 before calibration."""
         self.heard = time.monotonic()
         self.silences: list[float] = []
-        """Gaps between reports (s) after which the amplifiers had been cut."""
+        """Gaps between reports (s) after which the amplifiers were off."""
         self.sent: list[tuple[int, ...]] = []
-        """Words of every report of the host."""
+        """Numbers of every report of the host."""
 
     def answer(self, report: bytes) -> bytes:
-        """Take a report with its id in front; the report that answers it, without an id."""
+        """Process a report with its id, and return the report that answers it, without an id."""
         if len(report) != self.report_bytes + 1 or report[0] != 0:
             raise ValueError(
                 f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
@@ -152,7 +151,7 @@ class Woody(Handle):
         return self.report()
 
     def report(self) -> bytes:
-        """What the arm sends now."""
+        """Return the current report."""
         a, b, c = (n + z for n, z in zip(self.arm.counts(self.place), self.zero, strict=True))
         if self.generation == 1:
             return struct.pack("<3hH", -a, b, c, 0)

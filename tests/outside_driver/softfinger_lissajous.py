@@ -1,8 +1,8 @@
-"""A fingertip that follows a Lissajous figure over the origin and feels nothing: a driver of another package.
+"""Driver in a separate package: a fingertip that follows a Lissajous figure above the origin and displays no force.
 
-What a driver is: a module with `Options`, the keys of a rig's [device] table, and `open_device(options, rate_hz)`,
-which returns a `Device`. The servo loop calls two C functions with a handle; here numba compiles them from Python, and
-the handle is the address of an array that they share with the device. Nothing in them may wait, allocate or raise.
+A driver is a module with `Options`, the keys of a rig's [device] table, and `open_device(options, rate_hz)`, which
+returns a `Device`. The servo loop calls two C functions with a handle; here numba compiles them from Python, and the
+handle is the address of an array that they share with the device. They must not wait, allocate or raise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from softfinger.drivers.base import OK, WITHHELD, Device, DeviceInfo, DeviceIO
 
 Frequency = Annotated[float, within(MOTION_FREQUENCY_HZ, "cycles per second")]
 
-# Places in the block behind the handle.
+# Indices of the block behind the handle.
 READS, PERIOD, ARMED, HEIGHT, AMPLITUDE, HZ, WRENCH, SIZE = 0, 1, 2, 3, 4, 7, 10, 16
 
 SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(types.float64))
@@ -27,7 +27,7 @@ SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(types.floa
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say for `driver = "lissajous"`."""
+    """Keys of a rig's [device] table with `driver = "lissajous"`."""
 
     amplitude_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("half the width along x, y, z")] = (
         0.01, 0.01, 0.0,
@@ -65,7 +65,7 @@ def _write(handle, wrench):
 
 
 class Lissajous(Device):
-    """The figure as a device; `felt` is the wrench that a hand would feel now."""
+    """The figure as a device; `felt` is the current wrench."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         self._block = np.zeros(SIZE)
@@ -83,7 +83,7 @@ class Lissajous(Device):
             damping_max_ns_per_m=100.0,
             workspace_min_m=(low[0], low[1], low[2] + options.height_m),
             workspace_max_m=(high[0], high[1], high[2] + options.height_m),
-            own_clock=True,  # read number n is n periods after the first, whatever the clock does
+            own_clock=True,  # read number n is n periods after the first, for any clock
         )
 
     def io(self) -> DeviceIO:

@@ -1,4 +1,4 @@
-"""The driver contract over this package's driver; `pytest test_lissajous.py`, with it and softfinger installed."""
+"""Driver contract over this package's driver: run `pytest test_lissajous.py` with it and softfinger installed."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from softfinger.server.driver_contract import FAULTS, RATE_HZ, REFUSALS, Bench, 
 
 
 class Computed(Bench):
-    """What stands behind this driver is arithmetic: nothing keeps it from opening, and nothing can fail."""
+    """Bench of a computed device: opening and exchange cannot fail."""
 
     cannot = dict.fromkeys([*REFUSALS, *FAULTS], "it is computed from its options")
 
@@ -26,4 +26,4 @@ def bench():
 
 
 class TestLissajous(DriverContract):
-    """Every test of the contract."""
+    """The contract over the Lissajous figure."""

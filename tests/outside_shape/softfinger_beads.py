@@ -1,6 +1,6 @@
-"""Any number of balls that make one solid: a shape of another package, whose sizes are a read-only array.
+"""Shape in a separate package: any number of balls that form one solid, with sizes in a read-only array.
 
-The search over all of them is the same code however many there are, and stands in a scene once.
+The search over the balls has the same code for any number, and is compiled once per scene.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from softfinger.proxy.scene import Body, shape_bodies
 
 
 class Beads(NamedTuple):
-    """`count` balls; `balls` has x, y, z of the centre and the radius of one after the other, m."""
+    """`count` balls; `balls` has x, y, z of the centre and the radius of each ball in turn, m."""
 
     count: float
     balls: ReadOnly
@@ -27,7 +27,7 @@ class Beads(NamedTuple):
 
 @outlined
 def nearest_bead(shape: Beads, x: Any) -> tuple[float, tuple[float, float, float], float]:
-    """Gap, centre and radius of the ball with the smallest gap."""
+    """Return gap, centre and radius of the ball with the smallest gap."""
     least, center, radius = 1e300, (0.0, 0.0, 0.0), 0.0
     for i in range(int(shape.count)):
         middle = (shape.balls[4 * i], shape.balls[4 * i + 1], shape.balls[4 * i + 2])
@@ -52,7 +52,7 @@ def curvature_of_beads(shape: Beads, radius: float, point: Any, normal: Any) -> 
 
 @add_shape
 class BeadsTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="beads"):
-    """Balls that a file lists."""
+    """Balls listed in a file."""
 
     shape: ClassVar[str] = "beads"
     balls_file: Annotated[str, said("a line for each ball: x, y, z and radius, m", "balls.txt")]

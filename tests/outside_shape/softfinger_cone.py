@@ -1,7 +1,7 @@
-"""A solid cone without end: a shape of another package, in one file.
+"""Shape in a separate package, in one file: an infinite solid cone.
 
-What a shape is: a named tuple of its sizes, kernels for `closest` and `curvature` of it, a table that scene files have,
-and what the one is made of the other. Importing this module before a scene is read is all there is to do.
+A shape consists of a named tuple of its sizes, kernels `closest` and `curvature` for it, a table for scene files, and a
+function that makes the tuple from the table. Import this module before reading a scene; nothing else is needed.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Cone(NamedTuple):
 
 @closest.of(Cone)
 def closest_on_cone(shape: Cone, x: Any) -> Any:
-    """On the flank, or the apex from where that is nearest. On the axis the flank towards x is taken."""
+    """Return the closest point on the flank, or the apex. On the axis the flank toward x is used."""
     distance, radial = direction((x[0], x[1], 0.0), X_AXIS)
-    down = distance * shape.sine - x[2] * shape.cosine  # along the straight line of the flank that is nearest
+    down = distance * shape.sine - x[2] * shape.cosine  # along the closest straight line of the flank
     if down <= 0.0:
         gap, normal = direction(x, (0.0, 0.0, 1.0))
         return gap, (0.0, 0.0, 0.0), normal
@@ -41,7 +41,7 @@ def closest_on_cone(shape: Cone, x: Any) -> Any:
 
 @curvature.of(Cone)
 def curvature_of_cone(shape: Cone, radius: float, point: Any, normal: Any) -> Any:
-    """Round the axis, and none along the flank; on the apex that of the fingertip, whose centre moves on a ball."""
+    """Return the curvature about the axis, and zero along the flank; on the apex that of the fingertip."""
     _, radial = direction((normal[0], normal[1], 0.0), X_AXIS)
     around = (-radial[1], radial[0], 0.0)
     down = shape.sine * (point[0] * radial[0] + point[1] * radial[1]) - shape.cosine * point[2]

@@ -1,4 +1,4 @@
-"""What the daemon must do on every device of the guest that displays force, as one class of tests."""
+"""Tests of the daemon for every device of the guest that displays force, as one class."""
 
 from __future__ import annotations
 
@@ -19,21 +19,24 @@ from vm.guest import NOBODY, RATE_HZ, Gadget, Run, Wanted, attached, daemon, gad
 PRESS: Mapping[str, Any] = {"place": [0.0, 0.0, 0.004]}
 """A hand that presses into the plane."""
 IN_CONTACT = 100
-"""Packets after which the guard has let the whole force through and the hand lies on the plane."""
+"""Packets after which the guard passes the full force and the hand rests on the plane."""
 TICKS = 1300
-"""A stroke of the hand takes 1200 packets, at one in a tick."""
+"""A stroke of the hand takes 1200 packets, one per tick."""
 
 
 class Cases:
-    """A module subclasses this, says of its device what follows, and gives a fixture `rig`, a rig file for it.
+    """A module subclasses this with the attributes of its device, and defines a fixture `rig`, a rig file for it.
 
-    kind       gadget that makes it
+    kind       gadget that emulates it
     ids        vendor and product, as `devices` lists them
-    name       of the device, as the hot-plug events tell it
-    node       pattern of what the driver opens
-    bus        of the node; packets, force: keys of what the gadget has seen: how many came, and what pushes now
-    felt       the least that shows in `most` when the forces have arrived
-    held, forbidden    patterns of what a second program and another user are told; {pid} is the first program's
+    name       of the device, in the hot-plug events
+    node       pattern of the node that the driver opens
+    bus        of the node
+    packets    key in the gadget's state: number of packets
+    force      key in the gadget's state: current force
+    felt       minimum of `most` in that state when the forces have arrived
+    held       pattern of the error for a second program; {pid} is the first program's
+    forbidden  pattern of the error for another user
     """
 
     kind: ClassVar[str]
@@ -48,21 +51,21 @@ class Cases:
     forbidden: ClassVar[str]
 
     def listed(self, user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
-        """The devices of this kind that `devices` lists."""
+        """Return the devices of this kind that `devices` lists."""
         return [one for one in attached(user, rig) if (one["vendor_id"], one["product_id"]) == self.ids]
 
     def exchanged(self, device: Gadget, count: int) -> Wanted:
-        """So many packets from now on."""
+        """Return a condition: more than `count` further packets."""
         before = device.seen()[self.packets]
         return lambda saw: bool(saw[self.packets] > before + count)
 
     def in_contact(self, device: Gadget) -> Wanted:
-        """The hand lies on the plane, and is pushed."""
+        """Return a condition: the hand rests on the plane and gets a force."""
         enough: Callable[[dict[str, Any]], bool] = self.exchanged(device, IN_CONTACT)
         return lambda saw: enough(saw) and any(saw[self.force])
 
     def works(self, device: Gadget, rig: str) -> None:
-        """A daemon opens it, exchanges with it, and ends in order."""
+        """Check that a daemon opens the device, exchanges with it and ends with code 0."""
         with pushing(rig, device, self.exchanged(device, 20)) as running:
             assert running.stop() == 0, running.err
 
@@ -73,7 +76,7 @@ class Cases:
             yield device
 
     def test_closed_loop(self, tmp_path: Path, rig: str) -> None:
-        """A hand presses into the plane, drags and lets go; modes and forces are the engine's on the same poses."""
+        """A hand presses into the plane, drags and releases; modes and forces equal the engine's on the same poses."""
         kept = tmp_path / "records.npy"
         with gadget(self.kind, **STROKE) as device:
             keep(rig, "paper-plane", TICKS, kept)
@@ -81,14 +84,14 @@ class Cases:
         self.agrees(np.load(kept), saw)
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
-        """All modes and the engine's forces are in the records, and reached the device; the last one is zero."""
+        """Check that all modes and the engine's forces are recorded and reached the device, and the last is zero."""
         assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
         assert max(saw["most"]) > self.felt
         assert not any(saw[self.force])
         assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, "too few ticks in contact"
 
     def test_stopped_it_leaves_no_force_and_opens_again(self, pressed: Gadget, rig: str) -> None:
-        """Ctrl-C while it pushes: in order, force at zero; the next daemon opens what the first has closed."""
+        """Ctrl-C in contact ends the daemon with code 0 and zero force; the next daemon opens the device again."""
         for _ in range(2):
             with pushing(rig, pressed, self.in_contact(pressed)) as running:
                 assert running.stop() == 0, running.err
@@ -96,7 +99,7 @@ class Cases:
             assert not any(pressed.seen()[self.force])
 
     def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
-        """Pulled out while it pushes: device lost; a daemon beside it tells what went and what came; it opens again."""
+        """Unplugged in contact, the device is lost; another daemon logs removal and return; it opens again."""
         told = f"{self.name} ({':'.join(self.ids)}) at /dev/"
         with other_daemon() as other, pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make lost")
@@ -110,7 +113,7 @@ class Cases:
         self.works(pressed, rig)
 
     def test_a_second_program_finds_it_held(self, pressed: Gadget, rig: str) -> None:
-        """While a daemon has it, another is refused and `devices` says by whom; the first does not notice."""
+        """A second daemon fails and `devices` reports busy, both with the process of the first, which continues."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             with daemon(rig) as second:
                 assert second.end() == 4, second.err
@@ -121,7 +124,7 @@ class Cases:
             assert running.stop() == 0, running.err
 
     def test_another_user_is_told_what_to_do(self, pressed: Gadget, rig: str) -> None:
-        """Nobody may not open it: the permission error with what to do, the state `permission`."""
+        """For a user without permission, the error contains instructions and `devices` lists the state `permission`."""
         with daemon(rig, user=NOBODY) as refused:
             assert refused.end() == 4, refused.err
         assert re.search(self.forbidden, refused.err), refused.err
@@ -130,7 +133,7 @@ class Cases:
         assert pressed.seen()[self.packets] == 0
 
     def test_silent_under_force(self, pressed: Gadget, rig: str) -> None:
-        """Answers that do not come end the daemon with a timeout, after a zero; then it opens again."""
+        """If answers stop, the daemon ends with a timeout and zero force; then the device opens again."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make timeout")
             assert running.end() == 4, running.err
@@ -140,7 +143,7 @@ class Cases:
         self.works(pressed, rig)
 
     def faulty(self, case: str, pressed: Gadget, rig: str) -> Run:
-        """A daemon that has ended because of a case of the gadget's, made while it pushed."""
+        """Run a daemon in contact until a fault of the gadget has ended it."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask(f"make {case}")
             running.end()

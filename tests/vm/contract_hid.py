@@ -1,4 +1,4 @@
-"""The driver contract over a HID arm of the guest. Run by on_hid.py, not by itself."""
+"""Driver contract over a HID arm of the guest; run by on_hid.py."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from softfinger.server.driver_contract import RATE_HZ
 
 
 class Bench(AskedBench):
-    """The arm of the gadget beside this process, through its node."""
+    """Bench on the gadget's arm through its node."""
 
-    # An encoder count and 1 mA of a motor are 8 mN at the end, and the arm moves before it is asked.
+    # An encoder count and 1 mA of a motor are 8 mN at the end, and the arm moves before it is queried.
     force_step_n: ClassVar[float] = 0.03
 
     def open(self) -> HidDevice:

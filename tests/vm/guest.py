@@ -1,7 +1,7 @@
-"""What the tests in the guest use: gadgets in processes of their own, the program in a copy of this one.
+"""Helpers for tests in the guest: gadgets in separate processes, the program in a fork of this one.
 
-An emulated processor takes half a minute to import the program. So this process does it once, and every run of the
-program is a fork of it, with an exit code and streams of its own.
+An emulated processor takes half a minute to import the program. So this process imports it once, and every run of the
+program is a fork of it, with separate exit code and streams.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if "SOFTFINGER_VM" not in os.environ:
 GADGETS = Path(__file__).with_name("gadgets")
 START_S = 30.0
 RATE_HZ = 100.0
-"""Of the loops here: a tick takes a millisecond on an emulated processor, which has the device to emulate as well."""
+"""Rate of the loops here: a tick takes a millisecond on an emulated processor, which also emulates the device."""
 FIGURES = Path("/run/vm/figures")
 TRIES = 3
 NOBODY = 65534
@@ -59,7 +59,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Gadget:
-    """A gadget's process; lines are answered by it."""
+    """A gadget's process, which answers lines."""
 
     def __init__(self, name: str, case: dict[str, Any]) -> None:
         self._folder = tempfile.TemporaryDirectory()
@@ -89,7 +89,7 @@ class Gadget:
         return answer
 
     def seen(self) -> dict[str, Any]:
-        """What the device was sent."""
+        """Return the state of the device."""
         answer: dict[str, Any] = self.ask("seen")
         return answer
 
@@ -107,7 +107,7 @@ class Gadget:
 
 
 def keep_capabilities(mask: int) -> None:
-    """Give up every capability but these (bits of <linux/capability.h>)."""
+    """Drop every capability except these (bits of <linux/capability.h>)."""
     header = struct.pack("<Ii", CAPABILITY_VERSION, 0)
     low, high = mask & 0xFFFFFFFF, mask >> 32
     if _libc.capset(header, struct.pack("<6I", low, low, 0, high, high, 0)):
@@ -115,7 +115,7 @@ def keep_capabilities(mask: int) -> None:
 
 
 def become(user: int) -> None:
-    """Be this user, who may still read the program wherever it lies, and write nothing that is not for everybody."""
+    """Become this user, who can still read the program at any path, and write only world-writable files."""
     if _libc.prctl(PR_SET_KEEPCAPS, 1, 0, 0, 0):
         raise OSError(ctypes.get_errno(), "prctl")
     os.setgroups([])
@@ -125,9 +125,9 @@ def become(user: int) -> None:
 
 
 class Run:
-    """A function in a fork of this process, with streams of its own.
+    """A function in a fork of this process, with separate streams.
 
-    user  who runs it; None: root, to whom no mode of a file is a hindrance
+    user  who runs it; None: root, who may access any file
     """
 
     def __init__(self, work: Callable[[], int], user: int | None = None) -> None:
@@ -142,7 +142,7 @@ class Run:
 
     def _child(self, work: Callable[[], int], user: int | None) -> int:
         try:
-            logging.root.handlers.clear()  # pytest's: the program is to set up its own
+            logging.root.handlers.clear()  # pytest's: the program sets up its own
             for number, file in enumerate(self._files, 1):
                 os.dup2(file.fileno(), number)
             sys.stdout, sys.stderr = os.fdopen(1, "w", buffering=1), os.fdopen(2, "w", buffering=1)
@@ -171,7 +171,7 @@ class Run:
         return self._text(1)
 
     def says(self, text: str, seconds: float = 60.0) -> None:
-        """Wait until this is in what it has written to standard error."""
+        """Wait until its standard error contains `text`."""
         until = time.monotonic() + seconds
         while text not in self.err:
             assert not self._ended(), f"ended with {self.code}:\n{self.err}"
@@ -179,7 +179,7 @@ class Run:
             time.sleep(0.05)
 
     def until(self, device: Gadget, wanted: Wanted, seconds: float = 60.0) -> bool:
-        """Wait until what the device has seen is so; False when the processor starved the loop instead."""
+        """Wait until the device's state meets `wanted`; return False if the processor starved the loop instead."""
         until = time.monotonic() + seconds
         while not wanted(saw := device.seen()):
             if self._ended():
@@ -191,11 +191,11 @@ class Run:
 
     @property
     def starved(self) -> bool:
-        """Whether it gave up a device that nothing was done to: an emulated processor had no time for one of them."""
+        """True if the run timed out without a fault of the device: the emulated processor was too slow."""
         return self.code != 0 and "no answer to a" in self.err
 
     def end(self, seconds: float = 60.0) -> int:
-        """Wait for the end; the exit code."""
+        """Wait for the end, and return the exit code."""
         until = time.monotonic() + seconds
         while not self._ended():
             if time.monotonic() > until:
@@ -206,12 +206,12 @@ class Run:
         return self.code
 
     def stop(self) -> int:
-        """End it as a user does; the exit code."""
+        """End it with Ctrl-C, and return the exit code."""
         os.kill(self.pid, signal.SIGINT)
         return self.end()
 
     def kill(self) -> None:
-        """End it, if it has not ended, without a chance to do anything. Any number of times."""
+        """Kill it if it is still running; may be called repeatedly."""
         if not self._ended():
             os.kill(self.pid, signal.SIGKILL)
             self._gone(os.waitpid(self.pid, 0)[1])
@@ -237,19 +237,19 @@ class Run:
 
 
 def softfinger(*words: str, user: int | None = None) -> Run:
-    """The command line, beside this process."""
+    """Run the command line in a fork."""
     return Run(lambda: cli.main(list(words)), user)
 
 
 def daemon(rig: str, *words: str, user: int | None = None) -> Run:
-    """The daemon on a device of the guest."""
+    """Run the daemon on a device of the guest."""
     fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     fixed = (*fixed, "--rate", str(RATE_HZ))
     return softfinger("run", "--rig", rig, *fixed, *words, user=user)
 
 
 def other_daemon() -> Run:
-    """The daemon on another device, which goes on whatever happens to those of the guest, and has seen them."""
+    """Run a daemon on another device, which detects the hot-plug events of the guest's devices."""
     running = daemon("replay")
     running.says("real time")
     time.sleep(hotplug.PERIOD_S)
@@ -258,7 +258,7 @@ def other_daemon() -> Run:
 
 @contextmanager
 def pushing(rig: str, device: Gadget, wanted: Wanted) -> Iterator[Run]:
-    """A daemon that has come so far that what the device has seen is `wanted`; one that starved is started again."""
+    """Run a daemon until the device's state meets `wanted`; restart it if it starved."""
     for _ in range(TRIES):
         with daemon(rig) as running:
             if running.until(device, wanted):
@@ -268,7 +268,7 @@ def pushing(rig: str, device: Gadget, wanted: Wanted) -> Iterator[Run]:
 
 
 def keep(rig: str, scene: str, ticks: int, path: Path) -> None:
-    """The daemon for so many ticks; all of them, as a subscriber got them, go to `path` (.npy)."""
+    """Run the daemon for `ticks`, and save all of them as received by a subscriber to `path` (.npy)."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": RATE_HZ}
 
     def work() -> int:
@@ -284,7 +284,7 @@ def keep(rig: str, scene: str, ticks: int, path: Path) -> None:
 
 
 def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
-    """What `softfinger devices --json` lists."""
+    """Return the devices of `softfinger devices --json`."""
     listing = softfinger("devices", "--json", *(() if rig is None else ("--rig", rig)), user=user)
     assert listing.end() == 0, listing.err
     found: list[dict[str, Any]] = json.loads(listing.out)["devices"]
@@ -292,7 +292,7 @@ def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, 
 
 
 def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
-    """Times (ms) from a write until a read brings its reply, and of the calls themselves, in a process of its own."""
+    """Measure times (ms) from a write until a read returns its reply, and of the calls themselves, in a fork."""
 
     def work() -> int:
         cycles, ticks = [], []
@@ -322,20 +322,20 @@ def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
 
 
 def measured(what: str, ms: list[float]) -> None:
-    """Leave measured times (ms) for the runner, which prints them at the end."""
+    """Store measured times (ms) for the runner, which prints them at the end."""
     p50, p99 = np.percentile(ms, (50, 99))
     with FIGURES.open("a") as file:
         file.write(f"{what}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(ms)} times\n")
 
 
 def contract(module: Path, device: Gadget) -> tuple[str, int]:
-    """Run the tests of a contract on a device; what pytest says, and its exit code.
+    """Run the tests of a contract on a device; return the output of pytest and its exit code.
 
-    They reach the device by the name that the beds of the ordinary tests have too.
+    They reach the device by the same variable as the tests with umockdev.
     """
 
     def work() -> int:
-        # To root no node is forbidden, and one of the tests forbids one.
+        # Root may open any node, and one of the tests forbids one.
         keep_capabilities(ALL_CAPABILITIES & ~(1 << DAC_OVERRIDE | 1 << DAC_READ_SEARCH))
         os.environ[SOCKET] = device.path
         return int(pytest.main(["-q", "-p", "no:cacheprovider", str(module)]))
@@ -347,7 +347,7 @@ def contract(module: Path, device: Gadget) -> tuple[str, int]:
 
 @pytest.fixture(scope="session", autouse=True)
 def loaded() -> None:
-    """The servo's compiled code, loaded here, so that no fork has to."""
+    """Load the servo's compiled code here, so that no fork has to."""
     rig = load_rig("replay")
     with open_device(rig.device, rig.servo.rate_hz) as device:
         for scene in SCENES:

@@ -1,7 +1,6 @@
 #!/bin/sh
-# First program of the guest: modules, the host's files as they are, then the command that the host has left. With
-# softfinger.systemd on the kernel's command line, systemd goes on in its place, and may write: above the host's files,
-# in memory.
+# First program of the guest: load modules, mount the host's files read-only, run the host's command. With
+# softfinger.systemd on the kernel's command line, systemd runs instead, with a writable layer in memory above them.
 export PATH=/bin
 /bin/busybox --install -s /bin
 mkdir -p /proc /sys
@@ -11,7 +10,7 @@ mount -t devtmpfs dev /dev
 for module in /modules/*.ko; do
     options=
     case $module in
-    # Two controllers, at the speed of the boards and chips that the devices have.
+    # Two controllers, at the speed of the devices' boards and chips.
     *dummy_hcd*) options="num=2 is_high_speed=0" ;;
     esac
     insmod "$module" $options || echo "vm: $module cannot be loaded"
@@ -30,7 +29,7 @@ mount -t tmpfs run $root/run
 mkdir -p $root/run/vm $root/run/tmp
 chmod 1777 $root/run/tmp
 mount -t 9p -o "$shared,rw,cache=loose" vm $root/run/vm || echo "vm: no folder to leave the outcome in"
-# Copied, so that they are root's: kernels of another user, as they are on the host, are not loaded.
+# Copied, so that root owns them: kernels of another user, as on the host, are not loaded.
 cp -R $root/run/vm/kernels $root/run/kernels && chown -R 0:0 $root/run/kernels && chmod -R go-w $root/run/kernels
 mount -t proc proc $root/proc
 mount -t sysfs sys $root/sys
@@ -41,13 +40,13 @@ mount -t tmpfs shm $root/dev/shm
 mount -t configfs config $root/sys/kernel/config
 ip link set lo up
 if [ $root = /system ]; then
-    mkdir $root/run/above $root/run/below # where a test sees all that was written, and what was there
+    mkdir $root/run/above $root/run/below # for a test: files written, and files of the host
     mount -o bind /above $root/run/above
     mount -o bind /host $root/run/below
     . /systemd.sh
     exec switch_root $root /lib/systemd/systemd
 fi
-# As on any system: programs are told of devices by udev, from its own messages.
+# As on any system, udev notifies programs of devices.
 export SYSTEMD_IGNORE_CHROOT=1
 chroot /host /lib/systemd/systemd-udevd --daemon --resolve-names=never
 chroot /host /bin/udevadm trigger --action=add --subsystem-match=usb

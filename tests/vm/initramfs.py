@@ -1,4 +1,4 @@
-"""The guest's first file system: busybox, the kernel's modules, and scripts, as an archive that the kernel unpacks."""
+"""First file system of the guest: busybox, the kernel's modules and scripts, as an archive that the kernel unpacks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCRIPTS = {"init": "init.sh", "systemd.sh": "systemd.sh"}
 
 
 def build(kernel: Kernel) -> bytes:
-    """The archive. VmError without a busybox that needs no library."""
+    """Build the archive. Raises VmError without a statically linked busybox."""
     if not BUSYBOX.exists():
         raise VmError("busybox is not installed: make vm-packages")
     busybox = BUSYBOX.read_bytes()
@@ -33,14 +33,14 @@ def build(kernel: Kernel) -> bytes:
 
 
 def entry(name: str, mode: int, data: bytes = b"") -> bytes:
-    """One file of a cpio archive of the "newc" format (kernel's buffer-format.rst)."""
+    """Return one file of a cpio archive of the "newc" format (kernel's buffer-format.rst)."""
     title = name.encode() + b"\0"
     fields = (0, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(title), 0)
     return _padded(b"070701" + b"".join(b"%08x" % field for field in fields) + title) + _padded(data)
 
 
 def _interpreted(program: bytes) -> bool:
-    """Whether an ELF program of 64 bits is started by a loader: one of its program headers says so."""
+    """Return True if a program header of a 64 bit ELF program names a loader."""
     (at,) = struct.unpack_from("<Q", program, 32)
     size, count = struct.unpack_from("<HH", program, 54)
     return any(struct.unpack_from("<I", program, at + k * size)[0] == PT_INTERP for k in range(count))

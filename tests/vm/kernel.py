@@ -1,4 +1,4 @@
-"""A Debian kernel to boot: the package that apt names, of which the image and the modules needed are kept."""
+"""Debian kernel to boot: image and required modules of the package that apt names."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 META_PACKAGE = "linux-image-amd64"
-"""Depends on the newest kernel. The kernels for clouds have no dummy_hcd."""
+"""Depends on the latest kernel. The kernels for clouds have no dummy_hcd."""
 
 WANTED = (
     *("virtio_pci", "9pnet_virtio", "9p", "overlay"),
     *("dummy_hcd", "libcomposite", "usb_f_fs", "usb_f_hid", "usb_f_acm", "cdc-acm"),
     *("hid-generic", "usbhid", "uhid"),
 )
-"""The file systems of this machine, and one above them; a bus with both ends in the guest, and what stands at each."""
+"""The file systems of this machine, and one above them; a bus with both ends in the guest, and the drivers of each."""
 
 
 class VmError(Exception):
-    """The virtual machine cannot be made; the message says what to do."""
+    """The virtual machine cannot be made; the message contains instructions."""
 
 
 class Kernel(NamedTuple):
@@ -35,13 +35,13 @@ class Kernel(NamedTuple):
 
 
 def find(cache: Path, package: str | None = None) -> Kernel:
-    """The kernel of `package`, or of the newest one that apt knows; from `cache`, where it is there already.
+    """Return the kernel of `package`, or the latest one that apt knows; from `cache` if it is there.
 
-    Raises VmError when apt has none, or the modules are not in it.
+    Raises VmError if apt has none, or if it lacks a module.
     """
     name = package or newest()
     folder = cache / name
-    wanted = folder / "wanted"  # which modules are kept there
+    wanted = folder / "wanted"  # names of the modules in this folder
     if not wanted.exists() or tuple(wanted.read_text().split()) != WANTED:
         unpack(name, folder)
     order = (folder / "order").read_text().split()
@@ -49,7 +49,7 @@ def find(cache: Path, package: str | None = None) -> Kernel:
 
 
 def newest() -> str:
-    """The kernel package that the meta package stands for now."""
+    """Return the kernel package to which the meta package currently refers."""
     said = _output("apt-cache", "depends", META_PACKAGE)
     found = re.search(r"Depends: (linux-image-\d\S+)", said)
     if found is None:
@@ -58,7 +58,7 @@ def newest() -> str:
 
 
 def unpack(package: str, folder: Path) -> None:
-    """Download a kernel package and keep what is needed of it in `folder`."""
+    """Download a kernel package, and copy its image and modules to `folder`."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking-") as name:
         work = Path(name)
@@ -79,7 +79,7 @@ def unpack(package: str, folder: Path) -> None:
 
 
 def in_order(tree: Path, wanted: tuple[str, ...], package: str) -> list[Path]:
-    """The modules `wanted` below a kernel's folder of modules, each after those that it depends on."""
+    """Return the modules `wanted` below a kernel's folder of modules, each after its dependencies."""
     files = {_name(path): path for path in tree.rglob("*.ko*")}
     built_in = {_name(Path(line)) for line in (tree / "modules.builtin").read_text().split()}
     ordered: dict[str, Path] = {}
@@ -104,7 +104,7 @@ def _name(path: Path) -> str:
 
 
 def _depends(path: Path) -> Iterator[str]:
-    """What the module itself says that it needs (its .modinfo)."""
+    """Yield the dependencies of a module, from its .modinfo."""
     found = re.search(rb"\0depends=([^\0]*)\0", _read(path))
     yield from filter(None, found[1].decode().split(",")) if found else ()
 

@@ -1,4 +1,4 @@
-"""The daemon on a Falcon of the guest's kernel: a device on dummy_hcd's bus, usbfs, the true libusb."""
+"""The daemon on a Falcon of the guest's kernel: a device on dummy_hcd's bus, usbfs, the real libusb."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vm.guest import loaded as loaded
 
 
 class TestCases(Cases):
-    """What every device must do."""
+    """The common cases on a Falcon."""
 
     kind = "falcon"
     ids = ("0403", "cb48")
@@ -29,7 +29,7 @@ class TestCases(Cases):
     forbidden = "may not be opened by this user: .*install --system"
 
     def test_it_is_found(self, tmp_path: Path) -> None:
-        """`devices` lists it under its driver: usable with a firmware file, and gone once it is unplugged."""
+        """`devices` lists it under its driver, usable with a firmware file, and no longer once it is unplugged."""
         path = tmp_path / "firmware.bin"
         path.write_bytes(bytes(FIRMWARE_BYTES))
         with gadget("falcon", serial="SN7"):
@@ -52,8 +52,7 @@ class TestCases(Cases):
         ],
     )
     def test_faults_of_an_endpoint(self, case: str, message: str, pressed: Gadget, rig: str) -> None:
-        """An endpoint that takes nothing and one that is halted end the daemon with their own message; plugged in anew,
-        the device works again."""
+        """An endpoint that accepts nothing and a halted one end the daemon with different errors; a replug helps."""
         ended = self.faulty(case, pressed, rig)
         assert ended.code == 4 and re.search(message, ended.err), ended.err
         for line in ("mend", "make lost", "mend"):
@@ -61,7 +60,7 @@ class TestCases(Cases):
         self.works(pressed, rig)
 
     def test_how_long_an_exchange_takes(self, pressed: Gadget, rig: str) -> None:
-        """From a packet to the reply to it: the two ticks of the emulated bus, and not a multiple."""
+        """Times from a packet to its reply are about two ticks of the emulated bus; they are only measured."""
         cycles, ticks = exchanges(rig, 400)
         measured("falcon: packet to reply", ms=cycles)
         measured("falcon: read and write of a tick, of our own", ms=ticks)
@@ -73,7 +72,7 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
-    """A device without firmware is refused until the rig names a file; then it gets it, byte for byte, and runs."""
+    """A device without firmware is rejected until the rig names a file, which is sent byte for byte."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     with gadget("falcon", firmware=FIRMWARE_BYTES, spoil=1) as falcon:
@@ -88,7 +87,7 @@ def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
 
 
 def test_the_driver_contract() -> None:
-    """Every test of the contract passes over the device on the bus; none is left out."""
+    """All tests of the contract pass over the device on the bus, without a skip."""
     with gadget("falcon", place=[0.0, 0.0, 0.02]) as falcon:
         said, code = contract(CONTRACT, falcon)
     assert code == 0, said

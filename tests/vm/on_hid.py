@@ -1,4 +1,4 @@
-"""The daemon on a WoodenHaptics arm of the guest's kernel: a HID device on dummy_hcd's bus, its true hidraw node."""
+"""The daemon on a WoodenHaptics arm of the guest's kernel: a HID device on dummy_hcd's bus, its real hidraw node."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from vm.guest import loaded as loaded
 
 
 class TestCases(Cases):
-    """What every device must do."""
+    """The common cases on an arm."""
 
     kind = "woodenhaptics"
     ids = ("16c0", "0486")
@@ -32,7 +32,7 @@ class TestCases(Cases):
     forbidden = r"/dev/hidraw\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:
-        """`devices` lists it by its node under its driver, usable with the rigs of its ids; unplugged, it is gone."""
+        """`devices` lists it by its node, usable with the rigs of its ids, and no longer once unplugged."""
         with gadget("woodenhaptics"):
             (found,) = self.listed()
         assert (found["driver"], found["state"], found["bus"]) == ("hid", "usable", self.bus)
@@ -42,7 +42,7 @@ class TestCases(Cases):
         assert self.listed() == []
 
     def test_closed_loop_without_a_bus(self, tmp_path: Path, rig: str) -> None:
-        """The same through uhid, which hands on reports without USB."""
+        """The same through uhid, which transfers reports without USB."""
         kept = tmp_path / "records.npy"
         with gadget("woodenhaptics", bus="uhid", **STROKE) as arm:
             keep(rig, "paper-plane", TICKS, kept)
@@ -50,7 +50,7 @@ class TestCases(Cases):
         self.agrees(np.load(kept), saw)
 
     def test_an_arm_that_takes_no_report(self, pressed: Gadget, rig: str) -> None:
-        """A write that hangs in the kernel ends the daemon without the arm's help, and says so."""
+        """A write that hangs in the kernel ends the daemon with an error, though the arm does not respond."""
         begun = time.monotonic()
         ended = self.faulty("blocked", pressed, rig)
         measured("hid, usb: a daemon's life with an arm that takes no more reports", [1e3 * (time.monotonic() - begun)])
@@ -60,7 +60,7 @@ class TestCases(Cases):
 
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
-    """The shipped rig, with silences that an emulated processor keeps."""
+    """The shipped rig, with time-outs for an emulated processor."""
     text = find("woodenhaptics-2019", Rig).read_text()
     path = tmp_path / "rig.toml"
     path.write_text(text.replace('driver = "hid"\n', 'driver = "hid"\nkick_s = 0.1\ntimeout_s = 1.0\n'))
@@ -68,10 +68,9 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_the_driver_contract() -> None:
-    """Every test of the contract passes over the node; none is left out.
+    """All tests of the contract pass over the node, without a skip.
 
-    On the bus, where a report that the arm has not taken holds up the next: uhid loses those for which its queue has no
-    room, and says nothing.
+    They run on the bus, where an unread report delays the next: uhid drops reports beyond its queue without an error.
     """
     with gadget("woodenhaptics", place=[0.0, 0.0, 0.02]) as arm:
         said, code = contract(Path(contract_hid.__file__), arm)
@@ -81,7 +80,7 @@ def test_the_driver_contract() -> None:
 
 @pytest.mark.parametrize("bus", ["usb", "uhid"])
 def test_how_long_an_exchange_takes(bus: str, rig: str) -> None:
-    """From a report to the arm's answer to it, on the bus and without one; and how long the write of a report takes."""
+    """Measure the times from a report to the arm's answer, with and without a bus, and of the write of a report."""
     with gadget("woodenhaptics", bus=bus, **PRESS):
         cycles, calls = exchanges(rig, 400)
     measured(f"hid, {bus}: report to answer", ms=cycles)

@@ -21,8 +21,8 @@ def listed() -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
-    """Found, opened, pushed down and to the right: the fingertip goes there, into the plane; buttons arrive, and the
-    lamp is lit and put out."""
+    """A deflected puck is found and opened, the fingertip moves down and to the right into the plane, buttons are read,
+    and the lamp is switched on and off."""
     kept = tmp_path / "records.npy"
     with gadget("puck", reports=reports, push={"up": -200, "right": 100}, buttons=5) as puck:
         (found,) = listed()
@@ -31,7 +31,7 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
         assert puck.seen()["written"] == ["0401", "0400"]
     records = np.load(kept)
     way = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
-    assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: rounding alone
+    assert way[0] / way[2] == pytest.approx((100 - 15) / (200 - 15), rel=1e-9)  # one time for both: only rounding
     assert way[1] == 0.0
     assert {0.0, 1.0} <= set(records[:, AT.contact_mode])
     assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 20
@@ -39,7 +39,7 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
 
 
 def test_unplugged_in_use() -> None:
-    """Pulled out while it leads the fingertip: device lost; a daemon beside it tells; plugged in, it opens again."""
+    """Unplugging the puck in use means device lost; another daemon logs it; plugged in, the puck opens again."""
     with gadget("puck", push={"right": 50}) as puck, other_daemon() as other:
         with daemon("spacemouse") as running:
             running.says("scene")

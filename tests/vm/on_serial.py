@@ -16,7 +16,7 @@ from vm.guest import loaded as loaded
 
 
 class TestCases(Cases):
-    """What every device must do."""
+    """The common cases on a serial board."""
 
     kind = "serialboard"
     ids = ("16c0", "0483")
@@ -29,8 +29,8 @@ class TestCases(Cases):
     forbidden = r"/dev/ttyACM\d+ may not be opened by this user"
 
     def test_it_is_found(self) -> None:
-        """`devices` lists it by its port under its driver, to be named, for any Teensy has its ids; unplugged, it is
-        gone."""
+        """`devices` lists it by its port under its driver; the rig has to name it, because any Teensy has its ids.
+        Unplugged, it is no longer listed."""
         with gadget("serialboard"):
             (found,) = self.listed()
         assert (found["driver"], found["state"], found["bus"]) == ("serial", "product", self.bus)
@@ -44,8 +44,7 @@ class TestCases(Cases):
         assert saw["faults"] == []
 
     def test_a_board_that_reads_no_more(self, pressed: Gadget, rig: str) -> None:
-        """It ends the daemon with a timeout, and works again when it reads; what it has not read is thrown away with
-        the port's closing."""
+        """A board that stops reading ends the daemon with a timeout; closing discards unread bytes; it works again."""
         ended = self.faulty("blocked", pressed, rig)
         assert ended.code == 4, ended.err
         assert re.search("no answer to a (read|write) in time", ended.err), ended.err
@@ -53,7 +52,7 @@ class TestCases(Cases):
         self.works(pressed, rig)
 
     def test_how_long_an_exchange_takes(self, pressed: Gadget, rig: str) -> None:
-        """From a frame to the board's answer to it, and the calls themselves."""
+        """Measure the times from a frame to the board's answer, and of the calls themselves."""
         cycles, calls = exchanges(rig, 400)
         measured("serial: frame to answer", cycles)
         measured("serial: write and read of a tick", calls)
@@ -61,7 +60,7 @@ class TestCases(Cases):
 
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
-    """The shipped rig with its board named, and with silences that an emulated processor keeps."""
+    """The shipped rig with the serial number of the board, and time-outs for an emulated processor."""
     text = find("woodenhaptics-v3", Rig).read_text()
     path = tmp_path / "rig.toml"
     path.write_text(

@@ -3,9 +3,9 @@
     python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
 
 Needs no KVM, and for the drivers no privilege: the processor is emulated, some twenty times slower than this one. The
-drivers' tests (`on_*.py`) and those of the service (`under_systemd.py`), which have systemd as the first process and
-may write, are run in a machine each. The exit code is that of the tests; 124 when they took longer than the limit, 1
-when the machine could not be made or ended without a word.
+tests of drivers (`on_*.py`) and those of the service (`under_systemd.py`), which need systemd as the first process and
+a writable file system, run in separate machines. The exit code is that of the tests; 124 if they exceeded the limit, 1
+if the machine could not be made or ended without a result.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ UDEV, SYSTEMD = "/lib/systemd/systemd-udevd", "/lib/systemd/systemd"
 MEMORY_MB = 2048
 LIMIT_S = 1500.0
 SILENCE_S = 20.0
-"""After so long without a line from the guest, the time is said."""
+"""Time without a line from the guest after which the elapsed time is printed."""
 SYSTEMD_TESTS = "under_systemd.py"
 TIMED_OUT = 124
 NOT_ASKED_FOR = 5
-"""What pytest says when no test was chosen."""
+"""Exit code of pytest if no test was selected."""
 NO_WORD = 1
 
 
@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("--plain", metavar="COMMAND", help="run this in the guest's shell in place of the tests")
     parser.add_argument("--systemd", action="store_true", help="with --plain: a guest whose first process is systemd")
     args, words = parser.parse_known_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that the emulator goes too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # ends the emulator, too
     try:
         if args.plain:
             return boot(args.kernel, args.limit, args.plain, args.systemd)
@@ -66,18 +66,18 @@ def main() -> int:
 
 
 def tests(words: list[str], systemd: bool) -> list[str]:
-    """The command of a guest, with or without systemd; nothing where tests are named, and none of them is for it."""
+    """Return the command of a guest, with or without systemd; empty if none of the named tests is for it."""
     named = [word for word in words if Path(word.split("::")[0]).exists()]
     modules = named or [*sorted(map(str, Path("tests/vm").glob("on_*.py"))), f"tests/vm/{SYSTEMD_TESTS}"]
     modules = [module for module in modules if (SYSTEMD_TESTS in module) == systemd]
     others = [word for word in words if word not in named]
     if systemd:
-        others.append("--noconftest")  # the service's tests need nothing of it, and none can be run a second time
+        others.append("--noconftest")  # the service's tests do not need it, and cannot be repeated
     return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *others, *modules] if modules else []
 
 
 def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> int:
-    """Make the machine, run the command in it; the exit code."""
+    """Make the machine, run the command in it, and return the exit code."""
     for needed in (QEMU, UDEV, *([SYSTEMD] if systemd else [])):
         if shutil.which(needed) is None:
             raise kernel.VmError(f"{needed} is not installed: make vm-packages")
@@ -117,7 +117,7 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
 
 
 def guest_environment() -> dict[str, str]:
-    """Variables of the guest. Compiled for any processor, kernels of this machine serve in the guest."""
+    """Return the variables of the guest. Kernels compiled for a generic processor run here and in the guest."""
     keys = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "VIRTUAL_ENV")
     kept = {key: os.environ[key] for key in keys if key in os.environ}
     return kept | {
@@ -127,14 +127,14 @@ def guest_environment() -> dict[str, str]:
         "LANG": "C.UTF-8",
         "NUMBA_CPU_NAME": "generic",
         "SOFTFINGER_CACHE_DIR": "/run/kernels",
-        # Plugins are not looked for, which takes seconds.
+        # The search for plugins takes seconds.
         "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
         "SOFTFINGER_VM": "1",
     }
 
 
 def warm(folder: Path, environment: dict[str, str]) -> None:
-    """Compile for the guest what its tests run: emulated, a compilation takes minutes."""
+    """Compile the kernels of the guest's tests here: under emulation, a compilation takes minutes."""
     changed = os.environ | environment | {"SOFTFINGER_CACHE_DIR": str(folder), "PATH": os.environ["PATH"]}
     for key in ("HOME", "TMPDIR"):
         changed[key] = os.environ.get(key, "/tmp")
@@ -144,7 +144,7 @@ def warm(folder: Path, environment: dict[str, str]) -> None:
 
 
 def install_wheel(folder: Path) -> None:
-    """The program as one who has its wheel has it: in a folder, without this one."""
+    """Install the program's wheel in a folder, as a user would, without this source tree."""
     pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
     done = subprocess.run([*pip, "--no-build-isolation", "--target", str(folder), str(ROOT)], check=False)
     if done.returncode != 0:
@@ -152,7 +152,7 @@ def install_wheel(folder: Path) -> None:
 
 
 def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
-    """The command of the emulator: one serial line, two folders, no network."""
+    """Return the command of the emulator: one serial line, two folders, no network."""
     arguments = "console=ttyS0 quiet panic=-1 mitigations=off tsc=reliable"
     if systemd:
         arguments += " softfinger.systemd systemd.unit=vm.service systemd.show_status=no fstab=no"
@@ -167,7 +167,7 @@ def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
 
 
 def stream(command: list[str], limit_s: float) -> bool:
-    """Run the emulator and show what the guest prints; False when it had to be ended at the limit."""
+    """Run the emulator and print the guest's output; return False if it was killed at the limit."""
     begun = last = time.monotonic()
     machine = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     assert machine.stdout is not None
@@ -206,7 +206,7 @@ def said(text: str) -> None:
 
 @contextmanager
 def step(what: str) -> Iterator[None]:
-    """Say what is done, and how long it took."""
+    """Print a step, and its duration at the end."""
     said(what)
     begun = time.monotonic()
     yield

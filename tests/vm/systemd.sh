@@ -1,10 +1,10 @@
-# Read by init.sh: what systemd finds in the guest beside the host's own units.
-touch $root/etc/.updated $root/var/.updated # else, as after an upgrade, it would build anew what the host has
-[ -s $root/etc/machine-id ] || echo 0123456789abcdef0123456789abcdef >$root/etc/machine-id # else: a first boot
-rm -f $root/.dockerenv # else systemd takes the guest for the container that the host is
+# Sourced by init.sh: files for systemd in the guest, in addition to the host's units.
+touch $root/etc/.updated $root/var/.updated # otherwise it rebuilds caches as after an upgrade
+[ -s $root/etc/machine-id ] || echo 0123456789abcdef0123456789abcdef >$root/etc/machine-id # otherwise: a first boot
+rm -f $root/.dockerenv # otherwise systemd detects a container, as the host is one
 units=$root/run/systemd/system
 mkdir -p $units
-# Would empty /tmp, where the host may have the program that is tested; others have nothing to do here.
+# The first would empty /tmp, which may contain the tested program; the rest is not needed here.
 for name in systemd-tmpfiles-setup systemd-tmpfiles-setup-dev systemd-remount-fs systemd-timesyncd systemd-update-utmp; do
     ln -s /dev/null $units/$name.service
 done

@@ -27,19 +27,19 @@ TELEMETRY = Path("/run/softfinger/telemetry")
 SHIPPED = Path(__file__).resolve().parents[2] / "config/rigs/simulated.toml"
 OF_THE_SERVICE = Path("/run/systemd/system/softfinger.service.d/vm.conf")
 WRITTEN, BELOW = Path("/run/above/files"), Path("/run/below")
-"""All that was written since the start, as the overlay keeps it, above the files of the host."""
+"""All files written since the start, as stored by the overlay above the files of the host."""
 ACCOUNTS = ("passwd", "shadow", "group", "gshadow", "subuid", "subgid")
 OTHERS = re.compile(rf"/etc/({'|'.join(ACCOUNTS)})-?$|/etc/\.pwd\.lock$|/var/log/|/var/lib/systemd/|__pycache__")
-"""What others keep: the accounts, which a test reads, the journal, Python."""
+"""Files of others: the accounts, which a test reads, the journal, Python."""
 WATCHDOG_S = 10
-"""In place of the unit's 2 s: an emulated processor may be kept waiting for as long."""
+"""Replaces the unit's 2 s: an emulated processor may stall for as long."""
 SCHED_FIFO = 1
 POLICY, RT_PRIORITY = 38, 37
-"""Fields of /proc/PID/stat behind the name, counted from 0 (proc(5) has them as 41 and 40)."""
+"""Fields of /proc/PID/stat after the name, counted from 0 (proc(5) has them as 41 and 40)."""
 
 
 def ran(*words: str | Path, code: int = 0) -> str:
-    """What a command says, which ends with `code`."""
+    """Run a command that has to exit with `code`, and return its output."""
     done = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}\n{journal()}"
     return done.stdout
@@ -51,7 +51,7 @@ def journal() -> str:
 
 
 def shown(name: str) -> str:
-    """A property of the service."""
+    """Return a property of the service."""
     return ran("systemctl", "show", "--value", "--property", name, "softfinger").strip()
 
 
@@ -63,7 +63,7 @@ def comes(true: Callable[[], bool], seconds: float = 300.0) -> bool:
 
 
 def files() -> set[str]:
-    """Everything that was written or taken away, but for folders that were there."""
+    """Return all files that were written or removed, without folders that existed before."""
     found = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
     return {f"/{at}" for at in found if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
 
@@ -74,9 +74,9 @@ def status(pid: str) -> dict[str, str]:
 
 @cache
 def program() -> str:
-    """The program in /opt, as docs/operate/install.md has it, with this machine's libraries; a rig of 100 Hz."""
+    """Install the program in /opt, as in docs/operate/install.md, with this machine's libraries and a rig of 100 Hz."""
     for folder in Path(os.path.realpath(sys.executable)).parents:
-        folder.chmod(folder.stat().st_mode | 0o055)  # an interpreter at somebody's home
+        folder.chmod(folder.stat().st_mode | 0o055)  # the interpreter may be in a home folder
     ran(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
     for name, source in (("wheel", WHEEL), ("libraries", sysconfig.get_path("purelib"))):
         (PROGRAM / name).mkdir()
@@ -93,14 +93,14 @@ def program() -> str:
 
 @cache
 def before() -> set[str]:
-    """What had been written before it was installed."""
+    """Return the files written before the installation."""
     program()
     return files()
 
 
 @cache
 def installed() -> str:
-    """What installing said. Kernels are those of any processor, which the host has compiled."""
+    """Install the service, and return the output. Its kernels are for a generic processor, compiled on the host."""
     before()
     said = ran(program(), "install", "--system", "--rig", RIG)
     OF_THE_SERVICE.parent.mkdir(parents=True)
@@ -113,7 +113,7 @@ def installed() -> str:
 
 @pytest.fixture
 def service() -> str:
-    """The main process of the service, started where it does not run; READY was heard, for else it would not be."""
+    """Main process of the service, started if necessary; `systemctl start` waits for READY."""
     installed()
     ran("systemctl", "start", "softfinger")
     return shown("MainPID")
@@ -128,8 +128,8 @@ def arm(tmp_path: Path) -> Iterator[None]:
         process.kill()
 
 
-def test_installing_makes_the_account_and_tells_systemd_and_udev() -> None:
-    """Every command that is to be run has run, and ended well."""
+def test_installing_creates_the_account_and_reloads_systemd() -> None:
+    """All commands of the installation were run and succeeded."""
     said = installed()
     assert [line for line in said.splitlines() if line.startswith(("ran", "not run"))] == [
         "ran systemd-sysusers /etc/sysusers.d/softfinger.conf",
@@ -141,8 +141,8 @@ def test_installing_makes_the_account_and_tells_systemd_and_udev() -> None:
     assert pwd.getpwnam("softfinger").pw_dir == "/var/lib/softfinger"
 
 
-def test_it_runs_with_the_rights_it_was_given_and_no_more(service: str) -> None:
-    """READY with a tick, as the account, without a capability, its threads real-time, its socket the group's."""
+def test_it_runs_with_minimal_rights(service: str) -> None:
+    """The service ticks as its account, without capabilities, with real-time threads and a socket of the group."""
     assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
     assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
@@ -158,7 +158,7 @@ def test_it_runs_with_the_rights_it_was_given_and_no_more(service: str) -> None:
 
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
-    """Plugged in, a node is the group's; a process of the service may open it, and none that it has no use for."""
+    """Nodes of a device belong to the group; the service may open them, and none that it does not need."""
     for pattern in ("hidraw*", "bus/usb/*/*"):
         assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
@@ -168,25 +168,25 @@ def test_devices_are_for_the_group_and_within_the_service(service: str, arm: Non
     for node in (hidraw, usb, "/dev/cpu_dma_latency"):
         assert Path(node).stat().st_mode & 0o777 == 0o660
         ran("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
-    ran("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # which root may open outside
+    ran("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # root may open it outside the service
 
 
-def test_ticks_keep_it_alive(service: str) -> None:
-    """For several times as long as systemd waits for a sign of life."""
+def test_ticks_feed_the_watchdog(service: str) -> None:
+    """The service is alive and updates its watchdog for several times the watchdog's limit."""
     first = int(shown("WatchdogTimestampMonotonic"))
     assert comes(lambda: int(shown("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
     assert (shown("MainPID"), shown("ActiveState")) == (service, "active")
 
 
-def test_it_stops_in_order(service: str) -> None:
-    """With zero force as its last word, and no result but success."""
+def test_it_stops_with_zero_force(service: str) -> None:
+    """`systemctl stop` ends the service with zero force and result success."""
     ran("systemctl", "stop", "softfinger")
     assert (shown("ActiveState"), shown("Result"), shown("ExecMainStatus")) == ("inactive", "success", "0")
     assert re.search(r"stopped after \d+ ticks; force is zero", journal())
 
 
-def test_where_ticks_stop_systemd_ends_it(service: str) -> None:
-    """A process that stands still feeds nothing; nothing restarts by itself while a hand may be on the device."""
+def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
+    """systemd kills a stopped process by its watchdog, and does not restart it: a hand may be on the device."""
     os.kill(int(service), signal.SIGSTOP)
     assert comes(lambda: shown("ActiveState") == "failed"), journal()
     assert (shown("Result"), shown("NRestarts")) == ("watchdog", "0")
@@ -194,7 +194,7 @@ def test_where_ticks_stop_systemd_ends_it(service: str) -> None:
 
 
 def test_removing_leaves_nothing(service: str) -> None:
-    """Started again after that, and while it runs: no file, no folder, no account, no process."""
+    """Removal of a running service leaves no file, folder, account or process."""
     shutil.rmtree(OF_THE_SERVICE.parent)
     said = ran(program(), "install", "--system", "--remove")
     assert not Path(f"/proc/{service}").exists()

@@ -1,4 +1,4 @@
-"""Compile what the tests of the guest run, on the machine outside: emulated, it takes minutes."""
+"""Compile the kernels of the guest's tests on the host: under emulation, it takes minutes."""
 
 from __future__ import annotations
 

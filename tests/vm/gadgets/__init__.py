@@ -1,1 +1,1 @@
-"""Devices of the guest: the emulated mechanisms behind its kernel's own USB and HID. Python's library alone."""
+"""Devices of the guest: emulated mechanisms behind its kernel's USB and HID, with only the standard library."""

@@ -1,4 +1,4 @@
-"""A USB device made in the kernel: descriptors written into configfs, plugged in by binding it to a controller."""
+"""USB device in the kernel: descriptors in configfs, plugged in by binding it to a controller."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ GADGETS = Path("/sys/kernel/config/usb_gadget")
 CONTROLLERS = Path("/sys/class/udc")
 DEVICES = Path("/sys/bus/usb/devices")
 PLUG_S = 10.0
-"""How long the emulated kernel may take to find a device."""
+"""Maximum time in which the emulated kernel finds a device."""
 
 
 def settle() -> None:
-    """Wait until udev has done what it does with a device: its mode, and telling programs of it."""
+    """Wait until udev has set a device's mode and notified programs."""
     subprocess.run(["udevadm", "settle"], check=True)
 
 
 class Gadget:
-    """A device of one configuration on controller `number`, without functions yet, not plugged in."""
+    """A device with one configuration on controller `number`, without functions yet, not plugged in."""
 
     def __init__(self, number: int, vendor: int, product: int, maker: str, name: str, serial: str) -> None:
         self.ids = (vendor, product)
         self.controller = sorted(os.listdir(CONTROLLERS))[number]
         self.folder = GADGETS / f"softfinger{number}"
-        if self.folder.exists():  # a predecessor's
+        if self.folder.exists():  # from an earlier process
             self._clear()
         self.folder.mkdir()
         self.write("idVendor", f"{vendor:#06x}")
@@ -53,7 +53,7 @@ class Gadget:
         (self.folder / key).write_text(text)
 
     def function(self, name: str, **attributes: str | bytes) -> None:
-        """Add a function of configfs, of a type and an own name: ffs.falcon."""
+        """Add a function of configfs, named by its type and an instance: ffs.falcon."""
         folder = self.folder / "functions" / name
         folder.mkdir()
         for key, value in attributes.items():
@@ -65,7 +65,7 @@ class Gadget:
         return bool((self.folder / "UDC").read_text().strip())
 
     def plug(self) -> None:
-        """Plug it in, and wait until the host's side has its node."""
+        """Plug it in, and wait until the host has its node."""
         self.write("UDC", self.controller)
         until = time.monotonic() + PLUG_S
         while self.node is None:
@@ -75,7 +75,7 @@ class Gadget:
         settle()
 
     def unplug(self) -> None:
-        """Pull it out, and wait until the host's side has noticed. Any number of times."""
+        """Unplug it, and wait until the host has removed its node; may be called repeatedly."""
         if self.plugged:
             self.write("UDC", "\n")
         while self.node is not None:
@@ -84,13 +84,13 @@ class Gadget:
 
     @property
     def node(self) -> str | None:
-        """The device's node in /dev/bus/usb, None while it is not configured."""
+        """Node of the device in /dev/bus/usb, or None if it is not configured."""
         for path in DEVICES.iterdir():
             try:
                 ids = tuple(int((path / key).read_text(), 16) for key in ("idVendor", "idProduct"))
                 if ids == self.ids and (path / "bConfigurationValue").read_text().strip():
                     bus, number = (int((path / key).read_text()) for key in ("busnum", "devnum"))
                     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
-            except (OSError, ValueError):  # an interface, or on its way in or out
+            except (OSError, ValueError):  # an interface, or a device that is being added or removed
                 continue
         return None

@@ -1,16 +1,16 @@
-"""A Falcon as a USB device of the guest's kernel: its chip's requests and its two endpoints, through FunctionFS.
+"""Falcon as a USB device of the guest's kernel: its chip's requests and its two endpoints, through FunctionFS.
 
     python falcon.py SOCKET '{"place": [0, 0, 0.01]}'
 
-The case is that of the emulator (emulators/falcon.py), and serial. Lines over the socket: `displayed`, `place`, `seen`,
-`make CASE`, `mend`, `quit`; the cases:
+The case is that of the emulator (emulators/falcon.py), with serial. Lines over the socket: `displayed`, `place`,
+`seen`, `make CASE`, `mend`, `quit`; the cases:
 
 not_found, lost   unplugged
-busy              another program has it
-permission        its node is not for everybody
-timeout           sends no packet any more; its chip does
+busy              another program has claimed it
+permission        its node is not accessible
+timeout           its firmware sends no more packets, its chip does
 late              answers 20 ms late
-blocked           takes no transfer out
+blocked           accepts no transfer out
 stalled           its endpoint in is halted
 """
 
@@ -41,12 +41,12 @@ HAS_FULL_SPEED, HAS_HIGH_SPEED, ALL_RECIPIENTS, BEFORE_CONFIGURATION = 1, 2, 64,
 EVENT_BYTES, ENABLE, DISABLE, UNBIND, SETUP = 12, 2, 3, 1, 4
 CLAIM_INTERFACE = 0x8004550F  # of <linux/usbdevice_fs.h>
 SETTLE_S = 0.05
-"""Longer than a packet under way takes; an emulated processor is slow."""
+"""Longer than a packet takes on a slow emulated processor."""
 LATE_S = 0.02
 
 
 def descriptors() -> bytes:
-    """One vendor interface, bulk in 0x81 and out 0x02, of 64 bytes; the same at high speed, where it has to be 512."""
+    """Return one vendor interface, bulk in 0x81 and out 0x02, of 64 bytes (512 at high speed, as required)."""
     interface = bytes([9, 4, 0, 0, 2, 255, 255, 255, 1])
 
     def ends(size: int) -> bytes:
@@ -63,7 +63,7 @@ def strings() -> bytes:
 
 
 class Chip:
-    """The serial chip between the kernel's endpoints and the emulated device; a thread for each endpoint."""
+    """Serial chip between the kernel's endpoints and the emulated device; a thread for each endpoint."""
 
     def __init__(self, case: dict) -> None:
         self.falcon = from_case(case)
@@ -71,7 +71,7 @@ class Chip:
         self.made = ""
         self.held: int | None = None
         MOUNT.mkdir(exist_ok=True)
-        while os.path.ismount(MOUNT):  # a predecessor's
+        while os.path.ismount(MOUNT):  # from an earlier process
             subprocess.run(["umount", MOUNT], check=True)
         self.gadget = Gadget(0, 0x0403, 0xCB48, "FTDI", "FALCON HAPTIC", case.get("serial", "SN42"))
         self.gadget.function("ffs.falcon")
@@ -98,7 +98,7 @@ class Chip:
                         self.lock.notify_all()
 
     def _request(self, kind: int, request: int, value: int, index: int, length: int) -> None:
-        if kind & 0x80:  # the wrong way round, which stalls it
+        if kind & 0x80:  # the wrong direction, which stalls it
             with suppress(OSError):
                 os.read(self.control, 0)
             return
@@ -122,7 +122,7 @@ class Chip:
             if self.made == "late":
                 time.sleep(LATE_S)
             with self.lock:
-                while self.made == "blocked":  # a read was under way: what it took waits, as does the rest
+                while self.made == "blocked":  # a read was pending: its data and the rest wait
                     self.lock.wait()
                 before = len(self.falcon.reply)
                 self.falcon.write(data)
@@ -134,7 +134,7 @@ class Chip:
         while True:
             self._wait_enabled("stalled")
             with self.lock:
-                if not self.falcon.reply:  # the chip says that it is there, each `latency_ms`
+                if not self.falcon.reply:  # the chip sends its status each `latency_ms`
                     self.lock.wait(max(1, self.falcon.latency_ms) / 1e3)
                 data = self.falcon.read(PACKET)
             try:
@@ -178,8 +178,8 @@ class Chip:
             self.made = case
             self.lock.notify_all()
         if case == "stalled":
-            time.sleep(SETTLE_S)  # the write under way goes through
-            with suppress(OSError):  # FunctionFS: the wrong way round, which halts the endpoint
+            time.sleep(SETTLE_S)  # the pending write completes
+            with suppress(OSError):  # FunctionFS: the wrong direction, which halts the endpoint
                 os.read(self.end_in, PACKET)
 
     def _mend(self) -> None:

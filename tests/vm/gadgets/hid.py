@@ -1,4 +1,4 @@
-"""HID devices of the guest's kernel, on its USB bus (f_hid) or handed to its HID layer by a program (uhid)."""
+"""HID devices of the guest's kernel, on its USB bus (f_hid) or passed to its HID layer by a program (uhid)."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ BUS_USB = 3
 
 
 class HidDevice(ABC):
-    """A device with a thread that takes the host's reports: `take(report)`, with the report's id or 0 in front."""
+    """A device whose thread passes the host's reports to `take(report)`, with the report's id or 0 first."""
 
     def __init__(self, vendor: int, product: int, take: Callable[[bytes], None]) -> None:
         self.ids, self._take = (vendor, product), take
         self.blocked = False
-        """Whether it takes no report."""
+        """If set, it accepts no report."""
         threading.Thread(target=self._run, daemon=True).start()
 
     @abstractmethod
     def _poll(self) -> bytes | None:
-        """The next report of the host; None if there is none, or no host, for a while."""
+        """Return the next report of the host, or None after a while without one."""
 
     @abstractmethod
     def send(self, report: bytes) -> None:
-        """Hand a report to the host; it is lost where there is none."""
+        """Send a report to the host; it is lost if there is none."""
 
     @abstractmethod
     def plug(self) -> None:
-        """Plug it in, and wait until the host's side has its node."""
+        """Plug it in, and wait until the host has its node."""
 
     @abstractmethod
     def unplug(self) -> None:
-        """Pull it out, and wait until the node is gone. Any number of times."""
+        """Unplug it, and wait until the node is removed; may be called repeatedly."""
 
     def _run(self) -> None:
         while True:
@@ -56,7 +56,7 @@ class HidDevice(ABC):
 
     @property
     def node(self) -> str | None:
-        """Its node, None while there is none."""
+        """Node of the device, or None."""
         wanted = f":{self.ids[0]:08X}:{self.ids[1]:08X}"
         for path in HIDRAW.iterdir():
             with suppress(OSError):
@@ -95,7 +95,7 @@ class UsbHid(HidDevice):
     def unplug(self) -> None:
         end, self._end = self._end, -1
         if end >= 0:
-            time.sleep(2 * POLL_MS / 1e3)  # the thread is not in it any more
+            time.sleep(2 * POLL_MS / 1e3)  # the thread no longer uses it
             os.close(end)
         self._gadget.unplug()
         self._await(False)
@@ -110,7 +110,7 @@ class UsbHid(HidDevice):
 
     def send(self, report: bytes) -> None:
         end = self._end
-        # the host asks for each report: the one before may still wait for it
+        # the host requests each report: the previous may still be waiting
         if end >= 0 and self._ready(end, select.POLLOUT):
             with suppress(OSError):
                 os.write(end, report)
@@ -122,7 +122,7 @@ class UsbHid(HidDevice):
 
 
 class Uhid(HidDevice):
-    """Handed to the HID layer: no bus, so what it takes is the kernel's own time."""
+    """Passed to the HID layer without a bus: delays are only the kernel's."""
 
     def __init__(
         self, vendor: int, product: int, name: str, descriptor: bytes, take: Callable[[bytes], None]

@@ -1,9 +1,9 @@
-"""A SpaceMouse handed to the guest's HID layer, that is pushed and reports it.
+"""SpaceMouse in the guest's HID layer, which is deflected and reports it.
 
     python puck.py SOCKET '{"push": {"up": -350}, "buttons": 5}'
 
-Keys of the case: push (deflection in counts by the words of emulators/puck.py), buttons, reports: split
-or combined. Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
+Keys of the case: push (deflection in counts, with the names of emulators/puck.py), buttons, reports: split or combined.
+Lines over the socket: `seen`, `make lost`, `mend`, `quit`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REPORT_PERIOD_S = 0.016
 
 
 def descriptor(combined: bool) -> bytes:
-    """A multi-axis controller: its axes in report 1, or in 1 and 2, from -350 to 350; buttons in 3; the lamp in 4."""
+    """Return a multi-axis controller: axes in report 1, or in 1 and 2, -350 to 350; buttons in 3; lamp in 4."""
     limits = bytes.fromhex("16a2fe265e01")
 
     def axes(number: int, usages: str) -> bytes:
@@ -51,7 +51,7 @@ class Puck:
         self.written: list[str] = []
         combined = case.get("reports") == "combined"
         self.kind = puck.combined if combined else puck.split
-        # Of the older maker's ids, the kernel's own driver wants to see a USB interface, which uhid has none of.
+        # For the older maker's ids, the kernel's driver requires a USB interface, which uhid does not have.
         ids = (0x256F, 0xC62E if combined else 0xC635)
         self.device = Uhid(
             *ids, "SpaceNavigator", descriptor(combined), lambda report: self.written.append(report.hex())

@@ -2,13 +2,13 @@
 
     python serialboard.py SOCKET '{"place": [0, 0, 0.01]}'
 
-Keys of the case: place (m), press (m: how far the hand then goes down), drag (m: and to the side). Lines over the
-socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the cases:
+Keys of the case: place (m), press (m: downward motion of the hand), drag (m: sideways motion). Lines over the socket:
+`displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the cases:
 
 not_found, lost   unplugged
-permission        its node is not for everybody
-timeout           hears, and answers no more
-blocked           reads nothing any more
+permission        its node is not accessible
+timeout           receives, but does not answer
+blocked           reads nothing
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ IDS = (0x16C0, 0x0483)
 TTYS = Path("/sys/class/tty")
 POLL_MS = 100
 SETTLED_S, SETTLE_S = 0.05, 1.0
-"""Nothing heard for so long: nothing is under way any more. And how long that is waited for."""
+"""Silence after which no frame is in flight, and the maximum time to wait for it."""
 
 
 class Port:
@@ -69,14 +69,14 @@ class Port:
         self.gadget.unplug()
         end, self.end = self.end, -1
         if end >= 0:
-            time.sleep(2 * POLL_MS / 1e3)  # the thread is not in it any more
+            time.sleep(2 * POLL_MS / 1e3)  # the thread no longer uses it
             os.close(end)
         with self.lock:
             self.board.force = (0.0, 0.0, 0.0)  # its amplifiers have no power
 
     @property
     def node(self) -> str | None:
-        """The port on the host's side, None while there is none."""
+        """Port on the host's side, or None."""
         for path in TTYS.glob("ttyACM*"):
             return f"/dev/{path.name}"
         return None
@@ -107,7 +107,7 @@ class Port:
                     answer = self.board.answer(line + b"\n")
                     self.heard_at = time.monotonic()
                 if self.made != "timeout":
-                    with suppress(OSError):  # what has no room because nobody reads is lost
+                    with suppress(OSError):  # answers are lost if the buffer is full
                         os.write(end, answer)
 
     def _settle(self) -> None:

@@ -1,4 +1,4 @@
-"""A gadget's process: lines over a socket that tell it what happens to it, answered in JSON, one at a time."""
+"""Server of a gadget's process: commands in lines over a socket, answered in JSON, one at a time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from collections.abc import Callable
 
 
 def serve(path: str, answer: Callable[[str], object]) -> None:
-    """Answer lines until one is `quit`. A line that fails is answered with the error, as a text."""
+    """Answer lines until one is `quit`. A line that fails is answered with the error as text."""
     server = socket.socket(socket.AF_UNIX)
     server.bind(f"{path}.new")
     server.listen()
-    os.rename(f"{path}.new", path)  # who finds it, finds it listening
+    os.rename(f"{path}.new", path)  # the socket listens as soon as the path exists
     while True:
         end, _ = server.accept()
         with end, end.makefile("rw") as stream:

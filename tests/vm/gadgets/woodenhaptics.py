@@ -1,16 +1,16 @@
-"""A WoodenHaptics arm as a HID device of the guest's kernel.
+"""WoodenHaptics arm as a HID device of the guest's kernel.
 
     python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
 
-Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: how far the hand then
-goes down), drag (m: and to the side). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`;
-the cases:
+Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: downward motion of the
+hand), drag (m: sideways motion). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the
+cases:
 
 not_found, lost   unplugged
 busy              another program has locked its node
-permission        its node is not for everybody
-timeout           answers no report any more
-blocked           takes no report any more
+permission        its node is not accessible
+timeout           does not answer
+blocked           accepts no report
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from vm.gadgets.serving import serve
 
 IDS = (0x16C0, 0x0486)
 REPORT_BYTES = 64
-# Vendor page, one input and one output report of 64 bytes, not numbered.
+# Vendor page, one input and one output report of 64 bytes, without ids.
 DESCRIPTOR = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
 SETTLED_S, SETTLE_S = 0.05, 1.0
-"""No report for so long: none is under way any more, nor in the kernel's queue. And how long that is waited for."""
+"""Silence after which no report is in flight or queued in the kernel, and the maximum time to wait for it."""
 
 
 class Board:
