@@ -75,10 +75,11 @@ FORCE: Final = (0.1, -0.2, 0.3)
 class Case(NamedTuple):
     """Driver to be measured.
 
-    io, bare  C functions and handle of the driver, and of the bare calls peer      file descriptor of the device's end
-    of a packet socket, -1 if there is none answer    data that the device sends before each tick, bytes wake
-    resumes the driver after a delay of the loop, when it waits for a current answer wait_ns   time before each tick in
-    which a thread of the driver receives the next sample
+    io, bare  C functions and handle of the driver, and of the bare calls
+    peer      file descriptor of the device's end of a packet socket, -1 if there is none
+    answer    data that the device sends before each tick, bytes
+    wake      resumes the driver if the loop was delayed and the driver waits for a current answer
+    wait_ns   time before each tick in which a thread of the driver receives the next sample
     """
 
     io: DeviceIO

@@ -225,9 +225,9 @@ def test_friction_opposes_the_slip_not_the_hand(plane_scene: SceneFactory) -> No
     assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
 
 
-# --- the rows of the paper's table ----------------------------------------------------------------- Conditions on the
-# normal force f_N, the hand's tangential force f_T and their cone, the normal distance a_N and the tangential motion
-# a_T, v_T, checked on the tick and on the one after.
+# --- the rows of the paper's table -----------------------------------------------------------------
+# Conditions on the normal force f_N, the hand's tangential force f_T and their cone, the normal distance a_N and the
+# tangential motion a_T, v_T, checked on the tick that meets them and on the next.
 
 
 def test_paper_row_contact_is_broken(plane_scene: SceneFactory) -> None:
