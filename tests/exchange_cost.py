@@ -1,11 +1,11 @@
-"""What a driver's tick costs beside the C calls that it makes: `python tests/exchange_cost.py`, `make exchange-cost`.
+"""Time of a driver's tick in addition to its C calls: `python tests/exchange_cost.py`, `make exchange-cost`.
 
-For each driver for hardware a device is opened on a stand-in: Force Dimension's and a Touch on stubs of the makers'
-libraries, the Falcon on a stub of libusb, HID devices and the puck on a packet socket, serial boards on a stream
-socket, Haply's on an emulated service. One compiled loop then times the driver's read and write, called as the servo
-calls them, in turn with the same C calls made bare, with the same arguments on the same stand-in. Both go back to back,
-so the caches are warm. What the driver adds is the difference of the two medians; the range is that of the same
-difference over twenty parts of the run. The stand-in's own work is in both.
+For each hardware driver a device is opened on a stub: Force Dimension's and a Touch on stubs of the makers' libraries,
+the Falcon on a stub of libusb, HID devices and the puck on a packet socket, serial boards on a stream socket, Haply's
+on an emulated service. A compiled loop times read and write of the driver, called like in the servo, alternating with
+the same C calls without the driver, with the same arguments on the same stub, so that the caches are warm. The driver's
+own time is the difference of the medians; its range is that over twenty parts of the run. The time of the stub is part
+of both.
 """
 
 from __future__ import annotations
@@ -73,13 +73,13 @@ FORCE: Final = (0.1, -0.2, 0.3)
 
 
 class Case(NamedTuple):
-    """A driver to be measured.
+    """Driver to be measured.
 
-    io, bare  C functions and handle of the driver, and of the calls alone
-    peer      file descriptor of the device's end of a packet socket, -1 where there is none
-    answer    what the device sends before each tick, bytes
-    wake      makes the driver go on when the machine has held up the loop and it waits for an answer of now
-    wait_ns   time before each tick in which a thread of the driver gets the next sample
+    io, bare  C functions and handle of the driver, and of the bare calls
+    peer      file descriptor of the device's end of a packet socket, -1 if there is none
+    answer    data that the device sends before each tick, bytes
+    wake      resumes the driver if the loop was delayed and the driver waits for a current answer
+    wait_ns   time before each tick in which a thread of the driver receives the next sample
     """
 
     io: DeviceIO
@@ -92,7 +92,7 @@ class Case(NamedTuple):
 
 @numba.njit(**OPTIONS)
 def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, int]:
-    """Time (ns) of one tick, and its status: OK when it read anew and wrote in full, below 0 when it failed."""
+    """Time (ns) and status of one tick: OK after a new sample and a complete write, negative after an error."""
     begun = now_ns(timespec)
     status = call_device(io.read, io.handle, sample)
     taken = call_device(io.write, io.handle, wrench)
@@ -101,8 +101,10 @@ def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, i
 
 @numba.njit(**OPTIONS)
 def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
-    """Times (n, 2) ns of the driver's and of the bare calls (`calls`), in turn, and whether each tick of the driver's
-    was whole; n, or the tick in which the driver failed."""
+    """Measure driver and bare calls (`calls`) alternately.
+
+    Fills `out` (n, 2) ns and `whole`, complete ticks of the driver; returns n, or the tick in which the driver failed.
+    """
     sample, wrench, timespec, buffer = memory
     io, bare = calls
     for n in range(len(out)):
@@ -121,12 +123,12 @@ def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out:
     return len(out)
 
 
-# The same calls, bare. The handle of each is the address of the words that its comment names.
+# The same calls without the driver. A handle is the address of the words named in each docstring.
 
 
 @numba.cfunc(IO_SIGNATURE)
 def _library_read(handle, sample):
-    """The block of the driver: its functions' addresses and its memory."""
+    """The driver's block: addresses of its functions, and its buffers."""
     word = int64_at(handle)
     at = handle + 8 * FD.frame
     device = np.int32(word[FD.id])
@@ -149,8 +151,8 @@ def _library_write(handle, wrench):
 
 @numba.cfunc(IO_SIGNATURE)
 def _libusb_read(handle, sample):
-    """The block of the driver, whose transfers are used. A reply that is taken here is one that the driver awaits, and
-    the other way round, so that neither is left with one."""
+    """The driver's block, whose transfers are used. A reply received here is one the driver awaits and vice versa, so
+    neither keeps a pending one."""
     word = int64_at(handle)
     word[AT.timespec], word[AT.timespec + 1] = 0, 0
     arguments = (word[AT.context], int64_at(handle + 8 * AT.timespec), int64_at(0))
@@ -167,7 +169,7 @@ def _libusb_write(handle, wrench):
 
 @numba.cfunc(IO_SIGNATURE)
 def _socket_read(handle, sample):
-    """File descriptor, address of a buffer, bytes of a report: a report, and that there is no other."""
+    """File descriptor, address of a buffer, bytes of a report. Reads a report, then finds no other."""
     word = int64_at(handle)
     read_fd(word[0], word[1], BUFFER)
     return read_fd(word[0], word[1], BUFFER)
@@ -175,7 +177,7 @@ def _socket_read(handle, sample):
 
 @numba.cfunc(IO_SIGNATURE)
 def _stream_read(handle, sample):
-    """The same words: a read that did not fill the buffer has read all."""
+    """The same words. A read that does not fill the buffer has read everything."""
     word = int64_at(handle)
     return read_fd(word[0], word[1], BUFFER)
 
@@ -192,7 +194,7 @@ def _nothing(handle, values):
 
 
 def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> Any:
-    """What an exchange of the driver gives that waits for an answer of now to what it sends."""
+    """Return the result of an exchange in which the driver waits for a current answer."""
 
     def once() -> None:
         with suppress(TimeoutError):
@@ -213,7 +215,7 @@ def force_dimension(folder: Path) -> Iterator[Case]:
     """An omega.6 on the stub of libdrd."""
     path = compile_stub(SOURCE, folder / "libdrd.so.3.17.5")
     Stub(path).update(type=34, wrist=1)
-    options = forcedimension.Options(library_file=str(path), watchdog_s=0.0)  # it minds how long a compilation takes
+    options = forcedimension.Options(library_file=str(path), watchdog_s=0.0)  # compilation would trigger it
     with forcedimension.open_device(options, RATE_HZ) as device:
         device.arm()
         io = device.io()
@@ -222,7 +224,7 @@ def force_dimension(folder: Path) -> Iterator[Case]:
 
 @contextmanager
 def falcon(folder: Path) -> Iterator[Case]:
-    """A Falcon on the stub of libusb, with a knob that moves, so that its place is to be found in each tick."""
+    """A Falcon on the stub of libusb with a moving knob, so that its position is computed in each tick."""
     path = compile_stub(USB_SOURCE, folder / SONAME)
     stub = UsbStub(path)
     stub.update(press=0.006, drag=0.02)
@@ -249,7 +251,7 @@ def hid(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def serial(_: Path) -> Iterator[Case]:
-    """A WoodenHaptics of the third generation on a stream socket, which hands on bytes as a port does."""
+    """A WoodenHaptics of the third generation on a stream socket, which passes bytes like a port."""
     near, far = socket.socketpair()
     near.setblocking(False)
     frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
@@ -263,7 +265,7 @@ def serial(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def described(_: Path) -> Iterator[Case]:
-    """A Hapkit, whose frames and paddle its rig describes, on a stream socket."""
+    """A Hapkit, with frames and paddle described by its rig, on a stream socket."""
     given = described_options("hapkit")
     assert given.frames is not None
     near, far = socket.socketpair()
@@ -283,7 +285,7 @@ def described(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def openhaptics(folder: Path) -> Iterator[Case]:
-    """A Touch on the stub of libHD, whose thread makes the library's calls: the loop's own makes none."""
+    """A Touch on the stub of libHD, whose thread calls the library: the loop makes no C calls."""
     path = compile_stub(HD_SOURCE, folder / "libHD.so.3.4.0", "-pthread")
     with open_touch(TouchOptions(library_file=str(path), force_age_max_s=0.1), RATE_HZ) as device:
         device.arm()
@@ -293,7 +295,7 @@ def openhaptics(folder: Path) -> Iterator[Case]:
 
 @contextmanager
 def spacemouse(_: Path) -> Iterator[Case]:
-    """A puck on a packet socket, with a report in each tick; what is written to it goes nowhere."""
+    """A puck on a packet socket, with a report in each tick; writes are discarded."""
     fd, end = ends()
     end.setblocking(False)
     buffer = np.zeros(BUFFER, np.uint8)
@@ -305,8 +307,8 @@ def spacemouse(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def haply(_: Path) -> Iterator[Case]:
-    """An Inverse3 at the emulated service, with half a millisecond before each tick, in which its thread gets the next
-    state. The bare call is the one that wakes a thread; here one that does nothing."""
+    """An Inverse3 on the emulated service, with 0.5 ms before each tick in which its thread receives the next state.
+    The bare call wakes an idle thread."""
     other, one, ended = os.eventfd(0), np.ones(1, np.int64), threading.Event()
 
     def sleeper() -> None:
@@ -338,8 +340,8 @@ CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
 
 
 def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
-    """Seconds that each of so many ticks took, (n, 2): the driver's, the bare calls'; and the share of the driver's
-    ticks with a new sample and a force that was taken in full."""
+    """Return seconds (n, 2) of each tick, of the driver and of the bare calls; and the fraction of the driver's ticks
+    with a new sample and a complete write."""
     out = np.zeros((ticks, 2), np.int64)
     wrench = np.array([*FORCE, 0.0, 0.0, 0.0])
     memory = (np.zeros(SAMPLE_SIZE), wrench, np.zeros(2, np.int64), np.zeros(BUFFER, np.uint8))
@@ -359,7 +361,8 @@ def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
 
 
 def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
-    """Medians, and the difference of the medians with its range over parts of the run; s. The share of whole ticks."""
+    """Return medians and their difference with its range over parts of the run, s, and the fraction of complete
+    ticks."""
     parts = [np.median(part, axis=0) for part in np.array_split(seconds, min(PARTS, len(seconds)))]
     between = [float(driver - bare) for driver, bare in parts]
     driver, bare = (float(value) for value in np.median(seconds, axis=0))
@@ -368,7 +371,7 @@ def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
 
 
 def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
-    """A bar for each driver: what it adds, with the range over the parts."""
+    """Draw a bar per driver: its own time, with the range over the parts."""
     drawing = figure()
     axes = drawing.subplots()
     own = np.array([[one[key] for key in ("own", "least", "most")] for one in found.values()]) * 1e6

@@ -1,11 +1,12 @@
-"""Whether what is rendered of a mesh is true: `python tests/mesh_truth.py [MESH ...] --points N --ticks N`.
+"""Check the rendering of a mesh by brute force: `python tests/mesh_truth.py [MESH ...] --points N --ticks N`.
 
-Distances at random points, near the surface and far from it, are compared with those of all triangles asked in turn.
-Then a hand presses, drags and lifts at random, with friction, torsion and rolling, and in every tick the proxy's
-distance is asked of all triangles: it may not be below the fingertip's radius, nor may the proxy have gone through any
-of them since the last tick. Ticks are timed one by one, five times over, with those of an empty scene beside them.
-Without a file this is done on ten meshes made from formulas; with --hostile on those that nobody should have made,
-sockets that the fingertip fits into among them, where all triangles are about as near. Exit code 1 if any was wrong.
+Distances at random points, near to and far from the surface, are compared with those to all triangles. Then a hand
+presses, drags and lifts at random, with friction, torsion and rolling. In every tick the proxy's distance from all
+triangles must be at least the radius of the fingertip, and the proxy must not have crossed a triangle since the
+previous tick. Ticks are timed individually, five times, and compared with those of an empty scene.
+
+By default this is done for ten meshes made from formulas; with --hostile for malformed ones, and for sockets that fit
+the fingertip, where all triangles are equally close. Exit code 1 if an error was found.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ MADE: Final = {
     "far": lambda: meshes.moved(meshes.geodesic(12, 0.05), (300.0, -200.0, 100.0)),
     "two": lambda: meshes.joined(meshes.geodesic(8, 0.03), meshes.moved(meshes.geodesic(30, 0.03), (0.072, 0.0, 0.0))),
 }
-"""Ten meshes: smooth, bumpy, with sharp edges, open, of one side, of needles, self-intersecting, far off, of two."""
+"""Ten meshes: smooth, bumpy, with sharp edges, open, one-sided, of needles, self-intersecting, far away, of two
+parts."""
 HOSTILE: Final = hostile_meshes.MADE | hostile_meshes.MANY
 SOCKETS: Final = {
     "exact socket": (1e-6, 60),
@@ -65,20 +67,20 @@ SOCKETS: Final = {
     "fine socket": (0.01, 200),
     "wide socket": (0.3, 60),
 }
-"""By how much of the fingertip's radius each is wider, and of how many triangles it is: 20 times the square."""
+"""Clearance of each, as a fraction of the fingertip's radius, and its frequency: 20 times the square is the number of
+triangles."""
 BLOCK: Final = 10_000
 TURNS: Final = 5
 INSIDE: Final = 1e-9
-"""Of the radius: what counts as inside, and as another distance, of the mesh's size."""
+"""Fraction of the radius that counts as inside, and of the mesh's size that counts as another distance."""
 COUNTED: Final = ("touching", "inside", "not_finite", "through", "budget")
 WHOLE: Final = 10**7
-"""A budget that ends no search but where its room ends."""
+"""Budget that is never exhausted before the memory of a search."""
 
 
 @entry
 def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> None:
-    """Into `found` (n, 3): distance of each of `points` (n, 3) m, the bound, m, below which nothing is, and what was
-    asked for it."""
+    """Fill `found` (n, 3): distance of each of `points` (n, 3), m, its lower bound, m, and the cost of the query."""
     mesh = unpack(like, values)
     for i in range(len(points)):
         near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
@@ -86,13 +88,13 @@ def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> N
 
 
 def triangles_of(scene: schema.Scene) -> meshes.Mesh:
-    """What is rendered, after mending."""
+    """Return the rendered triangles, after mending."""
     mesh: Triangles = build_scene(scene).objects.body.shape.row[0]
     return meshes.Mesh(mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3))
 
 
 def places(balls: Balls, count: int, rng: np.random.Generator) -> Array:
-    """Points (count, 3) m: most of them near the surface, on vertices and edges too, some far off."""
+    """Return points (count, 3), m: most near the surface, including vertices and edges, some far away."""
     corners = balls.corners[rng.integers(len(balls.corners), size=count)]
     weights = rng.dirichlet(np.ones(3), size=count)
     weights[::7] = (0.5, 0.5, 0.0)
@@ -105,9 +107,11 @@ def places(balls: Balls, count: int, rng: np.random.Generator) -> Array:
 
 
 def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.random.Generator) -> dict[str, Any]:
-    """The largest difference from all triangles asked in turn, as a share of the mesh's size, where the search came to
-    its end: it has room for so many at once, and thousands of needles that meet in a vertex are all as near. The same
-    with the budget of a tick; and by how much a bound was above the distance where there was no end."""
+    """Return the largest error relative to the mesh's size, for searches that finish: their memory is limited, and
+    thousands of needles that meet in a vertex are equally close.
+
+    The same with the budget of a tick; and by how much the bound of an unfinished search exceeds the distance.
+    """
     mesh = build_scene(scene).objects.body.shape
     size = float(mesh.row[0].size)
     worst = {
@@ -139,13 +143,13 @@ def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.rando
 
 
 def goes_through(balls: Balls, begun: Array, ended: Array, radius: float) -> bool:
-    """Whether a long way (3,) m crosses a triangle, or nearly does, looked at every quarter of a radius."""
+    """Return whether a path (3,), m, crosses a triangle or nearly does, sampled every quarter of a radius."""
     looks = np.linspace(0.0, 1.0, 2 + int(4.0 * np.linalg.norm(ended - begun) / radius))[:, None]
     return bool(brute_distances(balls, begun + looks * (ended - begun)).min() <= 0.125 * radius)
 
 
 def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) -> dict[str, Any]:
-    """What was wrong in these ticks, if anything, and how near to it the worst was."""
+    """Return the number of each kind of error in these ticks, and the deepest position of the proxy."""
     running, last = Engine(scene), poses[0, :3]
     found = {"ticks": 0, "touching": 0, "budget": 0, "not_finite": 0, "inside": 0, "through": 0}
     deepest, first = 0.0, None
@@ -156,7 +160,7 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
             wrong = ~np.isfinite(np.asarray(records)).all(axis=1)
             inside = 1.0 - brute_distances(balls, proxies) / radius
             starts = np.vstack([last[None], proxies[:-1]])
-            # Between two places that are outside a way below two radii leads through nothing.
+            # Two positions outside that are less than two radii apart cannot have a triangle in between.
             far = np.flatnonzero(np.linalg.norm(proxies - starts, axis=1) >= 2.0 * radius)
             if first is None and (inside > INSIDE).any():
                 first = begun + int((inside > INSIDE).argmax())
@@ -172,13 +176,13 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
 
 
 def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
-    """p50, p99 and the longest tick, us: of each tick the shortest of its times, so that a stall of the machine counts
-    only where it hits the same one every time."""
+    """Return p50, p99 and maximum of a tick, us. Each tick counts with its shortest time, so that a stall of the
+    machine matters only if it affects the same tick every time."""
     tree, times = build_scene(scene), np.zeros((TURNS, len(poses)))
     parameters = packed(tree)
     for turn in range(TURNS):
         watch = stopwatch(1, len(poses))
-        watch.ns.fill(0)  # the kernel would hand out its pages in the same ticks of every turn
+        watch.ns.fill(0)  # otherwise the system would allocate its pages in the same ticks of every turn
         time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
         times[turn] = 1e-3 * watch.ns[0]
     each = times.min(axis=0)
@@ -186,7 +190,8 @@ def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
 
 
 def in_socket(ticks: int, radius: float) -> Array:
-    """Poses (ticks, 7) of a hand that begins in the middle of a socket and goes through its wall every way."""
+    """Return poses (ticks, 7) of a hand that starts at the centre of a socket and crosses its wall in all
+    directions."""
     ways = wander(6, ticks, 2.0 * radius)
     return posed((ways - ways[0]) * np.minimum(np.arange(ticks) / 200.0, 1.0)[:, None])
 

@@ -1,11 +1,11 @@
 """Planted mistakes, which tests have to catch: one at a time, in a copy of the program.
 
     python tests/mutants.py [--only TEXT] [--json FILE]
-    python tests/mutants.py --sweep ...                  plants them by rule: see sweep.py
+    python tests/mutants.py --sweep ...                  generates them by rules: see sweep.py
 
-`mutants.toml` lists them. Tests are run as tests/run.py runs them: those marked `plain` with kernels as plain Python,
-all others compiled. A test that fails has caught the mistake; one that cannot be run has not. All are run once without
-a mistake before. What is compiled stays in the copy's folder and goes with it.
+`mutants.toml` lists them. Tests run as in tests/run.py: those marked `plain` with kernels as plain Python, all others
+compiled. A failing test has caught the mistake; a test that cannot run has not. All tests are first run without a
+mistake. The kernel cache is in the folder of the copy and is removed with it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from run import ENVIRONMENT
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 LIMIT_S: Final = 300.0
-"""Of the tests of one mistake, plain or compiled. A mistake may make a loop endless."""
+"""Limit for the tests of one mistake, plain or compiled. A mistake may cause an endless loop."""
 FAILED, NONE_RAN = 1, (0, 5)
-"""pytest's exit codes: a test has failed; all have passed, or none was there. Any other is no word of a test."""
+"""Exit codes of pytest: a test failed; all passed, or none was found. All other codes are errors."""
 CAUGHT, SURVIVED, LATE, ERROR = "caught", "SURVIVED", "time out", "ERROR"
 
 
 class Mutant(NamedTuple):
-    """A mistake: in `file`, `new` stands in the place of `old`; `tests` have to catch it."""
+    """Mistake: `old` is replaced by `new` in `file`, and `tests` must catch it."""
 
     file: str
     old: str
@@ -51,7 +51,7 @@ class Mutant(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of a run of tests: one of the words above, how long it took, and what pytest said last."""
+    """Result of a run of tests: one of the words above, its duration, and pytest's output."""
 
     word: str
     seconds: float
@@ -59,25 +59,25 @@ class Outcome(NamedTuple):
 
 
 def read(only: str = "") -> list[Mutant]:
-    """The mistakes whose file or words have `only` in them."""
+    """Return the mistakes with `only` in their file or description."""
     listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]
     return [each for each in (Mutant(**table) for table in listed) if only in each.file or only in each.mistake]
 
 
 def copy_to(folder: Path) -> None:
-    """What git has of this repository, as it is now; links stay links."""
+    """Copy the tracked files of this repository in their current state; links are preserved."""
     names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
     for name in filter(None, names.decode().split("\0")):
-        if os.path.lexists(ROOT / name):  # and was not removed
+        if os.path.lexists(ROOT / name):  # skip removed files
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
 
 
 class Copy:
-    """A copy of the program in `folder`, which tests that are run there import."""
+    """Copy of the program in `folder`, imported by tests that run there."""
 
     def __init__(self, folder: Path) -> None:
-        folder.chmod(0o755)  # some tests become another user, who has to get in
+        folder.chmod(0o755)  # some tests switch to another user, who needs access
         self.folder = folder / "copy"
         copy_to(self.folder)
         self._environment = ENVIRONMENT | {
@@ -92,9 +92,9 @@ class Copy:
             raise SystemExit(f"softfinger is imported from {found.stdout.strip()}, not from the copy")
 
     def test(self, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
-        """Run tests, until one fails."""
+        """Run tests until one fails."""
         begun = time.monotonic()
-        # Of others it takes no test, and they may need what plain Python does not have (tests/conftest.py).
+        # Other files have no `plain` test, and may need what plain Python lacks (tests/conftest.py).
         plain = [each for each in tests if "plain" in (self.folder / each.partition("::")[0]).read_text("utf-8")]
         outcome = Outcome(SURVIVED, 0.0, "")
         for marks, chosen, more in (("plain", plain, {"NUMBA_DISABLE_JIT": "1"}), ("not plain", list(tests), {})):
@@ -119,14 +119,14 @@ class Copy:
             return Outcome(word, 0.0, said.read())
 
     def try_out(self, mutant: Mutant, number: int) -> Outcome:
-        """Make a mistake, run its tests, undo it. `number` tells it from others in the same file."""
+        """Plant a mistake, run its tests and undo it. `number` distinguishes it from others in the same file."""
         path = self.folder / mutant.file
         text, before = path.read_text("utf-8"), path.stat()
         if (count := text.count(mutant.old)) != 1:
             return Outcome(ERROR, 0.0, f"what it takes the place of is there {count} times, must be once")
         try:
             path.write_text(text.replace(mutant.old, mutant.new), "utf-8")
-            # Python takes bytecode for that of a source by its size and the second of its time.
+            # Python matches bytecode to its source by size and modification time in seconds.
             os.utime(path, (before.st_atime, int(before.st_mtime) + number))
             return self.test(mutant.tests)
         finally:
@@ -135,15 +135,15 @@ class Copy:
 
 
 def end_session(leader: int) -> None:
-    """Kill what is left of a session: daemons of tests have process groups of their own."""
+    """Kill the remaining processes of a session: daemons of tests have separate process groups."""
     for each in os.listdir("/proc"):
-        with contextlib.suppress(ValueError, OSError):  # no process, or one that has gone
+        with contextlib.suppress(ValueError, OSError):  # not a process, or it has ended
             if os.getsid(int(each)) == leader:
                 os.kill(int(each), signal.SIGKILL)
 
 
 def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
-    """Counts by folder, and each that was not caught."""
+    """Print counts by folder, and each mistake that was not caught."""
     folders = Counter(mutant.file.partition("/")[0] for mutant, _ in results)
     caught = Counter(mutant.file.partition("/")[0] for mutant, outcome in results if outcome.word == CAUGHT)
     print(f"\nin {seconds:.0f} s:")

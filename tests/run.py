@@ -1,20 +1,20 @@
-"""The suite in parts that run beside each other. Words go to pytest, but for the first, where it is one of these.
+"""Run the suite in concurrent parts. Arguments are passed to pytest, except the first if it is one of these:
 
     --system    tests that need Debian packages: emulated USB devices, a browser
-    --rest      what `make test` leaves to `make test-all`
-    --coverage  `make test` with the lines and branches of the program counted
+    --rest      tests of `make test-all` that `make test` skips
+    --coverage  `make test` with coverage of lines and branches
 
 Parts:
 
-    logic       marked `plain`: kernels as plain Python, which takes a scene in a millisecond where a compiler takes
-                seconds; `make test-all` runs the same tests compiled, and they have to agree
+    logic       marked `plain`: kernels as plain Python, which builds a scene in a millisecond instead of compiling for
+                seconds; `make test-all` runs the same tests compiled, with the same results
     compiled    all others
-    rt server   marked `real_time`, in tests/server itself
-    rt others   marked `real_time`, in other folders; these two wait for the clock more than they compute, so they share
-                the processors with the other parts, which give way to them
-    put off     of the last two, the ones that failed; last, with nothing beside them, where a failure is one
+    rt server   marked `real_time`, in tests/server
+    rt others   marked `real_time`, in other folders; these two mostly wait for the clock, so they share the processors
+                with the other parts, which have a lower priority
+    put off     failed tests of the last two, repeated at the end without other load
 
-Each process imports the tests that it runs, 4 to 8 CPU s, so each part is one process with files of its own.
+Each process imports the tests that it runs, 4 to 8 CPU s, so each part is one process with separate files.
 """
 
 from __future__ import annotations
@@ -36,24 +36,25 @@ from typing import Any, Final, NamedTuple
 
 HERE: Final = Path(__file__).parent
 NICE: Final = 19
-"""Of the parts that compute: what keeps time runs first when it wakes, and so do the threads of the kernel that hand a
-pseudo terminal's bytes on. Linux weighs sessions against each other before it looks at niceness within one (`autogroup`
-in sched(7)), so each of these parts is a session."""
+"""Niceness of computing parts: real-time code runs first when it wakes, and so do the kernel threads that pass on the
+bytes of a pseudo terminal. Linux compares sessions before the niceness within one (`autogroup` in sched(7)), so each of
+these parts is a session."""
 LESS_NICE: Final = 10
-"""Of the part that would be alone at the end, on one processor of two."""
+"""Niceness of the part that would otherwise run last, on one of two processors."""
 WELL: Final = (0, 5)
-"""pytest's exit codes where no test failed; 5: none was asked for."""
+"""Exit codes of pytest without a failed test; 5: no test was selected."""
 
 ENVIRONMENT: Final = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-"""Some machines for builds keep no bytecode; the tests start hundreds of programs, and would compile them anew each."""
+"""Some build machines disable bytecode; the tests start hundreds of programs, each of which would compile its
+modules."""
 
 CPU_FOLDER: Final = HERE.parent / "build" / "cpu-seconds"
-"""CPU seconds of each test of the last run, a JSON file for each part."""
+"""Folder with a JSON file per part: CPU seconds of each test of the last run."""
 MOST_EXPENSIVE: Final = 20
 
 HANG_S: Final = 300.0
 SAMPLE_S: Final = 0.3
-"""CPU seconds of the measurement of `hang_limit`; three periods of a quota of Linux, 0.1 s each."""
+"""CPU seconds of the measurement of `hang_limit`: three periods of a Linux quota of 0.1 s."""
 
 LOOPS: Final = """
 from softfinger.config.load import load_scene
@@ -65,14 +66,14 @@ compile_loop(load_scene(PULL))
 """
 """Program that compiles the loops of the default scene and of the driver tests."""
 DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
-"""Drivers whose exchanges two processes compile, in about the same time."""
+"""Drivers whose exchanges are compiled by two processes in about the same time."""
 
 Lines = queue.SimpleQueue[tuple[Any, str | None]]
-"""Of what is running: each with the part that wrote it, None at its end."""
+"""Output lines, each with the part that wrote it; None at its end."""
 
 
 class Part(NamedTuple):
-    """One run of pytest: its name, the marks of the tests that it takes, further words, environment, niceness."""
+    """One run of pytest: its name, marks of its tests, further arguments, environment, niceness."""
 
     name: str
     marks: str
@@ -84,8 +85,8 @@ class Part(NamedTuple):
 PLAIN_VARIABLE: Final = "SOFTFINGER_TESTS_ARE_PLAIN"
 """Set in the logic part, where `tests/proxy/test_plain_python.py` checks that kernels are plain Python."""
 BY_FILE: Final = ("--max-worker-restart=0", "--dist", "loadfile", "-n")
-"""Files shared out among so many processes. One that has died is not replaced: the run would never end (pytest-xdist
-3.8, issue 1378). The test that it died in has failed, and the others do the rest."""
+"""Distribute files to this many processes. A process that dies is not replaced: the run would never end (pytest-xdist
+3.8, issue 1378). Its current test fails, and the other processes run the remaining tests."""
 QUICKLY: Final = "not exhaustive and not system"
 QUICK: Final = (
     Part("logic", f"plain and {QUICKLY}", environment=(("NUMBA_DISABLE_JIT", "1"), (PLAIN_VARIABLE, "1"))),
@@ -94,32 +95,33 @@ QUICK: Final = (
 REAL_TIME: Final = tuple(
     Part(f"rt {files}", f"real_time and {QUICKLY}", (f"--files={files}",), nice=0) for files in ("server", "others")
 )
-"""Beside those and each other. What keeps time waits two thirds of its time, so two processes do it in half of that."""
+"""Run concurrently with the parts above and each other. Real-time tests wait two thirds of the time, so two processes
+take half of it."""
 PUT_OFF: Final = Part("put off", "real_time", nice=0)
-"""Behind those: each test that they have named."""
+"""Run afterwards: the failed tests of the real-time parts."""
 
 SYSTEM: Final = (Part("system", "system and not exhaustive", nice=0),)
-"""Alone: a browser that draws without a graphics card needs both processors."""
+"""Run separately: a browser that renders without a graphics card needs both processors."""
 
 MORE: Final = ("--exhaustive", "--hypothesis-profile=full")
 REST: Final = (
     Part("compiled", "(plain or exhaustive or scaled) and not real_time", (*MORE, *BY_FILE, "logical")),
     Part("real time", "(exhaustive or scaled) and real_time", MORE, nice=0),
 )
-"""One after the other: the first keeps all processors busy."""
+"""Run sequentially: the first part uses all processors."""
 
 
 class Running:
-    """A part's process, whose lines are put into a queue as they come, None at its end."""
+    """Process of a part, whose lines are put into a queue, followed by None."""
 
     def __init__(self, part: Part, words: Sequence[str], lines: Lines, covered: bool = False) -> None:
         self.part = part
         self.cpu_file = CPU_FOLDER / f"{part.name.replace(' ', '-')}.json"
         self.cpu_file.unlink(missing_ok=True)
         self.report: list[str] = []
-        """Everything from the first line of a section on."""
+        """All lines from the first section heading."""
         self.beside: list[str] = []
-        """What is neither that nor progress: a heading, or what a process that crashed has said."""
+        """Other lines except progress: headings, and output of a crashed process."""
         pytest = [*(["coverage", "run", "-m"] if covered else []), "pytest"]
         self.process = subprocess.Popen(
             [sys.executable, "-m", *pytest, "-m", part.marks, f"--cpu-report={self.cpu_file}", *part.words, *words],
@@ -132,12 +134,12 @@ class Running:
         )
         if part.nice:
             os.setpriority(os.PRIO_PROCESS, self.process.pid, part.nice)
-            with contextlib.suppress(OSError):  # a kernel without it weighs threads alone
+            with contextlib.suppress(OSError):  # a kernel without autogroups compares single threads
                 Path(f"/proc/{self.process.pid}/autogroup").write_text(str(part.nice))
         threading.Thread(target=self._read, args=(lines,), daemon=True).start()
 
     def interrupt(self) -> None:
-        """As Ctrl-C would, which reaches one session alone."""
+        """Interrupt like Ctrl-C, which reaches only one session."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGINT)
 
@@ -149,7 +151,7 @@ class Running:
 
 
 def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> list[Running]:
-    """Run parts beside each other; print their progress as it comes, and the report of each when it ends."""
+    """Run parts concurrently; print their progress immediately, and the report of each when it ends."""
     lines = Lines()
     running = [Running(part, words, lines, covered) for part in parts]
     going = len(running)
@@ -188,16 +190,16 @@ def hang_limit() -> str:
 
 
 def compile_kernels() -> None:
-    """Compile what several processes would otherwise compile at once: drivers, and the loops that most tests run."""
+    """Compile kernels that several processes would otherwise compile concurrently: drivers, and the most used loops."""
     programs = ["; ".join(f"import softfinger.drivers.{name}.device" for name in names) for names in DRIVERS]
     compiling = [subprocess.Popen([sys.executable, "-c", program], env=ENVIRONMENT) for program in programs]
     for process in compiling:
-        process.wait()  # an error of an import is reported by the tests
+        process.wait()  # the tests report import errors
     subprocess.run([sys.executable, "-c", LOOPS], env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=False)
 
 
 def quick(words: Sequence[str], covered: bool) -> list[Running]:
-    """All of `make test`; last, with nothing beside them, the tests of real time that failed beside others."""
+    """Run `make test`; finally repeat failed real-time tests without other load."""
     compile_kernels()
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / part.name for part in REAL_TIME]
@@ -210,7 +212,8 @@ def quick(words: Sequence[str], covered: bool) -> list[Running]:
 
 
 def outcome(ended: Sequence[Running]) -> tuple[dict[str, int], bool]:
-    """How many tests passed, failed and were skipped, from pytest's closing lines, and whether all is well."""
+    """Return the numbers of passed, failed and skipped tests from pytest's last lines, and whether all parts
+    succeeded."""
     counts = {"passed": 0, "failed": 0, "skipped": 0}
     for part in ended:
         for number, word in re.findall(r"(\d+) (\w+)", part.report[-1] if part.report else ""):

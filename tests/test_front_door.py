@@ -1,4 +1,4 @@
-"""The front door: what `import softfinger` offers, its examples, and what its users meet when they are wrong."""
+"""Public interface of `import softfinger`: names, examples, and errors for wrong use."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from softfinger.server.remote import Client
 from softfinger.server.verbs.shipped import FOLDER_OF
 from softfinger.server.wire.control import Control
 
-RIBS = FOLDER_OF["scenes"] / "ribs.csv"  # the texture of a scene
+RIBS = FOLDER_OF["scenes"] / "ribs.csv"  # texture of a scene
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 PRESSED = (0.0, 0.0, 0.0095)
 STIFFNESS = "object.table.material.stiffness_n_per_m"
@@ -47,12 +47,12 @@ MODULES = (
 
 @pytest.fixture
 def client(endpoints: tuple[str, str]) -> partial[Client]:
-    """`Client` of a daemon that replays the shipped recording."""
+    """Return `Client` bound to a daemon that replays the shipped recording."""
     return partial(Client, *endpoints)
 
 
 def test_every_name_is_there_and_none_more() -> None:
-    """All that is offered can be had, is listed, and is described."""
+    """Every name in `__all__` exists and is documented; other names raise AttributeError with a suggestion."""
     assert set(softfinger.__all__) <= set(dir(softfinger))
     for door in (Engine, Client):
         methods = [(name, method) for name, method in inspect.getmembers(door, callable) if name[0] != "_"]
@@ -65,8 +65,8 @@ def test_every_name_is_there_and_none_more() -> None:
         _ = softfinger.engine
 
 
-def test_every_error_of_the_door_is_at_the_door() -> None:
-    """What its functions raise on purpose can be caught by a name of the package."""
+def test_every_public_error_is_exported() -> None:
+    """Every HapticError defined in these modules is a name of the package."""
     for home in (
         "config.errors",
         "proxy.engine",
@@ -84,7 +84,7 @@ def test_every_error_of_the_door_is_at_the_door() -> None:
 
 @pytest.mark.plain
 def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
-    """A step's mode has a name, is equal to the number of records and messages, and is packed as that number."""
+    """A step's mode has a name, equals its number in records and messages, and is packed as that number."""
     touch = engine.step(PRESSED, UPRIGHT)
     assert touch.mode is softfinger.ContactMode.ROLLING and touch.mode == 1 == touch.record[AT.contact_mode]
     assert [mode.name.lower() for mode in softfinger.ContactMode] == list(MODE_NAMES)
@@ -92,7 +92,7 @@ def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
 
 
 def test_what_is_printed_and_completed(client: partial[Client]) -> None:
-    """At a prompt each object says in a line what it is, and offers its fields."""
+    """`repr` of each object is one line, and completion offers its fields."""
     engine = Engine("paper-plane")
     engine.step(PRESSED, UPRIGHT)
     assert repr(engine) == "<Engine: objects table; 1000 Hz, after 1 ticks>"
@@ -113,8 +113,8 @@ def test_what_is_printed_and_completed(client: partial[Client]) -> None:
         assert {"mode", "penetration"} <= set(dir(sample.contact))
 
 
-def test_the_door_is_light() -> None:
-    """Nothing behind it is imported before it is asked for, by `dir` neither."""
+def test_the_package_imports_lazily() -> None:
+    """Neither `import softfinger` nor `dir` imports a submodule."""
     code = "import sys, softfinger; dir(softfinger); print([n for n in sys.modules if n.startswith('softfinger.')])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
@@ -132,14 +132,14 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 
 def test_an_engine_imports_what_its_scene_needs():
-    """The class comes without what reads a scene, and a plane without what reads meshes, height maps and solids."""
+    """Importing the class loads no scene parser, and a plane loads no code for meshes, height maps and solids."""
     done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, timeout=300, check=True)
     assert done.stdout.splitlines() == ["[] True", "[]"]
 
 
-@pytest.mark.exhaustive  # `make lint` reads every caller of ours with the same checker
+@pytest.mark.exhaustive  # `make lint` checks all callers with the same checker
 def test_a_type_checker_sees_the_names(tmp_path: Path) -> None:
-    """mypy --strict knows the classes behind the names, and refuses a wrong argument."""
+    """mypy --strict resolves the exported classes and rejects a wrong argument."""
     program = "import softfinger\nreveal_type(softfinger.Engine('x').step([0.0], [1.0]).force)\nsoftfinger.Engine(1)\n"
     (tmp_path / "program.py").write_text(program)
     root = Path(__file__).resolve().parents[1]
@@ -150,7 +150,6 @@ def test_a_type_checker_sees_the_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> None:
-    """Each example does what stands below it."""
     found = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
     assert found.attempted and not found.failed
 
@@ -162,8 +161,8 @@ def made_up(rows: int = 4) -> Records:
     return Records(np.arange(float(rows * RECORD_SIZE)).reshape(rows, RECORD_SIZE))
 
 
-def test_fields_are_where_the_table_says() -> None:
-    """By name, by numpy's structured type and by column there is the same number."""
+def test_fields_match_the_table() -> None:
+    """A field is equal by name, in NumPy's structured type and by column."""
     records = made_up()
     for field in FIELDS:
         there = np.asarray(records)[:, field.at : field.at + field.size].reshape(records[field.name].shape)
@@ -173,8 +172,8 @@ def test_fields_are_where_the_table_says() -> None:
     assert records.structured.shape == (4,) and np.shares_memory(records, records.structured)
 
 
-def test_what_keeps_whole_rows_keeps_its_names() -> None:
-    """Some rows and one row have names; a column is a plain array."""
+def test_selections_of_rows_keep_field_names() -> None:
+    """Several rows and a single row have field names; a column is a plain array."""
     records = made_up()
     some, one = records[records["tick"] > RECORD_SIZE], records[2]
     assert some["force"].shape == (3, 3)  # the first row's tick is 1
@@ -187,7 +186,7 @@ def test_what_keeps_whole_rows_keeps_its_names() -> None:
 
 
 def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whole numbers are whole; where pandas is not installed the error says what to do."""
+    """Integer fields become integer columns; without pandas the error names the command that installs it."""
     made: list[tuple[list[str], dict[str, type]]] = []
 
     class Frame:
@@ -224,7 +223,8 @@ def pressing(engine: Engine) -> float:
 
 @pytest.mark.plain
 def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
-    """By name and by number, in contact, and to the bits of an engine that began so."""
+    """Objects are addressed by name and by index, in contact; results are bit-equal to a new engine with these
+    values."""
     changes = {STIFFNESS: 500.0, "coupling.stiffness_n_per_m": 700.0}
     poses = np.tile([*PRESSED, *UPRIGHT], (50, 1))
     poses[:, 0] = np.linspace(0.0, 0.002, 50)
@@ -233,7 +233,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     assert engine.config == load_scene("paper-plane", changes)
     np.testing.assert_array_equal(engine.run(poses), Engine(load_scene("paper-plane", changes)).run(poses))
     engine.set("object.0.material.stiffness_n_per_m", 1000.0)
-    assert engine.step(PRESSED, UPRIGHT).cause != "touch"  # it was in contact all the time
+    assert engine.step(PRESSED, UPRIGHT).cause != "touch"  # it was in contact throughout
 
 
 @pytest.mark.plain
@@ -248,7 +248,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     ],
 )
 def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -> None:
-    """What cannot be set is named, and what came with it is not set either."""
+    """One invalid value is named, and none of the others is applied."""
     engine.set(STIFFNESS, 1000.0)
     before = engine.config
     with pytest.raises(ConfigError, match=said) as refused:
@@ -257,8 +257,8 @@ def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -
     assert "another model" not in said or STIFFNESS not in str(refused.value)
 
 
-def test_nothing_is_compiled_anew(engine: Engine) -> None:
-    """A change leaves as many compiled kernels as there were."""
+def test_set_compiles_nothing(engine: Engine) -> None:
+    """Changing a parameter adds no compiled overload."""
     pressing(engine)
     before = len(step_many.overloads)
     engine.set(STIFFNESS, 321.0)
@@ -267,8 +267,8 @@ def test_nothing_is_compiled_anew(engine: Engine) -> None:
 
 
 def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
-    """A drag, and 10 s of one pose: the filtered velocity falls by a share in each tick, and ends as 0. As a number
-    below the smallest normal one it would make every tick slower for as long as the hand rests."""
+    """During 10 s of a constant pose after a drag, the filtered velocity decays to exactly 0. Subnormal values would
+    slow down every tick."""
     engine.reset()
     poses = np.tile([*PRESSED, *UPRIGHT], (10_300, 1))
     poses[:300, :3] += np.linspace((-0.0013, 0.0007, 0.0002), (0.0, 0.0, 0.0), 300)
@@ -293,8 +293,8 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
         (PRESSED, (0.0, 0.0, 0.0, 0.0), "its norm must be"),
     ],
 )
-def test_a_pose_that_is_none_is_refused(position: object, orientation: object, said: str, engine: Engine) -> None:
-    """With what is wrong, and the next pose is taken."""
+def test_an_invalid_pose_is_refused(position: object, orientation: object, said: str, engine: Engine) -> None:
+    """The error names the fault, and the next valid pose is accepted."""
     with pytest.raises(PoseError, match=said):
         engine.step(position, orientation)  # type: ignore[arg-type]
     assert pressing(engine) > 0.0
@@ -302,15 +302,14 @@ def test_a_pose_that_is_none_is_refused(position: object, orientation: object, s
 
 @pytest.mark.plain
 @pytest.mark.parametrize("rate_hz", [0.0, -1000.0, np.nan, np.inf])
-def test_a_rate_that_no_servo_has_is_refused(rate_hz: float) -> None:
-    """Before anything is compiled."""
+def test_an_invalid_rate_is_refused(rate_hz: float) -> None:
     with pytest.raises(ConfigError, match=r"rate_hz = .*: must be a number from 0\.001 to 1e\+09 Hz"):
         Engine("paper-plane", rate_hz)
 
 
 @pytest.mark.plain
 def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
-    """One by one or all at once, quaternions of any length; what a step returned stays as it was."""
+    """Single steps and `run` agree for quaternions of any length, and a returned step is not modified later."""
     poses = np.random.default_rng(3).normal(size=(40, 7)) * 0.001 + [*PRESSED, 3.0, 0.0, 0.0, 0.0]
     engine.reset()
     steps = [engine.step(pose[:3], list(pose[3:])) for pose in poses]
@@ -323,7 +322,7 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
 
 @pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
-    """The mapping of a scene makes the same scene; its faults are all named."""
+    """A scene built from a mapping equals that of the file, and all faults are reported."""
     scene = load_scene("sphere")
     assert load_scene(describe(scene)) == scene == load_scene(scene)
     assert Engine(describe(scene)).config == scene
@@ -334,7 +333,7 @@ def test_a_mapping_is_as_good_as_a_file() -> None:
 
 
 def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
-    """The records of the verb, to the bit, and what a results file holds."""
+    """Records equal those of the verb `simulate` bit by bit, as does the results file."""
     out, own = tmp_path / "verb.csv", tmp_path / "own.csv"
     assert main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "500"]) == 0
     records = run_recording("tap", "paper-plane", rate_hz=500.0)
@@ -350,8 +349,8 @@ def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
 # --- a running daemon -------------------------------------------------------------------------------
 
 
-def test_a_client_hears_what_it_changes(client: partial[Client]) -> None:
-    """A parameter changed by command is in the telemetry's events; what was opened is closed with the client."""
+def test_a_client_receives_events_of_its_changes(client: partial[Client]) -> None:
+    """Telemetry reports a parameter changed by command; subscriptions close with the client."""
     with client() as daemon:
         assert isinstance(daemon, Control)
         events = daemon.subscribe("event", timeout_s=20.0)
@@ -359,22 +358,22 @@ def test_a_client_hears_what_it_changes(client: partial[Client]) -> None:
         while len(window) < 10:
             assert window.update(timeout_s=20.0)
         assert window["force"].shape == (10, 3)
-        for value in (810.0, 820.0):  # the subscription may begin after the first
+        for value in (810.0, 820.0):  # the subscription may start after the first
             daemon.set_params({STIFFNESS: value})
         told = next(event for event in events if event["name"] == "set_params")
         assert msgspec.to_builtins(told["what"])[STIFFNESS]["to"] in (810.0, 820.0)
     assert list(events) == []
 
 
-def test_each_place_has_the_clock_that_is_written(client: partial[Client], engine: Engine) -> None:
-    """docs/python.md: ticks times dt offline, the epoch on the wire, CLOCK_MONOTONIC and other names in get_state."""
+def test_timestamps_use_the_documented_clocks(client: partial[Client], engine: Engine) -> None:
+    """docs/python.md: offline time is ticks times dt, messages have the epoch, get_state has CLOCK_MONOTONIC."""
     engine.reset()
     for records in (run_recording("tap"), engine.run(np.tile([*PRESSED, *UPRIGHT], (10, 1)))):
         np.testing.assert_allclose(records["timestamp"], records["tick"] * 0.001, rtol=0.0, atol=1e-12)  # rounding
         assert not records["servo.exec"].any() and not records["buttons"].any()
     with client() as daemon:
         sample, state = next(daemon.subscribe(timeout_s=20.0)), daemon.get_state()
-        assert abs(sample.timestamp - time.time()) < 3600.0  # an hour tells one clock from the other
+        assert abs(sample.timestamp - time.time()) < 3600.0  # an hour distinguishes the clocks
         assert abs(state.timestamp - time.monotonic()) < 3600.0
         assert state.sequence > 0 and state.field_state["mode"] in list(softfinger.ContactMode)
 
@@ -383,8 +382,8 @@ def test_each_place_has_the_clock_that_is_written(client: partial[Client], engin
 
 
 @pytest.mark.parametrize("verb", list(FOLDER_OF))
-def test_what_is_shipped_is_listed_a_line_each(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every file by the name that other verbs take, with a sentence about it; as JSON with the file."""
+def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every file is listed with its name and a sentence; JSON adds the path."""
     assert main([verb]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert main([verb, "--json"]) == 0
@@ -411,7 +410,7 @@ def test_what_is_shipped_is_listed_a_line_each(verb: str, capsys: pytest.Capture
     ],
 )
 def test_engine_returns_parameters(path, value):
-    """By the paths that `set` takes; a table as a dictionary."""
+    """`get` accepts the paths of `set` and returns a table as a dictionary."""
     assert Engine("paper-plane").get(path) == value
 
 
@@ -419,13 +418,12 @@ def test_engine_returns_parameters(path, value):
     "path", ["object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""]
 )
 def test_engine_refuses_a_path_without_value(path):
-    """In one line with the path."""
     with pytest.raises(ConfigError, match="no value at " + repr(path)):
         Engine("paper-plane").get(path)
 
 
 def test_notebooks_show_tables():
-    """Names from users are escaped; of no records there is nothing to show."""
+    """Names are escaped; empty records give no table."""
     engine = Engine(load_scene("paper-plane", {"object.0.name": "a <b>"}))
     assert "a &lt;b&gt;" in engine._repr_html_() and "<b>" not in engine._repr_html_()
     records = Records(np.zeros((2, RECORD_SIZE)))
@@ -434,7 +432,7 @@ def test_notebooks_show_tables():
 
 
 def test_dir_lists_public_names_only():
-    """No import of the module itself: a completion after `softfinger.` offers what is documented."""
+    """Only documented names are completed after `softfinger.`, no imported modules."""
     names = {name for name in dir(softfinger) if not name.startswith("__")}
     assert names == set(softfinger.__all__) - {"__version__"}
 
@@ -442,8 +440,8 @@ def test_dir_lists_public_names_only():
 @pytest.mark.parametrize(
     "position", [["a", 0.0, 0.0], [[0.0], [0.0], [0.0]], [0.0, 0.0], None, [10**400, 0.0, 0.0], 1.0]
 )
-def test_a_position_of_no_three_numbers_is_refused(position):
-    """As lists and as arrays."""
+def test_a_position_without_three_numbers_is_refused(position):
+    """Lists and object arrays raise PoseError."""
     engine = Engine("paper-plane")
     for given in (position, np.array(position, dtype=object)):
         with pytest.raises(PoseError, match="3 numbers"):

@@ -1,4 +1,4 @@
-"""Scene and rig files: what is accepted, and what every fault says."""
+"""Scene and rig files: accepted values, and the message of every fault."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid'
 
 
 def scene() -> dict[str, Any]:
-    """A small valid scene with every table, as a file would give it."""
+    """Return a small valid scene with every table, as parsed from a file."""
     return {
         "fingertip": {"radius_m": 0.01},
         "rolling": {"method": "euler_zxz"},
@@ -64,7 +64,7 @@ def scene() -> dict[str, Any]:
 
 
 def rig() -> dict[str, Any]:
-    """A small valid rig with every table."""
+    """Return a small valid rig with every table."""
     return {
         "device": {"driver": "replay", "recording": "x"},
         "servo": {"rate_hz": 1000},
@@ -75,7 +75,7 @@ def rig() -> dict[str, Any]:
 
 
 def put(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
-    """The mapping with the value at a dotted key; `...` removes the key."""
+    """Set the value at a dotted key and return the mapping; `...` removes the key."""
     *path, last = [int(part) if part.isdigit() else part for part in re.split(r"[.\[\]]+", key) if part]
     at: Any = mapping
     for part in path:
@@ -88,14 +88,14 @@ def put(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
 
 
 def faults_of(struct_type: type[msgspec.Struct], mapping: object) -> list[str]:
-    """Every fault of a mapping that must have some."""
+    """Return all faults of an invalid mapping."""
     with pytest.raises(FaultyConfig) as caught:
         build(struct_type, mapping, "f.toml")
     return [str(fault) for fault in caught.value.faults]
 
 
 def refusal(call: Callable[..., object], *args: Any) -> str | None:
-    """What a call was refused with, None if it was not; any error but ConfigError goes through."""
+    """Return the message of the ConfigError that a call raises, or None; other errors propagate."""
     try:
         call(*args)
     except ConfigError as error:
@@ -107,7 +107,7 @@ def refusal(call: Callable[..., object], *args: Any) -> str | None:
 
 
 def test_paper_scene_has_the_values_of_the_paper() -> None:
-    """The shipped `paper-plane` is the scene the acceptance figures are computed for."""
+    """The shipped `paper-plane` has the values that the acceptance figures assume."""
     paper = load_scene("paper-plane")
     (table,) = paper.object
     assert paper.fingertip.radius_m == 0.01
@@ -119,7 +119,7 @@ def test_paper_scene_has_the_values_of_the_paper() -> None:
     assert table.material.torsion == schema.Torsion(stiffness_nm_per_rad=0.05, friction_length_m=0.004)
 
 
-def test_raised_plane_differs_from_the_paper_by_its_place_only() -> None:
+def test_raised_plane_differs_from_the_paper_only_in_position() -> None:
     """`plane-at-60mm` has the paper's fingertip, rolling and material, at z = 0.06 m."""
     paper, raised = load_scene("paper-plane"), load_scene("plane-at-60mm")
     assert raised.object[0].position_m == (0.0, 0.0, 0.06)
@@ -128,7 +128,7 @@ def test_raised_plane_differs_from_the_paper_by_its_place_only() -> None:
 
 
 def test_absent_tables_are_none() -> None:
-    """A frictionless scene has no rolling, friction or torsion to compile."""
+    """A frictionless scene has neither rolling nor friction nor torsion."""
     ice = load_scene("frictionless-plane")
     assert ice.rolling is None
     assert ice.object[0].material.friction is None
@@ -136,7 +136,7 @@ def test_absent_tables_are_none() -> None:
 
 
 def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() -> None:
-    """The rig `replay` loops its recording, and each of its values is the schema's default."""
+    """The rig `replay` loops its recording; all other values are the schema's defaults."""
     replay = load_rig("replay")
     assert replay.device.driver == "replay"
     assert replay.device.options == {"recording": "press-roll-spin-drag", "loop": True}
@@ -145,7 +145,7 @@ def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() 
 
 @pytest.mark.parametrize("kind", [Scene, Rig])
 def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | Rig]) -> None:
-    """Describing a shipped file and building it again gives an equal struct."""
+    """Describing and rebuilding a shipped file gives an equal struct."""
     names = shipped(kind)
     assert names
     for name in names:
@@ -155,7 +155,7 @@ def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | R
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*/*.toml")), ids=lambda path: path.stem)
 def test_shipped_values_say_their_reason(path: Path) -> None:
-    """Every number of a shipped file has a comment, which starts with the unit its key has."""
+    """Every number in a shipped file has a comment that starts with the unit of its key."""
     for line in path.read_text("utf-8").splitlines():
         match = re.match(r'(\w+) = ((?:"[^"]*"|[^#"])*?)\s*(#.*)?$', line)
         if match is None or match[2].startswith('"'):
@@ -166,7 +166,7 @@ def test_shipped_values_say_their_reason(path: Path) -> None:
 
 
 def test_orientation_is_normalised_once() -> None:
-    """A quaternion is brought to unit norm on load, and a unit one is left alone to the last bit."""
+    """A quaternion is normalised on load; a normalised one is not changed by another load."""
     built = build(Scene, put(scene(), "object[0].orientation_wxyz", [3, 0, 0, 4]), "f.toml")
     turned = built.object[0].orientation_wxyz
     assert turned == pytest.approx((0.6, 0, 0, 0.8), abs=1e-15)  # one division and one rounding
@@ -176,10 +176,10 @@ def test_orientation_is_normalised_once() -> None:
 @given(st.lists(st.floats(-1000, 1000), min_size=4, max_size=4).filter(any))
 @settings(max_examples=200, deadline=None)
 def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> None:
-    """Tiny and large quaternions alike are normalised, subnormal components included."""
+    """Tiny, large and subnormal quaternions are normalised."""
     built = build(Scene, put(scene(), "object[0].orientation_wxyz", quaternion), "f.toml")
     norm = math.hypot(*built.object[0].orientation_wxyz)
-    tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits to divide
+    tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits
     assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
 
 
@@ -269,7 +269,7 @@ RIG_FAULTS = [
 
 @pytest.mark.parametrize(("key", "value", "fragments"), SCENE_FAULTS, ids=itertools.count())
 def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    """One wrong thing in a scene gives one fault, with all there is to know about it."""
+    """One invalid value in a scene gives one fault that names file, key, value and range."""
     (fault,) = faults_of(Scene, put(scene(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -277,7 +277,7 @@ def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragme
 
 @pytest.mark.parametrize(("key", "value", "fragments"), RIG_FAULTS, ids=itertools.count())
 def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    """One wrong thing in a rig gives one fault, with all there is to know about it."""
+    """One invalid value in a rig gives one fault that names file, key, value and range."""
     (fault,) = faults_of(Rig, put(rig(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -288,7 +288,7 @@ def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragment
     ["tcp://127.0.0.1:5555", "tcp://localhost:*", "tcp://[::1]:0", "tcp://127.1.2.3:65535", "ipc:///run/softfinger"],
 )
 def test_local_endpoints_are_accepted(endpoint: str) -> None:
-    """Loopback addresses, with a port or without a choice of one, and Unix sockets may be bound."""
+    """Loopback addresses, with a fixed or any port, and Unix sockets are accepted."""
     assert build(Rig, put(rig(), "telemetry.endpoint", endpoint), "f.toml").telemetry.endpoint == endpoint
 
 
@@ -303,10 +303,10 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
         ("ipc:///run/t", "off", None),
     ],
 )
-def test_commands_are_taken_beside_the_telemetry(
+def test_command_endpoint_follows_from_the_telemetry_endpoint(
     telemetry: str, given: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The endpoint of commands follows from the telemetry's, unless it is given, or off."""
+    """The endpoint of commands is derived from that of the telemetry, unless it is given or off."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": given}} if given else {})
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
@@ -321,12 +321,12 @@ def test_commands_are_taken_beside_the_telemetry(
     ],
 )
 def test_commands_beside_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
-    """Other machines reach no socket of a user."""
+    """Other machines cannot reach a Unix socket, so public telemetry has its commands on a neighbouring port."""
     assert commands_beside(telemetry) == expected
 
 
 def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a folder named by the user; a place too long for a socket is a fault that says what to give."""
+    """The folder is named after the user; a path too long for a socket is a fault that names the key to set."""
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
     assert commands_beside("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
@@ -336,7 +336,7 @@ def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: p
 
 
 def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
-    """A hexadecimal number of 6000 digits, which Python itself refuses to print, is reported by its size."""
+    """A number of 6000 digits, which Python refuses to print, is reported by its size."""
     (fault,) = faults_of(Scene, put(scene(), "fingertip.radius_m", 10**6000))
     assert "fingertip.radius_m = an integer of 19932 bits: must be a number from 1e-05 to 1000 m" in fault
     (fault,) = faults_of(Rig, put(rig(), "servo.priority", -(10**6000)))
@@ -344,7 +344,7 @@ def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
 
 
 def test_object_names_must_differ() -> None:
-    """The second object of a name is at fault, and the message says which had it first."""
+    """The second object of a name is at fault; the message names the first."""
     twins = scene()
     twins["object"] *= 2
     assert faults_of(Scene, twins) == [
@@ -353,8 +353,8 @@ def test_object_names_must_differ() -> None:
 
 
 @pytest.mark.parametrize("name", ["1", "01.top"])
-def test_an_object_s_name_is_no_number(name: str) -> None:
-    """`object.1` is the second object, whatever another is called."""
+def test_an_object_name_must_not_start_with_a_digit(name: str) -> None:
+    """`object.1` always refers to the second object."""
     given = scene()
     given["object"][0]["name"] = name
     (fault,) = faults_of(Scene, given)
@@ -362,11 +362,11 @@ def test_an_object_s_name_is_no_number(name: str) -> None:
 
 
 FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "index", "radius_m": 0.008}]
-"""Two fingers, as a file has them."""
+"""Two fingers, as parsed from a file."""
 
 
 def pinched(**changes: Any) -> dict[str, Any]:
-    """A scene with two fingers, the second with changes."""
+    """Return a scene with two fingers, the second changed by `changes`."""
     return {**{k: v for k, v in scene().items() if k != "fingertip"}, "finger": [FINGERS[0], FINGERS[1] | changes]}
 
 
@@ -384,13 +384,13 @@ def pinched(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_fault_of_a_finger_names_it(changes: dict[str, Any], fault: str) -> None:
-    """Names that telemetry cannot tell apart, a device for two, a value out of range: one fault each."""
+    """Names that telemetry cannot distinguish, a shared device and a value out of range give one fault each."""
     (said,) = faults_of(Scene, pinched(**changes))
     assert said.startswith(f"f.toml: {fault}")
 
 
 def test_a_scene_has_fingertip_or_fingers() -> None:
-    """Not both, not neither; and a coupling softer than k_tau is a fault whichever finger has it."""
+    """Both together are a fault, and k_tau must not exceed the coupling stiffness of any finger."""
     both = pinched() | {"fingertip": {"radius_m": 0.01}}
     assert ["cannot be combined with [[finger]]" in said for said in faults_of(Scene, both)] == [True]
     soft = pinched(coupling={"stiffness_n_per_m": 100.0})
@@ -401,7 +401,7 @@ def test_a_scene_has_fingertip_or_fingers() -> None:
 
 
 def test_fingers_have_the_scenes_coupling_and_probe_unless_their_own() -> None:
-    """Each part from its own table, and k_tau from the coupling that the finger has."""
+    """A finger's tables replace those of the scene; k_tau defaults to the stiffness of its coupling."""
     built = build(Scene, pinched(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
     thumb, index = built.fingers
     assert (thumb.coupling, thumb.probe, thumb.device) == (built.coupling, built.probe, "thumb")
@@ -411,7 +411,7 @@ def test_fingers_have_the_scenes_coupling_and_probe_unless_their_own() -> None:
 
 
 def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
-    """Finger and table of a scene and a rig; None for their short forms."""
+    """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
     given = scene() if fingers is None else {**pinched(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig() if devices is None else {key: value for key, value in rig().items() if key != "device"}
@@ -422,7 +422,8 @@ def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> l
 
 
 def test_each_finger_is_moved_by_its_device() -> None:
-    """By name, whatever the order and whatever else there is; a single finger by [device] too."""
+    """Fingers and devices are paired by name, in any order and with unused devices; a single finger also with
+    [device]."""
     both = [("thumb", "[devices.thumb]"), ("index", "[devices.index]")]
     assert paired(FINGERS, ["index", "other", "thumb"]) == both
     assert paired([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
@@ -439,14 +440,15 @@ def test_each_finger_is_moved_by_its_device() -> None:
     ],
 )
 def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, said: list[str]) -> None:
-    """The keys of scene and rig, and what to change in either."""
+    """The error names the keys of scene and rig, and a change to either file."""
     with pytest.raises(ConfigError) as caught:
         paired(fingers, devices)
     assert [part for part in said if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
 
 
 def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
-    """Not both; names as of fingers; a fault names its section; what flags say of `device` holds for each."""
+    """Both together are a fault; names follow the rules of fingers; a fault names its section; overrides of `device`
+    apply to every device."""
     one, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
     assert [
         "cannot be combined with [devices]" in said for said in faults_of(Rig, rig() | {"devices": {"thumb": one}})
@@ -469,13 +471,13 @@ def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
     assert "devices.thumb.recording" in check.examine_file(str(bad)).errors[0]
 
 
-def test_a_name_cut_short_means_those_that_begin_so() -> None:
-    """Of checksums crc8 has more letters in common with `crc16` than the two that were meant."""
+def test_suggestions_include_all_names_with_the_given_prefix() -> None:
+    """`crc8` shares more letters with `crc16` than the two names that start with it."""
     assert near("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
 
 
 def test_all_faults_are_reported_at_once() -> None:
-    """Faults of syntax, of range and across tables come in one error, none hiding another."""
+    """Faults of type, range and relation between tables are reported in one error."""
     bad = scene()
     put(bad, "fingertip.radius_m", -1)
     put(bad, "rolling.torque_stiffness_n_per_m", 5000)
@@ -501,7 +503,8 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
-    """In keys of the kind that was meant, values that fit no kind, keys of none, and what all kinds need."""
+    """Keys of the likely kind, values that no kind accepts, unknown keys and keys required by all kinds are
+    reported."""
     bad = scene()
     bad["object"] = [
         {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},
@@ -520,7 +523,7 @@ def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
 
 
 def test_an_object_of_unknown_shape_is_checked_with_the_others() -> None:
-    """Its name, its body and its material; what is missing in all kinds is missing here."""
+    """Name, motion and material are checked, and keys required by all kinds are reported."""
     material = {"stiffness_n_per_m": 500.0}
     bad = scene() | {
         "object": [
@@ -540,7 +543,7 @@ def test_an_object_of_unknown_shape_is_checked_with_the_others() -> None:
 
 
 def test_ceilings_cannot_be_raised_by_a_file() -> None:
-    """Just above each ceiling of the guard is refused, the ceiling itself is taken."""
+    """A value just above each ceiling of the guard is a fault; the ceiling itself is accepted."""
     ceilings = {
         "force_max_n": limits.FORCE_MAX_N,
         "torque_max_nm": limits.TORQUE_MAX_NM,
@@ -579,8 +582,8 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
     ],
     ids=["syntax", "twice", "latin-1", "huge", "deep", "large", "empty"],
 )
-def test_unreadable_files_say_where(tmp_path: Path, content: bytes, fragments: list[str]) -> None:
-    """Syntax, encoding and size faults name the file, and the line where there is one."""
+def test_unreadable_files_name_the_position(tmp_path: Path, content: bytes, fragments: list[str]) -> None:
+    """Syntax, encoding and size faults name the file, and the line if there is one."""
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError) as caught:
@@ -590,7 +593,7 @@ def test_unreadable_files_say_where(tmp_path: Path, content: bytes, fragments: l
 
 
 def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
-    """A misspelt path names its neighbour; a folder is refused."""
+    """A misspelt path suggests a file in the same folder; a folder is an error."""
     (tmp_path / "bench.toml").write_text("")
     with pytest.raises(ConfigError, match=r"bnech\.toml: no such file \(did you mean 'bench\.toml'\?\)"):
         load_rig(str(tmp_path / "bnech.toml"))
@@ -601,7 +604,7 @@ def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
 
 
 def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
-    """A name that is neither shipped nor a file gets the list and the nearest."""
+    """An unknown name lists the shipped files and suggests the closest."""
     with pytest.raises(
         ConfigError, match=r"no scene is called 'paper-plan' \(did you mean 'paper-plane'\?\)"
     ) as caught:
@@ -610,7 +613,7 @@ def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
 
 
 def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
-    """A file saved with a byte order mark is read, and TOML's own nan and inf are refused."""
+    """A file with a byte order mark is read; TOML's nan and inf are faults."""
     path = tmp_path / "marked.toml"
     path.write_bytes(b"\xef\xbb\xbf[fingertip]\nradius_m = nan\n[coupling]\nstiffness_n_per_m = +inf\n")
     with pytest.raises(FaultyConfig) as caught:
@@ -625,7 +628,7 @@ def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
 
 
 def test_overrides_replace_values_and_name_their_flag() -> None:
-    """A flag's value is checked like the file's, and a fault names the flag."""
+    """The value of a flag is checked like that of a file, and its fault names the flag."""
     assert load_rig("replay", {"servo.rate_hz": 4000, "servo.realtime": "off"}).servo.rate_hz == 4000.0
     with pytest.raises(FaultyConfig) as caught:
         load_rig("replay", {"servo.rate_hz": 9e9, "servo.realtime": "on"}, {"servo.rate_hz": "command line --rate"})
@@ -634,16 +637,16 @@ def test_overrides_replace_values_and_name_their_flag() -> None:
     assert second.startswith("override: servo.realtime = 'on'")
 
 
-def test_a_fault_names_the_nearest_source() -> None:
-    """Of the flags that a key's value may have come from, the one that gave most of the key."""
+def test_a_fault_names_the_most_specific_source() -> None:
+    """The source with the longest matching key is named."""
     sources = {"servo": "command line --servo", "servo.rate_hz": "command line --rate"}
     with pytest.raises(FaultyConfig) as caught:
         load_rig("replay", {"servo.rate_hz": 9e9}, sources)
     assert [fault.where for fault in caught.value.faults] == ["command line --rate"]
 
 
-def test_an_entry_is_named_by_the_whole_of_its_name() -> None:
-    """Names may have dots: of two, one of which begins with the other, the longer is meant where it fits."""
+def test_dotted_entry_names_match_the_longest_name() -> None:
+    """Names may contain dots; an override path matches the longest name."""
     balls = [{"name": name, "shape": "sphere", "radius_m": 0.02, "material": "rubber"} for name in ("a", "a.b")]
     mapping = {"fingertip": {"radius_m": 0.01}, "object": balls}
     found = load_scene(mapping, {"object.a.b.radius_m": 0.03, "object.a.radius_m": 0.04})
@@ -651,14 +654,14 @@ def test_an_entry_is_named_by_the_whole_of_its_name() -> None:
 
 
 def test_another_driver_drops_the_options_of_the_first() -> None:
-    """`--device` with the file's driver keeps its options; with another it starts from none."""
+    """`device.driver` equal to the file's keeps the options; another driver starts with none."""
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
     other = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
     assert other == schema.DeviceConfig(driver="simulated", options={"gain": 2})
 
 
 def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
-    """An override makes the table it needs; where the file has something else, that is the fault."""
+    """An override creates a missing table; a value in place of a table is a fault."""
     path = tmp_path / "rig.toml"
     path.write_text("servo = 5\n")
     with pytest.raises(FaultyConfig) as caught:
@@ -671,7 +674,7 @@ def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
 
 
 class Options(msgspec.Struct, frozen=True):
-    """Options as a driver outside this package might have them."""
+    """Options of a driver from another package."""
 
     port: str
     gains: list[Annotated[float, msgspec.Meta(gt=0)]] = []
@@ -683,7 +686,7 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def test_build_serves_the_options_of_outside_drivers() -> None:
-    """Lists, open ranges, unions and a struct's own check all end in faults with a key."""
+    """Lists, open ranges, unions and the struct's `__post_init__` give faults with a key."""
     assert build(Options, {"port": "a", "gains": [1, 2.5], "side": True}, "x") == Options("a", [1.0, 2.5], True)
     faults = faults_of(Options, {"port": 1, "gains": [0, -1], "side": 1.5, "gain": 3})
     assert faults == [
@@ -697,7 +700,7 @@ def test_build_serves_the_options_of_outside_drivers() -> None:
 
 
 class Ball(msgspec.Struct, frozen=True, tag_field="shape", tag="ball"):
-    """A second shape, to join the first in a union."""
+    """First shape of a union."""
 
     radius_m: Annotated[float, msgspec.Meta(gt=0)]
 
@@ -707,13 +710,13 @@ class Wall(msgspec.Struct, frozen=True, tag_field="shape", tag="wall"):
 
 
 class World(msgspec.Struct, frozen=True):
-    """A scene of the future, with several shapes."""
+    """Table with a list of shapes."""
 
     item: list[Ball | Wall]
 
 
 def test_more_shapes_slot_in_as_a_union() -> None:
-    """Each shape of a union has its own keys, and an unknown shape names all there are."""
+    """Each shape of a union accepts only its keys, and an unknown shape lists all shapes."""
     built = build(World, {"item": [{"shape": "ball", "radius_m": 1}, {"shape": "wall"}]}, "x")
     assert built.item == [Ball(1.0), Wall()]
     faults = faults_of(World, {"item": [{"shape": "wall", "radius_m": 1}, {"shape": "bal"}, {"shape": "ball"}, {}, 1]})
@@ -755,7 +758,7 @@ ANYTHING = st.recursive(
 @given(ANYTHING)
 @examples(40, 300)
 def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
-    """Whatever a file or a remote command holds, it is a scene, a rig or a ConfigError."""
+    """Any mapping builds a scene or a rig, or raises ConfigError."""
     for kind in (Scene, Rig):
         message = refusal(build, kind, mapping, "anything")
         assert message is None or "anything: " in message
@@ -767,7 +770,7 @@ PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) 
 @given(st.sampled_from(PLACES), ANYTHING)
 @examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
-    """Anything at all in one place of a valid scene or rig is taken or refused by ConfigError."""
+    """Any value at one key of a valid scene or rig is accepted or raises ConfigError."""
     kind, make, (key, _, _) = place
     message = refusal(build, kind, put(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
@@ -778,7 +781,7 @@ def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: ob
 def test_no_file_content_raises_anything_but_config_error(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:
-    """Random bytes and random text end in tables or in a ConfigError that names the file."""
+    """Random bytes and text give tables or a ConfigError that names the file."""
     path = tmp_path_factory.getbasetemp() / "random.toml"
     path.write_bytes(content)
     message = refusal(read_toml, path)
@@ -789,7 +792,7 @@ def test_no_file_content_raises_anything_but_config_error(
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
-    """`schema` gives scene, rig and telemetry as JSON that an editor can use."""
+    """`schema` prints JSON schemas of scene, rig and telemetry with ranges and units."""
     done = called("schema")
     assert done.returncode == 0
     printed = json.loads(done.stdout)
@@ -803,7 +806,7 @@ def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
 
 
 def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
-    """The reference tables have no empty meaning, and every default passes the check of its own key."""
+    """No meaning in the reference tables is empty, and every default passes its check."""
     for kind in (Scene, Rig):
         for table in schema_verb.tables(kind):
             assert table.meaning
@@ -814,8 +817,8 @@ def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
     build(Rig, describe(Rig(device=schema.DeviceConfig(driver="x"))), "defaults")
 
 
-def test_the_page_shows_a_true_error() -> None:
-    """The example of an error in docs/operate/scenes.md is what the program says."""
+def test_the_documentation_shows_the_actual_error() -> None:
+    """The example of an error in docs/operate/scenes.md equals the program's message."""
     page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
     bad = {"device": {"driver": "replay"}, "servo": {"rate_hertz": 500}, "guard": {"torque_max_nm": 3.0}}
     with pytest.raises(ConfigError) as caught:

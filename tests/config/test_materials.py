@@ -1,4 +1,4 @@
-"""The library of materials and fingertips: what is in it, and how a scene names and changes it."""
+"""Library of materials and fingertips: its entries, and how a scene refers to and overrides them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ ENTRIES = {**materials(), **fingertips()}
 
 
 def scene_of(material: Any) -> Scene:
-    """A plane of a material."""
+    """Return a scene with a plane of this material."""
     thing = {"name": "table", "shape": "plane", "material": material}
     return build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [thing]}, "f.toml")
 
 
 def material_of(material: Any) -> Material:
-    """What a scene's `material` key means."""
+    """Return the material that a scene builds from its `material` key."""
     return scene_of(material).object[0].material
 
 
 def refusal(material: Any) -> str:
-    """What a scene with this material is refused with."""
+    """Return the message of the ConfigError for this material."""
     with pytest.raises(ConfigError) as refused:
         scene_of(material)
     return str(refused.value)
@@ -40,10 +40,10 @@ def refusal(material: Any) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_material_is_one_a_scene_may_have(name: str) -> None:
-    """By its name alone it has numbers within their ranges, friction and torsion."""
+    """A name is enough for valid stiffness, damping, friction and torsion."""
     material = material_of(name)
     assert material.name == name
-    # Small desktop devices hold 3000 N/m and lose 1 to 2 N s/m by themselves.
+    # Small desktop devices render up to 3000 N/m and have 1 to 2 N s/m of physical damping.
     assert 100.0 <= material.stiffness_n_per_m < 3000.0
     assert 0.0 < material.damping_ns_per_m <= 1.0
     assert isinstance(material.friction, schema.Friction)
@@ -53,20 +53,21 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_torsion_follows_its_formula(name: str) -> None:
-    """16/3 G a^3 with the moduli of pad and material in series, and 2/3 mu a, for a = 6 mm and a pad of 45 kPa."""
+    """Torsional stiffness is 16/3 G a^3 with the moduli of pad and material in series, friction length 2/3 mu a, for a
+    = 6 mm and a pad of 45 kPa."""
     soft = {"rubber": 600e3, "silicone": 200e3, "skin": 45e3, "foam": 30e3, "sponge": 10e3}
     modulus = 1.0 / (1.0 / 45e3 + (1.0 / soft[name] if name in soft else 0.0))
     material = material_of(name)
     assert material.shear_modulus_pa == soft.get(name)
     assert material.torsion is not None
     assert material.friction is not None
-    # The file has two digits of the stiffness and three of the length.
+    # The file rounds the stiffness to two digits and the length to three.
     assert material.torsion.stiffness_nm_per_rad == pytest.approx(16.0 / 3.0 * modulus * 0.006**3, rel=0.01)
     assert material.torsion.friction_length_m == pytest.approx(2.0 / 3.0 * material.friction.static * 0.006, rel=0.002)
 
 
-def test_the_hand_finds_the_order_it_knows() -> None:
-    """Softer things are softer, and slipperier ones more slippery."""
+def test_materials_are_ordered_by_softness_and_slipperiness() -> None:
+    """Stiffness and kinetic friction increase in the order known from experience."""
     stiffness = [
         material_of(n).stiffness_n_per_m
         for n in ["sponge", "foam", "skin", "silicone", "rubber", "abs", "wood", "glass"]
@@ -76,8 +77,8 @@ def test_the_hand_finds_the_order_it_knows() -> None:
     assert slippery == sorted(set(slippery))
 
 
-def test_no_name_means_two_things() -> None:
-    """A material and a fingertip are told apart by their names alone, and each paper is one that an entry names."""
+def test_names_of_materials_and_fingertips_are_distinct() -> None:
+    """Each paper in the list is cited by an entry."""
     assert not set(NAMES) & set(TIPS) and len(NAMES) >= 18 and len(TIPS) >= 5
     told = [[*entry.papers, *(each.paper for each in entry.measured)] for entry in ENTRIES.values()]
     in_ranges = {name for name in papers() for entry in ENTRIES.values() if name in entry.holds}
@@ -85,8 +86,8 @@ def test_no_name_means_two_things() -> None:
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
-def test_every_entry_says_where_it_is_from_and_how_far_it_holds(entry: Entry) -> None:
-    """Its sources, its range, and of a material's friction between what it was measured."""
+def test_every_entry_has_sources_and_a_range(entry: Entry) -> None:
+    """Entries cite papers and a range of validity; those with friction name the measured pair."""
     assert entry.papers and entry.holds and entry.about.endswith(".")
     assert bool(entry.friction_of) == ("friction" in entry.values)
     for each in entry.measured:
@@ -97,16 +98,17 @@ def test_every_entry_says_where_it_is_from_and_how_far_it_holds(entry: Entry) ->
             assert span is None or span[0] <= span[1]
 
 
-def test_dois_are_of_the_form_that_they_have() -> None:
-    """A doi begins with 10. and the number of a registrant; every source says how far it was read."""
+def test_sources_have_valid_dois() -> None:
+    """A DOI starts with `10.` and a registrant number; every source states how far it was read."""
     for paper in papers().values():
         assert paper.read and paper.text
         registrant, slash, rest = paper.doi.partition("/")
         assert not paper.doi or (registrant[:3] == "10." and registrant[3:].isdecimal() and slash and rest)
 
 
-def test_a_hard_thing_under_a_finger_pad_is_as_deep_as_hertz_says() -> None:
-    """F = 4/3 E* sqrt(r) d^1.5, E* = 4 G of the fingertip human-index, whose modulus is among those measured."""
+def test_finger_pad_depth_follows_hertz() -> None:
+    """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of the fingertip `human-index`, whose modulus is within the measured
+    range."""
     material, tip = material_of("finger-pad"), tip_of("human-index")
     assert material.normal is not None and tip.patch is not None and tip.radius_m is not None
     reduced = 4.0 * tip.patch.shear_modulus_pa
@@ -118,7 +120,7 @@ def test_a_hard_thing_under_a_finger_pad_is_as_deep_as_hertz_says() -> None:
 
 
 def tip_of(fingertip: Any) -> Fingertip:
-    """What a scene's `fingertip` key means."""
+    """Return the fingertip that a scene builds from its `fingertip` key."""
     thing = {"name": "table", "shape": "plane", "material": "wood"}
     tip = build(Scene, {"fingertip": fingertip, "object": [thing]}, "f.toml").fingertip
     assert tip is not None
@@ -127,22 +129,23 @@ def tip_of(fingertip: Any) -> Fingertip:
 
 @pytest.mark.parametrize("name", TIPS)
 def test_every_fingertip_is_one_a_scene_may_have(name: str) -> None:
-    """By its name alone, as the table or as a key of it, it has a radius and a patch."""
+    """A name is enough for a radius and a patch, as the whole value or as the key `pad`."""
     tip = tip_of(name)
     assert tip == tip_of({"pad": name})
     assert tip.patch is not None and tip.radius_m is not None and 0.005 <= tip.radius_m <= 0.015
 
 
 def test_the_human_pads_have_one_patch_at_1_n() -> None:
-    """(3 r / 16 G)^(1/3) of Hertz at 1 N, given as a number where the law is another."""
+    """The patch radius of laws other than Hertz's is that of Hertz at 1 N, (3 r / 16 G)^(1/3)."""
     hertz = (3.0 * 0.01 / (16.0 * 45e3)) ** (1.0 / 3.0)
     for name in ("human-index-plateau", "human-index-paraboloid"):
         patch = tip_of(name).patch
-        assert patch is not None and patch.radius_m == pytest.approx(hertz, rel=1e-4)  # four digits of it
+        assert patch is not None and patch.radius_m == pytest.approx(hertz, rel=1e-4)  # given with four digits
 
 
 def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
-    """Of (1 - s^k)^(1/k) the mean distance from the centre is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k); 1 - s^2 has 8/15."""
+    """For (1 - s^k)^(1/k) the mean distance from the centre is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k); for 1 - s^2 it is
+    8/15."""
     patch = tip_of("human-index-paraboloid").patch
     assert patch is not None and patch.pressure_exponent is not None
     k = patch.pressure_exponent
@@ -150,11 +153,11 @@ def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
     def beta(a: float, b: float) -> float:
         return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
 
-    assert beta(3 / k, 1 + 1 / k) / beta(2 / k, 1 + 1 / k) == pytest.approx(8.0 / 15.0, rel=1e-4)  # four digits of k
+    assert beta(3 / k, 1 + 1 / k) / beta(2 / k, 1 + 1 / k) == pytest.approx(8.0 / 15.0, rel=1e-4)  # k has four digits
 
 
-def test_a_fingertip_is_changed_as_a_material_is() -> None:
-    """Keys beside the name take the library's place; radii_m stands in place of its radius_m."""
+def test_fingertip_keys_override_the_library() -> None:
+    """Keys next to `pad` override the library; radii_m replaces radius_m."""
     patch = tip_of("human-index").patch
     assert tip_of({"pad": "human-index", "radius_m": 0.008}).radius_m == 0.008
     oval = tip_of({"pad": "human-index", "radii_m": [0.008, 0.007, 0.012]})
@@ -164,8 +167,8 @@ def test_a_fingertip_is_changed_as_a_material_is() -> None:
     assert (lossy.rolling_loss, lossy.shear_modulus_pa) == (0.3, patch.shear_modulus_pa)
 
 
-def test_each_of_several_fingers_may_name_its_own() -> None:
-    """A finger's name is its own, and its pad the library's."""
+def test_each_finger_may_refer_to_a_pad() -> None:
+    """The key `name` names the finger, `pad` the library's entry."""
     fingers = [{"name": "thumb", "pad": "human-index-plateau"}, {"name": "index", "pad": "rubber-tip"}]
     thing = {"name": "table", "shape": "plane", "material": "wood"}
     scene = build(Scene, {"finger": fingers, "object": [thing]}, "f.toml")
@@ -175,7 +178,6 @@ def test_each_of_several_fingers_may_name_its_own() -> None:
 
 
 def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
-    """As an unknown material is."""
     with pytest.raises(ConfigError, match=r"fingertip = 'human-indx': not in the library \(did you mean 'human-index'"):
         tip_of("human-indx")
     with pytest.raises(ConfigError, match=r"fingertip\.pad = 'x': not in the library"):
@@ -183,7 +185,7 @@ def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
 
 
 def test_a_described_scene_does_not_ask_the_library() -> None:
-    """What is left out stays out, and values stand for themselves where their name is no longer in the library."""
+    """A removed part stays removed, and described values apply even if the name is no longer in the library."""
     mapping = describe(scene_of({"name": "rubber", "torsion": None}))
     assert build(Scene, mapping, "again").object[0].material.torsion is None
     mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}
@@ -196,7 +198,8 @@ def test_a_described_scene_does_not_ask_the_library() -> None:
 
 
 def test_an_override_reaches_into_a_named_table() -> None:
-    """A value beside the name, of a file's text or of a scene that is built; another name brings its own values."""
+    """An override changes a single value of a named table, both of a mapping and of a built scene; another name
+    replaces all values."""
     thing = {"name": "table", "shape": "plane", "material": "rubber"}
     file = {"fingertip": "human-index", "object": [thing]}
     own = {"object.table.material.friction.kinetic": 0.2, "fingertip.radius_m": 0.008}
@@ -210,7 +213,7 @@ def test_an_override_reaches_into_a_named_table() -> None:
 
 
 def test_single_keys_can_be_changed() -> None:
-    """Keys beside the name take the library's place, down to one coefficient of friction; the rest stays."""
+    """Keys next to the name override the library, down to one friction coefficient."""
     rubber = material_of("rubber")
     assert rubber.friction is not None
     changed = material_of({"name": "rubber", "stiffness_n_per_m": 900, "friction": {"kinetic": 0.2}})
@@ -221,14 +224,13 @@ def test_single_keys_can_be_changed() -> None:
 
 
 def test_a_changed_key_is_checked_like_any_other() -> None:
-    """A kinetic coefficient above the library's static one is a fault, and so is a value out of range."""
+    """Overridden values are checked against the library's values and their ranges."""
     assert "at most static = 0.5" in refusal({"name": "wood", "friction": {"kinetic": 0.9}})
     said = refusal({"name": "wood", "stiffness_n_per_m": 2 * limits.STIFFNESS_N_PER_M.high})
     assert "object[0].material.stiffness_n_per_m = 2000000.0" in said
 
 
-def test_numbers_alone_need_no_name() -> None:
-    """A material without a name has what the file says, and lacks what it does not say."""
+def test_a_material_without_a_name_has_only_the_given_values() -> None:
     material = material_of({"stiffness_n_per_m": 500})
     assert (material.name, material.friction, material.torsion) == (None, None, None)
 
@@ -245,13 +247,13 @@ def test_numbers_alone_need_no_name() -> None:
         ({"friction": {"static": 1, "kinetic": 1}}, "object[0].material.stiffness_n_per_m is missing"),
     ],
 )
-def test_a_material_that_is_none_is_refused(material: Any, said: str) -> None:
-    """A name that the library lacks is answered with the nearest one, and with all there are."""
+def test_an_unknown_material_is_refused(material: Any, said: str) -> None:
+    """An unknown name is answered with the closest one and the list of all."""
     assert said in refusal(material)
 
 
 def test_a_wrong_name_does_not_hide_other_faults() -> None:
-    """The faults of the rest of the file are reported together with the unknown material."""
+    """An unknown material is reported together with the other faults of the file."""
     thing = {"name": "table", "shape": "plane", "material": "ruber"}
     with pytest.raises(ConfigError) as refused:
         build(Scene, {"fingertip": {"radius_m": -1}, "object": [thing]}, "f.toml")
@@ -261,6 +263,6 @@ def test_a_wrong_name_does_not_hide_other_faults() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_named_material_survives_a_round_trip(name: str) -> None:
-    """Describing a scene with a named material and building it again gives an equal one."""
+    """Describing and rebuilding a scene with a named material gives an equal scene."""
     scene = scene_of({"name": name, "stiffness_n_per_m": 700})
     assert build(Scene, describe(scene), "again") == scene

@@ -1,6 +1,6 @@
-"""Every driver that displays a force, with what its emulated device was given, and when: the far end of each.
+"""Emulated devices of every driver that displays a force, with the forces they received and the times.
 
-The hand of each presses into the paper's plane from the first tick on, and moves, so that no pose stands still.
+The hand of each presses into the paper's plane from the first tick, and moves, so that no pose repeats.
 """
 
 from __future__ import annotations
@@ -40,16 +40,15 @@ PRESSED_S = 0.01
 
 
 class FarEnd(NamedTuple):
-    """A device, and what it was given.
+    """Device, and the forces it received.
 
     device    open and armed
-    received  once the device is closed, of each force that came, in their order (n, 4): when, s of the monotonic clock,
-              NaN where row k is that of tick k; and the force, in N, or in A or N m of the motors where that is what
-              the far end is given
-    handover  ticks that a force may be on its way to the motors
-    most      what the guard lets through, as `received` has it
-    withholds whether the driver gives zero by itself while nobody reads its answers
-    hush      makes the device hear on and answer no more; None where it has no such fault
+        received  after closing, the forces in order (n, 4): time, s of the monotonic clock, NaN if row k is that of tick k;
+                  and the force, in N, or in A or N m of the motors if the device receives these
+        handover  ticks until a force reaches the motors
+        most      limit of the guard, in the unit of `received`
+        withholds whether the driver sends zero if its answers are not read
+        hush      makes the device receive without answering; None if it has no such fault
     """
 
     device: Device
@@ -61,7 +60,7 @@ class FarEnd(NamedTuple):
 
 
 class Timed(list[Any]):
-    """A list that knows when each element came, s of the monotonic clock."""
+    """List that records the time of each appended element, s of the monotonic clock."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -73,7 +72,7 @@ class Timed(list[Any]):
 
 
 def rows(times: Any, forces: Any) -> NDArray[np.float64]:
-    """`received` of times (n,) and forces (n, 1 to 3)."""
+    """Return `received` from times (n,) and forces (n, 1 to 3)."""
     given = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
     out = np.zeros((len(times), 4))
     out[:, 0] = times
@@ -83,7 +82,7 @@ def rows(times: Any, forces: Any) -> NDArray[np.float64]:
 
 @contextmanager
 def pressed_replay(tmp_path: Path) -> Iterator[FarEnd]:
-    """A recording of a fingertip 1 mm deep in the plane that is dragged to and fro."""
+    """Recording of a fingertip 1 mm deep in the plane, dragged back and forth."""
     times = np.arange(0.0, 4.005, PRESSED_S)
     x = 0.005 * np.sin(0.5 * np.pi * times)
     rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
@@ -95,30 +94,30 @@ def pressed_replay(tmp_path: Path) -> Iterator[FarEnd]:
 
 @contextmanager
 def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
-    """A computed handle whose hand wants to be 4 mm deep, and sways."""
+    """Simulated handle whose hand aims at a depth of 4 mm, and sways."""
     hand = {"position_m": [0.0, 0.0, 0.006], "sway_m": [0.005, 0.0, 0.0], "sway_hz": 0.5}
     device = simulated.open_device(build(simulated.Options, hand, "[device]"), RATE_HZ)
     yield FarEnd(device, lambda: logged(device))
 
 
 TIMELESS = ("replay", "simulated")
-"""Logs of what was written, without times: they say nothing of ticks in which nothing is."""
+"""Logs of written forces, without times: ticks without a write are missing."""
 
 
 def logged(device: Any) -> NDArray[np.float64]:
-    """The log of a device without a far end of its own."""
+    """Return the log of a device without an emulated counterpart."""
     forces = device.logged().wrench[:, :3]
     return rows(np.full(len(forces), np.nan), forces)
 
 
 def swaying(t: float) -> tuple[float, float, float]:
-    """Where a hand wants to be (m) at a time (s): 4 mm deep, to and fro."""
+    """Return the goal of a hand, m, at a time, s: 4 mm deep, moving back and forth."""
     return (0.002 * np.sin(6.0 * t), 0.0, 0.006)
 
 
 @contextmanager
 def serial_board(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """WoodenHaptics' third generation behind a pseudo terminal."""
+    """WoodenHaptics of the third generation on a pseudo terminal."""
     with board(swaying, **{"timeout_s": 2.0, **keys}) as (device, far, cable):
         far.sent = Timed()
 
@@ -131,7 +130,7 @@ def serial_board(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def hid_arm(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """An arm behind a packet socket; its motors are given A."""
+    """Arm on a packet socket; its motors receive A."""
     with woody(intention=swaying, **{"timeout_s": 2.0, **keys}) as (device, arm, answering):
         arm.sent = Timed()
 
@@ -144,7 +143,7 @@ def hid_arm(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def falcon(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """A Falcon behind libusb."""
+    """Falcon on the stub of libusb."""
     needs(COMPILER, NO_COMPILER)
     library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
     stub = usb_stub.UsbStub(library)
@@ -158,7 +157,7 @@ def falcon(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
-    """An omega.3 behind the stand-in for libdrd."""
+    """An omega.3 on the stub of libdrd."""
     needs(COMPILER, NO_COMPILER)
     stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
     stub.reset()
@@ -169,7 +168,7 @@ def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
 
 @contextmanager
 def open_haptics(tmp_path: Path) -> Iterator[FarEnd]:
-    """A Touch behind the stand-in for libHD, whose thread gives the motors the newest force once a millisecond."""
+    """Touch on the stub of libHD, whose thread sends the latest force to the motors every millisecond."""
     needs(COMPILER, NO_COMPILER)
     stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
     stub.reset()
@@ -185,7 +184,7 @@ def open_haptics(tmp_path: Path) -> Iterator[FarEnd]:
 
 @contextmanager
 def haply(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """An Inverse3 behind the emulated service, a process of its own."""
+    """Inverse3 on the emulated service, which runs in another process."""
     with haply_devices.Service() as service, haply_devices.opened(service, **keys) as device:
         service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.008], press=0.003, drag=0.01)
 
@@ -197,7 +196,7 @@ def haply(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 
 class Given(Firmware):
-    """A 2DIY that remembers every command."""
+    """A 2DIY that records every command."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -210,7 +209,7 @@ class Given(Firmware):
 
 @contextmanager
 def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """A Haply 2DIY behind a pseudo terminal, its fingertip in the floor; its motors are given N m."""
+    """Haply 2DIY on a pseudo terminal, with its fingertip in the floor; its motors receive N m."""
     firmware = Given()
     with (
         Port(firmware) as port,
@@ -230,8 +229,8 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """A Hapkit with its sketch behind a pseudo terminal, in the floor, with a hand that trembles; its motor is given
-    N m. Its log has changes alone."""
+    """Hapkit with its sketch on a pseudo terminal, in the floor, with a trembling hand; its motor receives N m. Its log
+    contains only changes."""
     needs(CXX, NO_CXX)
     done = threading.Event()
     with (
@@ -260,13 +259,13 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @cache
 def folder() -> tempfile.TemporaryDirectory[str]:
-    """Of what was compiled; it ends with the process."""
+    """Return the folder of compiled stubs, removed at exit."""
     return tempfile.TemporaryDirectory(prefix="far-ends-")
 
 
 @cache
 def compiled(source: Path, name: str, *flags: str) -> Path:
-    """A stand-in as a shared library."""
+    """Return a stub compiled as a shared library."""
     return compile_stub(source, Path(folder().name) / name, *flags)
 
 
@@ -285,4 +284,4 @@ FAR_ENDS = {
     "forcedimension": force_dimension, "openhaptics": open_haptics, "haply": haply, "haply-2diy": two_diy,
     "hapkit": hapkit,
 }  # fmt: skip
-"""By driver; of boards that a rig describes, by rig."""
+"""By driver; boards described by a rig, by rig."""

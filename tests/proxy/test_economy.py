@@ -1,7 +1,8 @@
-"""What a scene leaves out is not in its compiled code, and what others could have is not either.
+"""Unused parts of a scene are absent from its compiled code, also if other scenes could use them.
 
-It compiles in every run: what it reads is what the compiler says, of which nothing is kept. So `make test` takes the
-bare plane alone, and `make test-all` every scene."""
+These tests compile in every run, because they inspect compiler output, which is not cached. `make test` therefore
+compiles only the bare plane, `make test-all` every scene.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +71,7 @@ STAND_INS = {
     "contact.texture.texture_depth_on",
     "contact.texture.depth_without_texture",
 }
-"""All that a bare plane compiles of the modules below: the kernels for a part that is not there, and the plane's."""
+"""All kernels of the modules below that a bare plane compiles: those for absent parts, and those of the plane."""
 
 PARTS = (
     "contact.fingertip",
@@ -97,7 +98,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "texture": {"texture": {"file": str(RIBS), "size_m": [0.004, 0.004], "height_m": 1e-4}},
     "second object": {"others": [{"name": "ball", "shape": "sphere", "radius_m": 0.02}]},
 }
-"""A plane, and what each scene has besides."""
+"""A plane, with additional parts in each scene."""
 
 ADDED = {
     ("bare", "bent"): {"contact.normal"},
@@ -112,7 +113,7 @@ ADDED = {
     ("bare", "texture"): {"contact.texture", "shapes.charts"},
     ("bare", "second object"): {"contact.rest.active_set", "shapes.any_shape"},
 }
-"""Scenes that differ by one part, and modules of which the one without it must have less."""
+"""Pairs of scenes that differ by one part, and modules of which the first has fewer kernels."""
 
 
 def scene(name: str) -> schema.Scene:
@@ -135,24 +136,25 @@ def of_modules(kernels: set[str], modules: tuple[str, ...]) -> set[str]:
     return {kernel for kernel in kernels if kernel.startswith(tuple(f"{module}." for module in modules))}
 
 
-def test_bare_plane_has_no_kernel_of_what_it_leaves_out() -> None:
-    """Of friction, torsion, rolling, effects, motion and geometry there are the stand-ins for nothing, and a plane."""
+def test_bare_plane_has_no_kernel_of_absent_parts() -> None:
+    """Of friction, torsion, rolling, effects, motion and geometry it has only the kernels for absent parts, and the
+    plane."""
     assert of_modules(compiled("bare").kernels, PARTS) == STAND_INS
 
 
 def test_bare_plane_has_no_costly_instruction() -> None:
-    """No call leaves the step, no sine, power or arc; one root and three divisions, each with its reason."""
+    """The step has no sine, power or arc function, one root and three divisions."""
     bare = compiled("bare")
-    # The root is the size of the tangential force, which is in every record.
+    # The root gives the magnitude of the tangential force, which is in every record.
     assert set(bare.calls) <= {"llvm.sqrt.f64"} and bare.calls["llvm.sqrt.f64"] <= 1
-    # Velocity filter; share of the sweep; easing of the load.
+    # Velocity filter; fraction of the sweep; easing of the load.
     assert bare.operations["fdiv"] <= 3
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("without", "having"), ADDED)
-def test_each_feature_adds_its_own_code_and_no_other_has_it(without: str, having: str) -> None:
-    """A part brings kernels of its modules and more arithmetic; the scene without it has neither."""
+def test_each_feature_adds_code_only_to_scenes_with_it(without: str, having: str) -> None:
+    """A part adds kernels of its modules and arithmetic, which the scene without it lacks."""
     less, more = compiled(without), compiled(having)
     added = more.kernels - less.kernels
     assert {kernel.rpartition(".")[0] for kernel in added} >= ADDED[without, having]
@@ -169,17 +171,17 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
     "whole": ({"atan2"}, None),
     "effect": ({"sin"}, None),
     "motion": ({"sin", "cos"}, None),
-    "texture": (set(), {"sqrt", "floor"}),  # which is one instruction
+    "texture": (set(), {"sqrt", "floor"}),  # floor is one instruction
 }
-"""What each scene calls at the least and, where that is known, at the most."""
+"""Functions that each scene calls at least and, if known, at most."""
 
 
 @pytest.mark.parametrize(
     "name", ["bare", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in CALLED if name != "bare")]
 )
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
-    """atan2 comes with rolling and winding, sin with an oscillation or a turntable, pow with a bent law of the normal
-    force, and with nothing else."""
+    """atan2 is called only with rolling and torsion, sin with an oscillation or a turntable, pow with a nonlinear
+    normal force."""
     called = {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls}
     least, most = CALLED[name]
     assert least <= called and (most is None or called <= most)
@@ -225,7 +227,7 @@ found["new"] = report(compile_step(bare._replace(objects=Single(bare.objects.bod
 
 
 def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
-    """What a Python of its own finds; with our modules on its path, and a seed for hashing that is not ours."""
+    """Return the result of code in a new Python process with our modules in its path and another hash seed."""
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
     script = "\n".join([*code, "print(json.dumps(found))"])
@@ -236,21 +238,21 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.exhaustive
-def test_a_surface_that_a_scene_does_not_use_changes_nothing() -> None:
-    """With one more surface registered in the program, other scenes compile to the same instructions."""
+def test_an_unused_surface_does_not_change_compiled_code() -> None:
+    """Registering another surface leaves the instructions of other scenes unchanged."""
     names = ["bare", "whole"]
     found = in_a_process(REGISTER, COMPILE % names, USE)
     for name in names:
         assert found[name]["body"] == compiled(name).body
         assert set(found[name]["kernels"]) == compiled(name).kernels
-    # The comparison sees a part more, and the surface was registered: a scene that uses it has it.
+    # The comparison is sensitive to a part, and the surface was registered: a scene that uses it contains its kernel.
     bodies = [found[name]["body"] for name in found] + [compiled("friction").body, compiled("second object").body]
     assert len(set(bodies)) == len(bodies)
     assert "rest_on_curved" in {kernel.split(".")[-1] for kernel in found["new"]["kernels"]}
 
 
 def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
-    """Each law, method, effect, motion and shape a file may name is in some pair, and is what the pair differs by."""
+    """Each law, method, effect, motion and shape of the scene format is the difference of some pair."""
     pairs = [(feature.without, feature.having) for feature in all_features()]
 
     def news(of: Callable[[schema.Scene], set[str]]) -> set[str]:
@@ -268,29 +270,29 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
         present = [t.material.friction for t in s.object if t.material.friction]
         return {key for friction in present for key in options if getattr(friction, key) is not None}
 
-    # Static friction may be scaled by direction too: the same code with other numbers.
+    # Static friction may also depend on direction: the same code with other numbers.
     assert news(given) == options - {"static_scale"}
     assert news(lambda s: {t.material.torsion.model for t in s.object if t.material.torsion}) == set(
         get_args(schema.TorsionModel)
     )
     assert news(lambda s: {effect.kind for effect in s.effect}) == kinds(schema.Effect)
     assert news(lambda s: {effect.kind for t in s.object for effect in t.effect}) == kinds(schema.ObjectEffect)
-    # What a body costs is up to its model.
+    # The cost of a body depends on its model.
     assert news(lambda s: {t.motion.kind for t in s.object if t.motion}) == kinds(schema.Motion) - {"body"}
     both = {"height_m", "friction_scale"}
     textures = news(
         lambda s: {key for t in s.object for key in both if getattr(getattr(t, "texture", None), key, None)}
     )
     assert textures == both
-    # A plane is what the others are compared with, and what a mesh costs is up to its file.
+    # The plane is the reference of the comparison, and the cost of a mesh depends on its file.
     shapes = kinds(schema.Object, "shape") - {"plane", "mesh"}
     assert news(lambda s: {t.shape for t in s.object}) >= shapes
-    hollow = shapes - {"heightmap"}  # which has no inside
+    hollow = shapes - {"heightmap"}  # a height map has no inside
     assert news(lambda s: {t.shape for t in s.object if getattr(t, "inside", False)}) == hollow
 
 
-def test_pairs_of_features_differ_in_what_is_compiled() -> None:
-    """A feature is code, not a number; one code serves both sides of a smooth shape, and two objects or three."""
+def test_pairs_of_features_differ_in_compiled_types() -> None:
+    """Features are code, not numbers; both sides of a smooth shape share code, and so do two and three objects."""
     names = [feature.name for feature in all_features()]
     assert len(set(names)) == len(names)
     for feature in all_features():

@@ -1,4 +1,4 @@
-"""Effects: each force against its closed form, its bounds, its energy; and from a scene file to the hand."""
+"""Effects: forces compared with closed forms, bounds, energy, and the way from a scene file to the hand."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ EVERY = (
 
 
 def moment(position: model.Vec3 = ZERO, velocity: model.Vec3 = ZERO, **changes: Any) -> Situation:
-    """A tick of 1 ms out of contact and far from every object, but for what is said."""
+    """Return the situation of a tick of 1 ms, by default out of contact and far from all objects."""
     return Situation(position, velocity, DT, 0.0, 1.0, UP, None)._replace(**changes)
 
 
 def force_of(effect: Any, at: Situation) -> Array:
-    """Force (3,) N of a single effect that has just started."""
+    """Return the force (3,), N, of a single effect that has just started."""
     return np.array(apply_effects((effect,), start_states((effect,)), at)[0])
 
 
 def run(effect: Any, moments: Iterator[Situation]) -> Array:
-    """Forces (n, 3) N of a single effect over many ticks."""
+    """Return the forces (n, 3), N, of a single effect over many ticks."""
     states, forces = start_states((effect,)), []
     for at in moments:
         force, states = apply_effects((effect,), states, at)
@@ -75,7 +75,7 @@ def run(effect: Any, moments: Iterator[Situation]) -> Array:
 
 @pytest.fixture(scope="module")
 def compiled() -> Any:
-    """`apply_effects` as the servo runs it."""
+    """Return `apply_effects`, compiled as in the servo."""
     return numba.njit(**OPTIONS)(lambda effects, states, at: apply_effects(effects, states, at))
 
 
@@ -87,7 +87,7 @@ anywhere = st.tuples(finite, finite, finite)
 
 @st.composite
 def normals(draw: st.DrawFn) -> model.Vec3:
-    """Unit vectors."""
+    """Draw unit vectors."""
     z, angle = draw(st.floats(-1.0, 1.0)), draw(st.floats(0.0, 2 * math.pi))
     s = math.sqrt(1.0 - z * z)
     return (s * math.cos(angle), s * math.sin(angle), z)
@@ -97,7 +97,7 @@ def normals(draw: st.DrawFn) -> model.Vec3:
 
 
 def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
-    """-B v, everywhere without a region, and inside a box only with one."""
+    """The force is -B v: everywhere without a region, otherwise only inside it."""
     v = (0.1, -0.2, 0.3)
     assert force_of(model.Viscosity(2.0, None), moment((9.0, 9.0, 9.0), v)) == pytest.approx([-0.2, 0.4, -0.6])
     assert force_of(model.Viscosity(2.0, BOX), moment((0.09, -0.19, 0.29), v)) == pytest.approx([-0.2, 0.4, -0.6])
@@ -107,15 +107,15 @@ def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
 
 @examples(100, 500)
 @given(places, anywhere, st.sampled_from([None, BOX, BALL, model.Touching(1.0)]), st.sampled_from([0.0, 1.0]))
-def test_viscosity_never_gives_energy(x: model.Vec3, v: model.Vec3, region: Any, touched: float) -> None:
-    """The power of a viscous force is never positive, at any speed, anywhere in and about its region."""
+def test_viscosity_never_adds_energy(x: model.Vec3, v: model.Vec3, region: Any, touched: float) -> None:
+    """The power of a viscous force is never positive, at any speed, inside and around its region."""
     force, _ = apply_effects((model.Viscosity(2.0, region),), (None,), moment(x, v, touched=touched))
-    # Each component, since their sum may overflow.
+    # By component, since the sum may overflow.
     assert all(f == 0.0 or (f < 0.0) == (c > 0.0) for f, c in zip(force, v, strict=True))
 
 
 def test_a_soft_edge_fades_the_effect_in() -> None:
-    """Over the edge of a region the force rises in a straight line from nothing to all of it."""
+    """At the edge of a region the force increases linearly from zero to its full value."""
     effect = model.ConstantForce((0.0, 0.0, -4.0), model.SphereRegion(ZERO, 0.05, 0.01))
     depths = {-0.001: 0.0, 0.0: 0.0, 0.0025: 0.25, 0.005: 0.5, 0.01: 1.0, 0.05: 1.0}
     for depth, share in depths.items():
@@ -124,7 +124,7 @@ def test_a_soft_edge_fades_the_effect_in() -> None:
 
 @pytest.mark.parametrize(("distance", "expected"), [(0.05, -3.0), (0.02, 0.0), (0.015, 0.5), (0.2, -4.0), (0.0, 0.0)])
 def test_spring_pulls_beyond_its_rest_length_and_pushes_within(distance: float, expected: float) -> None:
-    """K (rest - d) along the line from the anchor, within the largest force; none at the anchor, where no line is."""
+    """The force is K (rest - d) along the line from the anchor, up to its limit, and zero at the anchor."""
     anchor, along = np.array([0.01, -0.02, 0.03]), np.array([2.0, -1.0, 2.0]) / 3.0
     x, y, z = anchor + distance * along
     effect = model.Spring((0.01, -0.02, 0.03), 100.0, 0.02, 4.0, None)
@@ -155,7 +155,7 @@ boundaries = pytest.mark.parametrize(
     ],
 )
 def test_box_boundary_is_a_spring_and_damper(x: model.Vec3, v: model.Vec3, expected: model.Vec3) -> None:
-    """Off a face along its normal, off an edge slantwise; damping adds on the way out, capped; nothing inside."""
+    """Perpendicular to a face, oblique at an edge; outward damping adds up to the limit; zero inside."""
     effect = model.BoxBoundary((0.1, 0.0, 0.0), (0.05, 0.06, 0.07), 400.0, 5.0, 6.0)
     assert force_of(effect, moment(x, v)) == pytest.approx(expected, abs=1e-12)
 
@@ -164,7 +164,7 @@ def test_box_boundary_is_a_spring_and_damper(x: model.Vec3, v: model.Vec3, expec
 @examples(100, 300)
 @given(x=places, v=places)
 def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> None:
-    """Whatever the velocity, the force points at the inside, is at most its largest, and is zero inside."""
+    """For any velocity the force points inward, does not exceed its limit, and is zero inside."""
     force = force_of(effect, moment(x, v))
     away = np.array(x) - effect.center
     size = np.linalg.norm(force)
@@ -176,14 +176,14 @@ def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> No
     depth = np.linalg.norm(outward)
     if depth == 0.0:
         assert size == 0.0
-    elif depth > 1e-9:  # nearer, the difference of two places of 0.1 m has no direction left to compare
+    elif depth > 1e-9:  # closer, the difference of two positions of 0.1 m has no significant direction
         assert force @ outward == pytest.approx(-size * depth, abs=1e-6)
     assert size <= 2 * effect.stiffness * depth + 1e-9
 
 
 @boundaries
-def test_boundary_never_starts_with_a_step(effect: Any) -> None:
-    """A nanometre outside, at full speed, the force is a micronewton and not a blow."""
+def test_boundary_starts_without_a_step(effect: Any) -> None:
+    """One nanometre outside, at full speed, the force is one micronewton."""
     edge = 0.1 + (0.05 if isinstance(effect, model.BoxBoundary) else 0.06)
     force = force_of(effect, moment((edge + 1e-9, 0.0, 0.0), (5.0, 0.0, 0.0)))
     assert 0.0 < -force[0] <= 2 * 400.0 * 1.001e-9
@@ -193,8 +193,9 @@ def test_boundary_never_starts_with_a_step(effect: Any) -> None:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
-def test_magnet_falls_to_nothing_at_its_range_without_a_step(exponent: float) -> None:
-    """F (1 - gap / range)^n towards the surface; F while touched; continuous where it begins and at the surface."""
+def test_magnet_vanishes_at_its_range_without_a_step(exponent: float) -> None:
+    """The pull is F (1 - gap / range)^n towards the surface and F in contact, continuous at its range and at the
+    surface."""
     effect = model.Magnet(2.0, 0.02, exponent)
     normal = (0.6, 0.0, 0.8)
     for gap in [0.0, 0.004, 0.01, 0.019]:
@@ -207,9 +208,9 @@ def test_magnet_falls_to_nothing_at_its_range_without_a_step(exponent: float) ->
 
 
 def test_magnet_does_the_work_of_its_potential() -> None:
-    """From beyond its range to the surface it gives F range / (n + 1), whichever way is taken, and takes it back."""
+    """From its range to the surface the magnet does the work F range / (n + 1), also along a spiral."""
     effect = model.Magnet(2.0, 0.02, 2.0)
-    # Towards the sphere |x| = 1 in a spiral: the gap is |x| - 1, the normal x / |x|.
+    # Spiral towards the sphere |x| = 1: the gap is |x| - 1, the normal x / |x|.
     s = np.linspace(0.0, 1.0, 4001)
     radius, angle = 1.03 - 0.03 * s, 2.0 * s
     path = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * s], axis=1)
@@ -218,13 +219,13 @@ def test_magnet_does_the_work_of_its_potential() -> None:
     forces = np.array(
         [force_of(effect, moment(gap=g - 1.0, normal=tuple(x / g))) for x, g in zip(middle, lengths, strict=True)]
     )
-    # Midpoint rule over 4000 steps: error about 1e-7 of the work.
+    # Midpoint rule with 4000 steps: error about 1e-7 of the work.
     assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
 
 
 def test_an_ellipsoid_gains_energy_when_it_turns_near_a_magnet() -> None:
-    """It descends with its long axis upright, turns, rises with it level and turns back. The magnet exerts no torque:
-    the cycle gains F (c - b) h / range, as docs/model/effects.md says."""
+    """The ellipsoid descends with its long axis upright, rotates, rises with it level and rotates back. The magnet
+    exerts no torque, so the cycle gains F (c - b) h / range (docs/model/effects.md)."""
     force, reach, b, c, low, high = 2.0, 0.02, 0.007, 0.012, 0.015, 0.019
     plane = {
         "name": "plane",
@@ -246,28 +247,28 @@ def test_an_ellipsoid_gains_energy_when_it_turns_near_a_magnet() -> None:
 
 
 def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
-    """n + 1 ticks of a straight way along x in contact."""
+    """Yield n + 1 ticks of a straight path along x in contact."""
     for k in range(n + 1):
         yield moment((length * k / n, 0.0, 0.0), touched=1.0, **changes)
 
 
 def test_stick_slip_is_a_sawtooth() -> None:
-    """Dragged slowly, the force climbs with the stiffness to its largest value, drops to zero, climbs again."""
+    """Dragged slowly, the force increases with the stiffness to its maximum, drops to zero and increases again."""
     effect = model.StickSlip(1000.0, 0.5)
     forces = run(effect, drag(0.005, 5000))
-    # 0.5 N / 1000 N/m = 0.5 mm a ridge; it jumps on the first tick past it, a step of 1 um later.
+    # 0.5 N / 1000 N/m = 0.5 mm per ridge; it jumps on the first tick beyond it, a step of 1 um later.
     assert forces[:, 0].min() == pytest.approx(-0.5, abs=1e-9)
     jumps = np.flatnonzero(np.diff(forces[:, 0]) > 0.4)
     assert len(jumps) == 9
     assert np.diff(jumps) == pytest.approx(501, abs=1)
     assert not forces[:, 1:].any()
     work = np.sum(forces[:, 0]) * 1e-6
-    # F^2 / 2K a ridge, ten ridges but for the nine steps lost on jumping; 0.3 % for the ticks being finite.
+    # F^2 / 2K per ridge, ten ridges except nine steps lost on jumping; 0.3 % because of finite ticks.
     assert work == pytest.approx(-10 * 0.5**2 / 2000.0, rel=0.01)
 
 
-def test_stick_slip_leaves_the_depth_alone_and_forgets_on_leaving() -> None:
-    """Pressing deeper adds nothing; after a tick out of contact the finger is held where it touches again."""
+def test_stick_slip_ignores_depth_and_resets_on_release() -> None:
+    """Pressing deeper adds no force; after a tick out of contact the finger sticks at the new contact point."""
     effect = model.StickSlip(1000.0, 0.5)
     pressed = moment((0.0001, 0.0, -0.002), touched=1.0)
     away = moment((0.2, 0.0, 0.1))
@@ -275,8 +276,8 @@ def test_stick_slip_leaves_the_depth_alone_and_forgets_on_leaving() -> None:
     assert forces == pytest.approx(np.array([ZERO, (-0.1, 0.0, 0.0), ZERO, ZERO, ZERO]), abs=1e-12)
 
 
-def test_stick_slip_is_carried_by_a_moving_object() -> None:
-    """A finger that rides on a moving, turning object is not pulled; one that stays behind is."""
+def test_stick_slip_moves_with_its_object() -> None:
+    """A finger that moves with a translating, rotating object feels no force; one that lags does."""
     effect = model.StickSlip(1000.0, 0.5)
     half = math.sqrt(0.5)
     before = model.Pose(ZERO, (1.0, 0.0, 0.0, 0.0))
@@ -292,13 +293,13 @@ def test_stick_slip_is_carried_by_a_moving_object() -> None:
 
 
 def test_vibration_is_a_sine_from_touch_on() -> None:
-    """A sin(2 pi f t) along the normal, t from the first tick of contact, zero before and after."""
+    """A sin(2 pi f t) along the normal, with t from the first tick of contact; zero before and after."""
     effect = model.NormalVibration(0.5, 130.0)
     normal = (0.0, 0.6, 0.8)
     moments = [moment(normal=normal, touched=float(100 <= k < 5100)) for k in range(5200)]
     forces = run(effect, iter(moments))
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(5000))
-    # The phase is summed up: 5000 roundings of 1e-16 turns.
+    # The phase is accumulated: 5000 roundings of 1e-16 turns.
     assert forces[100:5100] == pytest.approx(np.outer(sine, normal), abs=1e-11)
     assert not forces[:100].any()
     assert not forces[5100:].any()
@@ -308,7 +309,7 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
     "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.Touching(1.0))]
 )
 def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
-    """After one tick out of contact, wherever in its cycle it was left, the sine starts at its zero again."""
+    """After one tick out of contact the sine starts at zero again."""
     touches = [1.0] * 3 + [0.0] + [1.0] * 3
     forces = run(effect, iter([moment(normal=UP, touched=touched) for touched in touches]))[:, 2]
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(3))
@@ -316,17 +317,17 @@ def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
 
 
 def test_vibration_keeps_its_phase_over_a_month() -> None:
-    """After 10^9 turns, some of it in ticks of odd length, the phase is still right to a millionth of a turn."""
+    """After 10^9 turns, with an odd tick length, the phase is accurate to a millionth of a turn."""
     effect = model.Vibration(1.0, 250.0, UP, None)
     states: Any = (model.Phase(0.0),)
     for _ in range(1001):
         _, states = apply_effects((effect,), states, moment(dt=4000.0011))
-    # The whole turns of 4000 s drop out; 1001 times 250 Hz times 1.1 ms are 275.275 turns.
+    # The whole turns of 4000 s cancel; 1001 times 250 Hz times 1.1 ms are 275.275 turns.
     assert states[0].turns == pytest.approx(0.275, abs=1e-6)
 
 
 def test_changing_the_frequency_does_not_make_the_force_jump() -> None:
-    """A vibration tuned from 10 to 11 Hz after a long run goes on from the phase it had."""
+    """A vibration tuned from 10 to 11 Hz after a long run continues from its phase."""
     slow, fast = model.Vibration(1.0, 10.0, UP, None), model.Vibration(1.0, 11.0, UP, None)
     states: Any = start_states((slow,))
     forces = []
@@ -339,8 +340,8 @@ def test_changing_the_frequency_does_not_make_the_force_jump() -> None:
 # --- all together --------------------------------------------------------------------------------
 
 
-def test_forces_add_up_and_states_stay_apart() -> None:
-    """A tuple of effects gives the sum of what each gives alone, and none gives nothing."""
+def test_forces_add_up_and_states_are_separate() -> None:
+    """A tuple of effects gives the sum of the separate forces; an empty tuple gives zero."""
     at = moment((0.02, 0.13, 0.04), (0.3, 0.1, -0.2), touched=1.0, gap=0.0)
     total, states = apply_effects(EVERY, start_states(EVERY), at)
     assert total == pytest.approx(sum(force_of(effect, at) for effect in EVERY), abs=1e-12)
@@ -354,7 +355,7 @@ def test_forces_add_up_and_states_stay_apart() -> None:
     st.sampled_from([None, CARRIER]),
 )
 def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: Any) -> None:
-    """The machine code does the same sums as the Python it was made from, to the last bits."""
+    """The compiled code gives the results of plain Python up to the last bits."""
     ours = theirs = start_states(EVERY)
     for x, v, touched, gap, normal in ticks:
         at = Situation(x, v, DT, touched, gap, normal, carrier)
@@ -375,7 +376,7 @@ def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: 
     st.sampled_from([None, CARRIER]),
 )
 def test_any_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], carrier: Any) -> None:
-    """However far, fast or late, the force is finite, and so is that of the tick after it."""
+    """At any position, velocity and tick length the force is finite, also in the next tick."""
     states = start_states(EVERY)
     for x, v, dt, touched, gap, normal in ticks:
         force, states = compiled(EVERY, states, Situation(x, v, dt, float(touched), gap, normal, carrier))
@@ -412,7 +413,7 @@ OBJECT: list[dict[str, Any]] = [
 
 
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    """Sizes are halved, directions made unit, and an object's effects act while it is touched."""
+    """Sizes are halved, directions normalised, and an object's effects are limited to contact."""
     scene = build_scene(plane_scene(table={"effect": OBJECT}, effect=WORKSPACE))
     touching = model.Touching(1.0)
     assert scene.effects == (
@@ -449,19 +450,20 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
 def test_a_faulty_effect_is_refused_with_what_to_do(
     plane_scene: SceneFactory, effect: dict[str, Any], said: str
 ) -> None:
-    """A kind that is none, an extent given twice or not at all, no direction, too much, an object's effect alone."""
+    """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
+    the workspace are faults."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(effect=[effect])
     assert said in str(refused.value)
 
 
 def page() -> str:
-    """docs/model/effects.md."""
+    """Return the text of docs/model/effects.md."""
     return (Path(__file__).resolve().parents[2] / "docs" / "model" / "effects.md").read_text()
 
 
 def test_the_example_of_the_page_is_a_scene() -> None:
-    """The file that docs/model/effects.md shows loads as it stands, with its effects, motion and material."""
+    """The scene file in docs/model/effects.md loads with its effects, motion and material."""
     (example,) = re.findall(r"```toml\n(.*?)```", page(), re.DOTALL)
     scene = build(Scene, tomllib.loads(example), "docs/model/effects.md")
     kernels = build_scene(scene)
@@ -472,7 +474,7 @@ def test_the_example_of_the_page_is_a_scene() -> None:
 
 
 def test_the_page_names_every_kind() -> None:
-    """docs/model/effects.md lists the kinds of effects and motions there are."""
+    """docs/model/effects.md lists all kinds of effects and motions."""
     kinds = [kind for union in (schema.Effect, schema.ObjectEffect, schema.Motion) for kind in get_args(union)]
     for kind in kinds:
         assert f"`{kind.kind}`" in page()
@@ -482,12 +484,12 @@ def test_the_page_names_every_kind() -> None:
 
 
 def poses(positions: Array) -> Array:
-    """Poses (n, 7) of positions (n, 3), unturned."""
+    """Return poses (n, 7) without rotation at positions (n, 3)."""
     return np.hstack([positions, np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))])
 
 
-def test_effects_reach_the_hand_with_the_contact(plane_scene: SceneFactory) -> None:
-    """Above the table the magnet pulls and the liquid drags; on it the contact carries the magnet; both add up."""
+def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> None:
+    """Above the table magnet and viscosity act; in contact the magnet remains, and all forces add up."""
     magnet = {"kind": "magnet", "force_n": 2.0, "range_m": 0.02}
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
     scene = plane_scene(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
@@ -497,13 +499,13 @@ def test_effects_reach_the_hand_with_the_contact(plane_scene: SceneFactory) -> N
     force = records[:, AT.force : AT.force + 3]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
-    # The velocity of the step is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
+    # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
     assert force[:, 2] == pytest.approx(expected, abs=1e-9)
     assert np.abs(force[:, :2]).max() < 1e-12
 
 
 def test_a_texture_is_felt_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
-    """Dragged over a table with stick-slip and no friction, the finger feels the sawtooth and nothing else."""
+    """Dragged over a frictionless table with stick-slip, the finger has only the normal force and the sawtooth."""
     ridges = {"kind": "stick_slip", "stiffness_n_per_m": 1000.0, "force_max_n": 0.5}
     scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)
     x = np.arange(1001) * 5e-6
@@ -516,7 +518,7 @@ def test_a_texture_is_felt_on_a_frictionless_table(plane_scene: SceneFactory) ->
 
 
 def test_a_scene_without_effects_has_none_to_compile() -> None:
-    """What no file asks for is an empty tuple, in the scene and in each object."""
+    """Without effects in the file, the tuples of the scene and of each object are empty."""
     scene = build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [PLAIN]}, "test"))
     assert scene.effects == ()
     assert scene.objects.effects == ()
@@ -527,29 +529,29 @@ PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 10
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
-def test_viscosity_goes_by_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
-    """The hand rests in a corner of a viscous floor, which rests, and a wall, which slides along. No viscous force
-    acts, whether the wall or the floor carries the larger load."""
+def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
+    """The hand rests in a corner between a viscous floor at rest and a sliding wall. There is no viscous force,
+    whichever carries the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}
     sliding = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
     given = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
     running = Engine({"fingertip": {"radius_m": 0.01}, "object": given})
-    for _ in range(200):  # until the filtered velocity has faded
+    for _ in range(200):  # until the filtered velocity has decayed
         found = running.step([0.01 - sideways, 0.0, 0.01 - depth], [1.0, 0.0, 0.0, 0.0])
     assert found.force == pytest.approx(
         [1000.0 * sideways, 0.0, 1000.0 * depth], abs=1e-9
     )  # two springs; 1e-9 N is rounding
 
 
-def test_viscosity_of_a_moving_object_is_against_it() -> None:
-    """A hand that rests on a turntable, 0.1 m from its axis: dragged along by B times the speed there."""
+def test_viscosity_of_a_moving_object_drags_the_hand() -> None:
+    """A hand at rest on a turntable, 0.1 m from its axis, is dragged by B times the local speed."""
     effect = {"effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     motion = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
     table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
     running = Engine({"fingertip": {"radius_m": 0.01}, "object": [table | effect | motion]})
     for _ in range(50):
         found = running.step([0.0, 0.0, 0.009], [1.0, 0.0, 0.0, 0.0])
-    # The chord of a tick, 1 mrad, leans by half of it: 5e-4 of the drag of 1 N.
+    # The chord of a tick of 1 mrad is inclined by half of it: 5e-4 of the drag of 1 N.
     assert found.force == pytest.approx([1.0, 0.0, 1.0], abs=1e-3)

@@ -1,4 +1,4 @@
-"""Height maps: the spline against closed forms, the nearest point against every place of it, scenes against shapes."""
+"""Height maps: spline compared with closed forms, closest point with brute force, scenes with other shapes."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def compiled_roll(method, shape, radius, center, normal, turn):  # type: ignore[
 
 
 def sampled(rows: int, columns: int, pitch: float, f: Callable[[Array, Array], Array]) -> Array:
-    """Heights (rows, columns) of a function of x and y, centred on the origin."""
+    """Return heights (rows, columns) of a function of x and y, centred at the origin."""
     x, y = ((np.arange(n) - 0.5 * (n - 1)) * pitch for n in (columns, rows))
     return f(*np.meshgrid(x, y))
 
 
 def heights_of(shape: model.Heightmap, x: Array, y: Array) -> Array:
-    """h, h_x, h_y, h_xx, h_xy, h_yy (n, 6) in m at places in m."""
+    """Return h, h_x, h_y, h_xx, h_xy, h_yy (n, 6) in m at positions in m."""
     places = np.column_stack([x / shape.pitch + 0.5 * shape.columns, y / shape.pitch + 0.5 * shape.rows])
     found = np.empty((len(places), 6))
     compiled_heights(shape, places, found)
@@ -76,14 +76,14 @@ def heights_of(shape: model.Heightmap, x: Array, y: Array) -> Array:
 
 
 def nearest(shape: model.Heightmap, points: Array, budget: int = 10**7) -> Array:
-    """gap, point and normal (n, 7), with a budget that is never used up."""
+    """Return gap, point and normal (n, 7), by default with a budget that is never exhausted."""
     found = np.empty((len(points), 7))
     compiled_nearest(shape, np.ascontiguousarray(points, dtype=float), budget, found)
     return found
 
 
 def everywhere(shape: model.Heightmap, fine: int) -> Array:
-    """Points (n, 3) of the whole surface, so many to a pitch."""
+    """Return points (n, 3) of the whole surface, `fine` per pitch."""
     return grid_of(
         shape,
         *(
@@ -94,7 +94,7 @@ def everywhere(shape: model.Heightmap, fine: int) -> Array:
 
 
 def cap_of(radius: float, x: Array, y: Array) -> Array:
-    """The upper side of a ball, its top in the origin; level from where it is steep."""
+    """Return the top of a ball with its highest point at the origin; level where it would be steep."""
     return np.sqrt(np.maximum(radius**2 - x * x - y * y, 0.25 * radius**2)) - radius
 
 
@@ -109,7 +109,7 @@ MAPS: dict[str, tuple[float, Array]] = {
     "noise": (4e-4, 1e-4 * NOISE.normal(size=(80, 64))),
     "rubble": (2e-3, 1e-3 * NOISE.normal(size=(40, 50))),
 }
-"""Smooth on the scale of a fingertip; finer than it; a height of its own in each pixel, finer and coarser than it."""
+"""Smooth on the scale of a fingertip; finer than it; random pixels, finer and coarser than it."""
 
 SHAPES = {name: kernel_heightmap(heights, pitch) for name, (pitch, heights) in MAPS.items()}
 
@@ -118,7 +118,7 @@ SHAPES = {name: kernel_heightmap(heights, pitch) for name, (pitch, heights) in M
 
 @pytest.mark.parametrize("name", MAPS)
 def test_the_surface_is_a_sum_of_b_splines(name: str) -> None:
-    """Anywhere, beyond the rim too: what numpy makes of the coefficients by truncated powers."""
+    """Everywhere, also beyond the rim, heights equal NumPy's evaluation of the coefficients by truncated powers."""
     shape = SHAPES[name]
     half = 0.6 * np.array([shape.columns, shape.rows]) * shape.pitch
     x, y = (np.random.default_rng(9).uniform(-each, each, 20) for each in half)
@@ -129,8 +129,8 @@ def test_the_surface_is_a_sum_of_b_splines(name: str) -> None:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
-def test_the_surface_goes_through_every_pixel(name: str) -> None:
-    """Columns along x, rows along y, the middle of the map over the origin."""
+def test_the_surface_interpolates_every_pixel(name: str) -> None:
+    """Columns are along x, rows along y, and the map is centred at the origin."""
     pitch, heights = MAPS[name]
     x, y, z = thin_map(heights, pitch, 10**6)
     at_x, at_y = np.meshgrid(x, y)
@@ -140,9 +140,9 @@ def test_the_surface_goes_through_every_pixel(name: str) -> None:
 
 
 def test_the_spline_converges_as_a_cubic_does() -> None:
-    """Halving the pitch divides the error by 16 in value, by 8 in slope and by 4 in the second derivatives.
+    """Halving the pitch divides the error by 16 in value, by 8 in slope and by 4 in second derivatives.
 
-    Away from the rim, where the natural spline is of second order; its influence falls by 3.7 a pixel.
+    Away from the rim, where the natural spline is of second order; its influence decreases by 3.7 per pixel.
     """
     x, y = NOISE.uniform(-0.01, 0.01, (2, 2000))
     a, b = x / 0.008, y / 0.006
@@ -156,12 +156,13 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
         found = heights_of(kernel_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
         errors.append(np.sqrt(np.square(found - exact).mean(axis=0)))
     orders = 0.5 * np.log2(errors[0] / errors[-1])
-    # The orders are reached in the limit: with these pitches to 0.1.
+    # The orders hold in the limit; for these pitches to 0.1.
     assert orders[0] > 3.9 and (orders[1:3] > 2.9).all() and (orders[3:] > 1.9).all(), orders
 
 
-def test_planes_are_exact_and_paraboloids_within() -> None:
-    """A cubic spline has both in it; that it is not bent at its rim is true of a plane, and forgotten in 30 pixels."""
+def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
+    """A cubic spline reproduces both. The zero curvature at the rim is exact for a plane; its influence vanishes within
+    30 pixels."""
     x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
     plane = heights_of(kernel_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
     np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
@@ -172,22 +173,23 @@ def test_planes_are_exact_and_paraboloids_within() -> None:
 
 
 def test_beyond_the_rim_it_is_level_without_a_step_in_curvature() -> None:
-    """Value, slopes and second derivatives are continuous along a line that leaves the map; outside nothing changes."""
+    """Value, slopes and second derivatives are continuous along a line that leaves the map, and constant outside."""
     pitch, heights = MAPS["hills"]
     shape = kernel_heightmap(heights, pitch)
     x = np.linspace(0.04, 0.06, 20001)
     found = heights_of(shape, x, np.full_like(x, 0.0123))
     outside = x > 0.5 * shape.columns * pitch - pitch
-    # Rounding, of h'' over the square of the pitch.
+    # Rounding of h'', divided by the square of the pitch.
     np.testing.assert_allclose(np.ptp(found[outside], axis=0), 0.0, atol=1e-10)
     np.testing.assert_allclose(found[outside][:, [1, 3, 4]], 0.0, atol=1e-10)
-    # One step is 1 um: what is continuous changes by its derivative times that, h'' by h''' < 2e5 / m^2 at the rim.
+    # One step is 1 um: a continuous value changes by its derivative times that; h'' by h''' < 2e5 / m^2 at the rim.
     assert np.abs(np.diff(found[:, 3])).max() < 0.2 + 1e-9 and np.abs(np.diff(found[:, 1])).max() < 1e-3
 
 
 @pytest.mark.parametrize("radius", [0.02, -0.03])
 def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
-    """1 / (R + r) in both directions and any, for a fingertip on a cap and in a bowl, to second order in the pitch."""
+    """The curvature is 1 / (R + r) in all directions, for a fingertip on a cap and in a bowl, to second order in the
+    pitch."""
 
     def cap(x: Array, y: Array) -> Array:
         return math.copysign(1.0, radius) * (np.sqrt(radius**2 - x * x - y * y) - abs(radius))
@@ -209,8 +211,9 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
-def test_the_nearest_point_is_nearer_than_any_other(name: str) -> None:
-    """Against every place of the map, 3 x 3 to a pixel: no nearer one, and none as near as rounding but the foot."""
+def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
+    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
+    the surface."""
     pitch, heights = MAPS[name]
     shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)
@@ -223,19 +226,19 @@ def test_the_nearest_point_is_nearer_than_any_other(name: str) -> None:
     for x, (gap, *rest) in zip(points, found, strict=True):
         least = float(np.linalg.norm(surface - x, axis=1).min())
         assert abs(gap) <= least * (1.0 + 1e-12)  # rounding of the search
-        # The brute search is as coarse as its grid, a sixth of a pitch along and what the map rises on it.
+        # The brute-force search is as coarse as its grid: a sixth of a pitch along, and the rise of the map over that.
         assert abs(abs(gap) - least) <= pitch
         point, normal = np.array(rest[:3]), np.array(rest[3:])
         np.testing.assert_allclose(point + gap * normal, x, rtol=0, atol=1e-14)
         z, slope_x, slope_y = heights_of(shape, point[:1], point[1:2])[0, :3]
         upward = np.array([-slope_x, -slope_y, 1.0]) / math.sqrt(1.0 + slope_x**2 + slope_y**2)
         assert z == pytest.approx(point[2], abs=1e-15)
-        # The foot is known to the pitch times 1e-7 at the worst, and with it where its normal points.
+        # The foot is accurate to at worst 1e-7 of the pitch, and the direction of its normal accordingly.
         np.testing.assert_allclose(normal, upward, rtol=0, atol=1e-6)
 
 
-def test_what_a_tangent_plane_rules_out_is_farther() -> None:
-    """No place of a tile that is left out is as near as what it was left out for, where the distance is convex."""
+def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
+    """If the distance is convex, no point of a tile that is ruled out is closer than the bound."""
     shape, rng = SHAPES["hills"], np.random.default_rng(8)
     ruled_out = convex = 0
     for _ in range(1000):
@@ -254,20 +257,20 @@ def test_what_a_tangent_plane_rules_out_is_farther() -> None:
             ruled_out += 1
             along = np.linspace(-half, half, 7)
             least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)
-            assert least >= square * (1.0 - 1e-9)  # of rounding
+            assert least >= square * (1.0 - 1e-9)  # rounding
     assert 50 < ruled_out < convex - 50
 
 
 def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
-    """In and out, over the map, to rounding."""
+    """Inside and outside, over the map, to rounding."""
     shape = kernel_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
     points = np.random.default_rng(5).uniform([-0.015, -0.02, -0.01], [0.015, 0.02, 0.015], (500, 3))
     normal = np.array([-0.3, -0.1, 1.0]) / math.sqrt(1.1)
     np.testing.assert_allclose(nearest(shape, points)[:, 0], points @ normal, rtol=0, atol=1e-16)
 
 
-def test_gap_to_a_cap_converges_with_the_fourth_power() -> None:
-    """Over a ball of 60 mm, where a fingertip would be: halving the pitch divides the error by 14 at the least."""
+def test_gap_to_a_cap_converges_with_fourth_order() -> None:
+    """At fingertip distances from a ball of 60 mm, halving the pitch divides the error by at least 14."""
     way = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
     out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
     points = way / np.linalg.norm(way, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
@@ -278,8 +281,8 @@ def test_gap_to_a_cap_converges_with_the_fourth_power() -> None:
     assert errors[1] < errors[0] / 14.0 and errors[0] < 2e-9
 
 
-def test_where_all_is_as_near_the_gap_is_never_too_large() -> None:
-    """At the centre of a bowl of a fingertip's size no tile can be left out: what is not looked at counts as there."""
+def test_the_gap_is_never_too_large_if_all_points_are_equally_near() -> None:
+    """At the centre of a bowl no tile can be ruled out, and tiles beyond the budget count with their bound."""
 
     def bowl(x: Array, y: Array) -> Array:
         return 0.02 - np.sqrt(np.maximum(0.02**2 - x * x - y * y, 1e-6))
@@ -294,20 +297,20 @@ def test_where_all_is_as_near_the_gap_is_never_too_large() -> None:
 @settings(derandomize=True, max_examples=1000 if settings.get_current_profile_name() == "full" else 150, deadline=None)
 @given(name=st.sampled_from(list(MAPS)), x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]) -> None:
-    """From 1e-308 to 1e100 m, and for what is no number: nothing is NaN that was not, and no memory is read beyond."""
+    """Positions from 1e-308 to 1e100 m give finite results; NaN and infinity do not read out of bounds."""
     shape = SHAPES[name]
     found = nearest(shape, np.array([x]))[0]
     assert np.isfinite(found).all() and np.linalg.norm(found[4:]) == pytest.approx(1.0, abs=1e-15)
     k1, k2, d1 = compiled_curvature(shape, R, tuple(found[1:4]), tuple(found[4:]))
     assert math.isfinite(k1) and math.isfinite(k2) and math.hypot(*d1) == pytest.approx(1.0, abs=1e-14)
-    with np.errstate(invalid="ignore"):  # of which compiled code says nothing
+    with np.errstate(invalid="ignore"):  # NumPy warns, compiled code does not
         nearest(shape, np.array([[math.nan, x[1], x[2]], [x[0], math.inf, math.nan]]))
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("size", [(1, 2), (2, 1), (2, 2), (1, 40), (3, 5)])
 def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
-    """Two pixels are the least; a single row is the same all along y."""
+    """Two pixels are the minimum; a single row is constant along y."""
     heights = 1e-3 * NOISE.normal(size=size)
     shape = kernel_heightmap(heights, 1e-3)
     x, y, z = thin_map(heights, 1e-3, 100)
@@ -318,15 +321,15 @@ def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
     points = NOISE.uniform(-0.01, 0.01, (20, 3))
     surface = everywhere(shape, 64)
     for point, gap in zip(points, nearest(shape, points)[:, 0], strict=True):
-        # Beyond the rim the surface goes on: the brute search sees what is over the cells alone.
+        # Beyond the rim the surface continues, but the brute-force search covers only the cells.
         if (np.abs(point[:2]) < 0.5e-3 * np.array([shape.columns, shape.rows])).all():
             assert abs(gap) == pytest.approx(np.linalg.norm(surface - point, axis=1).min(), abs=2e-5)
 
 
-def test_the_tightest_valley_is_said() -> None:
-    """Of a bowl z = x^2 / (2 R): 1 / R, however it ends at the rim."""
+def test_the_tightest_valley_is_bounded() -> None:
+    """For a bowl z = x^2 / (2 R) it is 1 / R, despite its end at the rim."""
     heights = sampled(30, 80, 1e-3, lambda x, y: x * x / (2.0 * 0.05))
-    assert tightest(heights, 1e-3) == pytest.approx(20.0, rel=0.3)  # a bound, looser next to the rim
+    assert tightest(heights, 1e-3) == pytest.approx(20.0, rel=0.3)  # a bound, looser near the rim
     assert tightest(sampled(30, 30, 1e-3, lambda x, y: 0.1 * x), 1e-3) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -358,7 +361,7 @@ def mapped(path: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, A
 
 
 def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Array:
-    """Poses (ticks, 7) of a finger that wanders about, up and down, turning all the while."""
+    """Return poses (ticks, 7) of a finger that moves randomly along all axes while rotating."""
     rng, t = np.random.default_rng(seed), np.arange(ticks)
 
     def wander() -> Array:
@@ -380,7 +383,7 @@ def force(records: Array) -> Array:
 
 
 def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
-    """Every field of every tick, with friction, torsion and rolling, over the map and beyond its rim: to 1e-12."""
+    """With friction, torsion and rolling, over the map and beyond its rim, all fields of all ticks agree to 1e-12."""
     poses = stroke(2, 1500, 0.03, 0.0085, 0.0125)
     level = engine(mapped(tmp_path, np.full((32, 24), 0.002), 1e-3, position_m=[0.0, 0.0, -0.002])).run(poses)
     plane = engine({"shape": "plane"}).run(poses)
@@ -388,8 +391,8 @@ def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
 
-def test_a_level_map_that_moves_is_the_plane_that_moves(tmp_path: Path) -> None:
-    """To and fro, up and down, tilting: forces and proxy with friction to 1e-12."""
+def test_a_moving_level_map_is_the_moving_plane(tmp_path: Path) -> None:
+    """With translation, tilt and friction, all fields agree to 1e-12."""
     motion = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],
               "frequency_hz": 1.5}  # fmt: skip
     poses = stroke(3, 1000, 0.006, 0.0085, 0.0115)
@@ -401,14 +404,15 @@ def test_a_level_map_that_moves_is_the_plane_that_moves(tmp_path: Path) -> None:
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
 
-def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
-    """Forces and paths of a stroke that sticks, rolls and slides, against the sphere of the same scene."""
+def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
+    """Forces and paths of a stroke that sticks, rolls and slides equal those on a sphere."""
     poses = stroke(4, 750, 0.006, 0.0085, 0.0105)
     ball = engine({"shape": "sphere", "radius_m": 0.06, "position_m": [0.0, 0.0, -0.06]}).run(poses)
     over = engine(mapped(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
     assert {0.0, 1.0, 2.0} <= set(ball[:, AT.contact_mode])
     np.testing.assert_array_equal(over[:, AT.contact_mode], ball[:, AT.contact_mode])
-    # While it slides, either leaves to the next tick what two rounds leave: 40 nm, and 40 uN of the spring of 1 N/mm.
+    # While sliding, both leave the remainder of two iterations to the next tick: 40 nm, and 40 uN of a spring of 1
+    # N/mm.
     np.testing.assert_allclose(proxy(over), proxy(ball), rtol=0, atol=2e-7)
     np.testing.assert_allclose(force(over), force(ball), rtol=0, atol=2e-4)
 
@@ -419,8 +423,8 @@ def test_a_cap_feels_as_the_ball(tmp_path: Path) -> None:
     "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]
 )
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """With friction, torsion and rolling, deep and shallow, over the rim too: 300 ticks on each map but the noise,
-    25 000 on all in `make test-all`."""
+    """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
+    and 25 000 on all in `make test-all`."""
     pitch, heights = MAPS[name]
     half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
     poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
@@ -428,22 +432,23 @@ def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[i
     touches = records[:, AT.contact_mode] > 0
     gaps = nearest(kernel_heightmap(heights, pitch), proxy(records)[touches])[:, 0]
     assert 0.1 < touches.mean() < 0.98
-    assert gaps.min() >= R * (1.0 - 1e-9)  # the tolerance of a touch, see sweep.TOUCHING
+    assert gaps.min() >= R * (1.0 - 1e-9)  # tolerance of contact, see sweep.TOUCHING
     assert np.isfinite(records).all()
-    # Coulomb: the hand feels no more along the surface than friction bears.
+    # Coulomb: the tangential force is within the friction cone.
     normal = records[touches, AT.contact_normal_force]
     assert (records[touches, AT.contact_tangential_force] <= 0.6 * normal + 1e-12).all()
 
 
-def test_a_groove_holds_the_fingertip_on_both_sides(tmp_path: Path) -> None:
-    """Pressed into a groove narrower than it, frictionless: it rests where both walls are, pushed by both."""
+def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
+    """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
+    both."""
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(mapped(tmp_path, heights, pitch, material={"stiffness_n_per_m": 1000.0}), rolling=None)
     shape = kernel_heightmap(heights, pitch)
     surface = everywhere(shape, 4)
     surface = surface[np.abs(surface[:, 1]) < 5e-3]
-    low, high = 0.0, 0.03  # the height at which the ball rests, by bisection over every place
+    low, high = 0.0, 0.03  # height at which the ball rests, by bisection with brute force
     for _ in range(50):
         middle = 0.5 * (low + high)
         inside = np.linalg.norm(surface - [0.0, 0.0, middle], axis=1).min() < R and middle < 0.02
@@ -451,13 +456,13 @@ def test_a_groove_holds_the_fingertip_on_both_sides(tmp_path: Path) -> None:
     down = np.column_stack([np.full(300, 1e-4), np.zeros(300), np.linspace(0.02, high - 0.001, 300)])
     poses = np.hstack([np.vstack([down, np.tile(down[-1], (50, 1))]), np.tile([1.0, 0.0, 0.0, 0.0], (350, 1))])
     records = groove.run(poses)
-    # The brute search sees the walls 50 um apart: 0.1 um in height. The probe is 0.1 mm off the middle.
+    # The brute-force search samples the walls every 50 um: 0.1 um in height. The probe is 0.1 mm off the centre.
     np.testing.assert_allclose(proxy(records)[-1], [0.0, 0.0, high], atol=2e-6)
     np.testing.assert_allclose(force(records)[-1], [-0.1, 0.0, 1.0], atol=3e-3)
 
 
 def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
-    """A probe that crosses a wall of a pixel's width in one tick is held on the side that it came from."""
+    """A probe that crosses a wall of one pixel in one tick stays on its side."""
     heights = np.zeros((60, 60))
     heights[:, 30] = 0.02
     ridge = engine(mapped(tmp_path, heights, 5e-4), rolling=None)
@@ -471,7 +476,8 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
 def test_beside_a_wall_a_level_map_is_a_plane_and_rubble_keeps_the_proxy_out(
     tmp_path: Path, cases: Callable[[int, int], int]
 ) -> None:
-    """Among several objects: the same place to 1e-11 m, the tolerance of resting on two, and never inside."""
+    """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
+    objects, and the proxy is never inside rubble."""
     wall = {"shape": "plane", "orientation_wxyz": [math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]}
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]
     grip = {key: GRIP[key] for key in ("stiffness_n_per_m", "friction")}
@@ -494,12 +500,12 @@ BALL = model.Sphere(0.06, 1.0)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
-def test_every_method_rolls_over_a_cap_as_over_the_ball(method: Any) -> None:
-    """A hundred steps of 10 mrad about changing axes: the same way as on the sphere, to the spline's error."""
+def test_every_method_rolls_over_a_cap_as_over_a_ball(method: Any) -> None:
+    """A hundred steps of 10 mrad about changing axes give the path on a sphere, up to the spline's error."""
     shape = kernel_heightmap(sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)
     at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
     for k in range(100):
         turn = rotations.exp((0.01 * math.cos(0.05 * k), 0.01 * math.sin(0.05 * k), 0.004))
         at, on = (compiled_roll(method, each, R, *place, turn)[:2] for each, place in ((shape, at), (BALL, on)))
-    assert abs(on[0][0]) > 1e-3  # it has come somewhere
+    assert abs(on[0][0]) > 1e-3  # it has moved
     np.testing.assert_allclose(np.add(at[0], [0.0, 0.0, 0.06]), on[0], rtol=0, atol=2e-8)

@@ -1,4 +1,4 @@
-"""What must hold for every input: random cases, found and shrunk by Hypothesis."""
+"""Invariants for every input, tested with random cases that Hypothesis shrinks."""
 
 import functools
 
@@ -31,13 +31,13 @@ TURNED = [0.8, 0.36, 0.48, 0.0]
 HALF = np.array([0.02, 0.015, 0.01])
 
 quaternion = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
-shift = st.tuples(*[st.floats(0.1, 1.0)] * 3)  # never zero: a ball at the origin has no place to tune
+shift = st.tuples(*[st.floats(0.1, 1.0)] * 3)  # never zero: a ball at the origin has no position to tune
 
 
 def numbers(rows, columns):
-    """Arrays (rows, columns) in [-1, 1), 0 the simplest.
+    """Return a strategy for arrays (rows, columns) in [-1, 1), with 0 the simplest.
 
-    One draw for all: one for each number would take longer than what is tested.
+    A single draw for all numbers: one draw per number would take longer than the test.
     """
     count = rows * columns
     return st.binary(min_size=2 * count, max_size=2 * count).map(
@@ -103,7 +103,7 @@ def engine(kind, material="grip"):
 
 
 def gaps(x):
-    """Distances (3, n) of points (n, 3) from the zoo's objects, in formulas of their own."""
+    """Return distances (3, n) of points (n, 3) from the zoo's objects, by independent formulas."""
     local = (x - np.array([-0.03, 0.01, 0.0])) @ rotation(TURNED)
     beyond = np.abs(local) - HALF
     block = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
@@ -111,28 +111,29 @@ def gaps(x):
 
 
 def visits(start, found):
-    """Poses (n + 1, 7): the point `start`, then one within 60 mm for each row (n, 6), turned by up to 0.1 rad each."""
+    """Return poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), each rotated by up to 0.1
+    rad."""
     orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * found[:, 3:]]), len(found) + 1)
     return np.hstack([np.vstack([start, 0.06 * found[:, :3]]), orientations])
 
 
 def visit(running, poses):
-    """Records (n, RECORD_SIZE) of a fresh contact."""
+    """Return records (n, RECORD_SIZE) of a new contact."""
     running.reset()
     return running.run(poses)
 
 
 ABOVE = (0.0, 0.0, 0.055)
-"""Outside of everything: what begins inside stays inside."""
+"""Outside of all objects: a proxy that starts inside an object stays inside."""
 
 
 @pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_proxy_is_never_inside_any_object(found, count):
-    """After every tick the fingertip's sphere about the proxy is outside all objects, unless it began inside one."""
+    """After every tick the sphere around the proxy is outside all objects if it started outside."""
     records = visit(engine("zoo"), visits(ABOVE, found[:count]))
-    # The solve stops at 1e-10 of the radius; these formulas round too.
+    # The solver stops at 1e-10 of the radius; these formulas round, too.
     assert gaps(column(records, "proxy.position", 3)).min() > R * (1.0 - 1e-9)
 
 
@@ -140,7 +141,8 @@ def test_proxy_is_never_inside_any_object(found, count):
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
-    """The tangential force is at most mu_s times the normal force, which is not negative; torsion keeps its limit."""
+    """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
+    limit."""
     records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
     normal = column(records, "contact.normal_force")
     assert (normal >= 0.0).all()
@@ -151,17 +153,18 @@ def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 AXES = {"ball": (1.0, 1.0, 1.0), "hollow ball": (1.0, 1.0, 1.0), "rod": (1.0, 1.0, 0.0)}
-"""Coordinates that count for the distance from the middle or the axis."""
+"""Coordinates used for the distance from the centre or the axis."""
 REACH = {"ball": 0.03, "hollow ball": 0.04, "rod": 0.03}
-"""That distance, m, where the fingertip touches: the radii's sum, or their difference inside."""
+"""That distance at first contact, m: the sum of the radii, or their difference inside."""
 
 
 def legs_of_force(running, corners, which, reach):
-    """Work of the rendered force on the hand (n,), J, along each side of a closed polyline of n corners (n, 3).
+    """Return the work (n,), J, of the rendered force on the hand along each side of a closed polyline with n corners
+    (n, 3).
 
-    By Gauss's rule between the points where a side crosses the surface that the centre rests on. The path keeps
-    0.6 reach from the middle and a piece is at most 0.7 reach long, so the force is analytic in an ellipse with
-    semi-axes' sum 3.67 about a piece, and the error of 12 nodes is about 3.67^-24 = 3e-14 of the work.
+    Gauss's rule between the points at which a side crosses the surface of first contact. The path stays 0.6 reach away
+    from the centre and a piece is at most 0.7 reach long, so the force is analytic in an ellipse around a piece whose
+    semi-axes sum to 3.67, and the error of 12 nodes is about 3.67^-24 = 3e-14 of the work.
     """
     ways = np.roll(corners, -1, axis=0) - corners
     squares, rests = np.sum(which * ways**2, axis=1), np.sum(which * corners**2, axis=1) - reach**2
@@ -184,14 +187,15 @@ def legs_of_force(running, corners, which, reach):
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kind", list(REACH))
-def test_closed_cycle_of_a_frictionless_contact_gives_no_energy(kind):
-    """Round a random closed polyline the rendered force does no work, and on each side what K depth^2 / 2 loses."""
+def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
+    """Around a random closed polyline the force does no work, and on each side the decrease of K depth^2 / 2."""
     running, reach, which = engine(kind, "slick"), REACH[kind], np.array(AXES[kind])
 
     @examples(20)
     @given(numbers(6, 3), st.integers(4, 6))
     def check(found, count):
-        # All corners in a ball of 0.35 reach about a point at 0.95 reach: partly in contact, never near the middle.
+        # All corners are in a ball of 0.35 reach around a point at 0.95 reach: partly in contact, never near the
+        # centre.
         toward = found[0] * which
         size = np.linalg.norm(toward)
         middle = 0.95 * reach * (toward / size if size > 0.0 else np.array([1.0, 0.0, 0.0]))
@@ -199,7 +203,7 @@ def test_closed_cycle_of_a_frictionless_contact_gives_no_energy(kind):
         depth = reach - np.sqrt(np.sum(which * corners**2, axis=1))
         energy = 0.5 * 1000.0 * np.maximum(-depth if kind == "hollow ball" else depth, 0.0) ** 2
         work = legs_of_force(running, corners, which, reach)
-        # Of forces up to 16 N along sides of up to 28 mm, by the rule above and by rounding.
+        # Forces up to 16 N along sides up to 28 mm, with the error of the rule above and rounding.
         assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14
         assert abs(work.sum()) < 4e-14
 
@@ -207,12 +211,12 @@ def test_closed_cycle_of_a_frictionless_contact_gives_no_energy(kind):
 
 
 def cycle(at, goals, turns, ticks=8):
-    """Poses (n, 7) that leave `at` (3,) for one goal (3,) after the other, each turned to in `ticks` ticks, and come
-    back as they began."""
+    """Return poses (n, 7) from `at` (3,) to each goal (3,), rotating by the given vectors in `ticks` ticks each, and
+    back to the first pose."""
     x, q, shares = at, np.array([1.0, 0.0, 0.0, 0.0]), np.arange(1, ticks + 1)[:, None] / ticks
     poses = [np.concatenate([x, q])[None]]
     for goal, turned in [*zip(goals, turns, strict=True), (at, None)]:
-        if turned is None:  # back the way that is left
+        if turned is None:  # rotate back to the initial orientation
             (turned,) = axis_angles(np.array([q, [1.0, 0.0, 0.0, 0.0]]))
         angle = np.linalg.norm(turned)
         vector = 0.5 * np.sinc(shares * angle / (2.0 * np.pi)) * shares * turned
@@ -225,11 +229,12 @@ def cycle(at, goals, turns, ticks=8):
 @pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
-def test_closed_cycle_on_a_plane_with_friction_gives_no_energy(found, count):
-    """Pressed, rolled, dragged, spun and brought back, the hand has put in all along what the springs store, or more.
+def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(found, count):
+    """While pressing, rolling, dragging, spinning and returning, the work of the hand is at least the energy stored in
+    the springs.
 
-    Exactly, whatever the time step, with each tick's motion against the wrench at its end: the springs' energy is
-    convex on a plane, and a slip is towards the probe.
+    Exact for any time step if the motion of each tick is multiplied by the wrench at its end: on a plane the springs'
+    energy is convex, and slip is towards the probe.
     """
     running = engine("floor", "springs")
     running.reset()
@@ -243,12 +248,12 @@ def test_closed_cycle_on_a_plane_with_friction_gives_no_energy(found, count):
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
-    """The same on a ball, up to what a tick misses of the normal's turn.
+    """The same on a ball, up to the rotation of the normal within a tick.
 
-    The proxy goes l = |slip| + r |turn| in a tick, the normal turns by up to l / D, D the sum of the radii, and what
-    was tangent lies l^2 / D beside the surface. The wrench at the end of the tick belongs to the last normal: the
-    account misses up to the force times l^2 / D, the moment times the turn times l / D, and the springs' K / 2 times
-    the square of l^2 / D. All are at least of second order in the tick's motion.
+    The proxy moves by l = |slip| + r |turn| per tick, the normal rotates by up to l / D with D the sum of the radii,
+    and a tangent displacement deviates from the surface by l^2 / D. The wrench at the end of the tick belongs to the
+    previous normal: the balance has an error of up to the force times l^2 / D, the moment times the turn times l / D,
+    and K / 2 times (l^2 / D)^2. All are at least of second order in the motion of a tick.
     """
     running, reach = engine("ball", "springs"), R + 0.02
     running.reset()
@@ -268,10 +273,10 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
 @examples(40)
 @given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
 def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
-    """A rigid motion of the whole world, scene and hand, moves all results with it."""
+    """Results move with a rigid motion of scene and hand."""
     turned = np.asarray(q) / np.linalg.norm(q)
     matrix, center = rotation(turned), np.asarray(moved)
-    # Begins outside: a first pose in the very middle of the ball has no normal but the coordinates' own.
+    # Starts outside: a first pose at the centre of the ball has no normal except the coordinates'.
     poses = visits((0.05, 0.02, 0.03), found[:count])
     one = visit(engine("ball"), poses)
     there = engine("ball elsewhere")
@@ -280,11 +285,11 @@ def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
     modes = column(one, "contact.mode") == column(other, "contact.mode")
     same = len(modes) if modes.all() else int(np.argmin(modes))
     if same < len(modes):
-        # Only where a threshold is met to the last digit: that of touching, or that of the friction cone.
+        # Modes differ only at a threshold to the last digit: that of contact, or the friction cone.
         room = 0.6 * column(one, "contact.normal_force") - column(one, "contact.tangential_force")
         assert abs(np.linalg.norm(poses[same, :3]) - 0.03) < 1e-9 or abs(room[same]) < 1e-9
     one, other = one[:same], other[:same]
-    # Rounding of coordinates up to 1 m against a radius of 10 mm, through a few ticks, times 1000 N/m.
+    # Rounding of coordinates up to 1 m, relative to a radius of 10 mm, over a few ticks, times 1000 N/m.
     for name, shifted, error in (("force", 0.0, 1e-9), ("torque", 0.0, 1e-9), ("proxy.position", center, 1e-12)):
         expected = column(one, name, 3) @ matrix.T + shifted
         assert np.abs(column(other, name, 3) - expected).max() < error, name
@@ -293,8 +298,8 @@ def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
 @pytest.mark.scaled
 @examples(40)
 @given(numbers(6, 6), st.integers(1, 6))
-def test_finger_side_point_is_exactly_that_of_the_orientation(found, count):
-    """The contact on the fingertip is -r R^T n, so it cannot drift from the orientation."""
+def test_finger_side_point_follows_exactly_from_the_orientation(found, count):
+    """The contact point on the fingertip is -r R^T n, so it cannot drift."""
     records = visit(engine("zoo"), visits(0.06 * found[0, :3], found[:count]))
     for record in records[column(records, "contact.mode") > 0.0]:
         (normal,), (finger,) = (column(record[None], f"contact.{name}", 3) for name in ("normal", "finger_point"))
@@ -311,8 +316,8 @@ any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
 @pytest.mark.scaled
 @examples(50)
 @given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
-def test_no_finite_input_gives_anything_but_finite_output(ticks):
-    """Poses a thousand kilometres apart, any rotation, any time step: every number that comes out is finite."""
+def test_finite_input_gives_finite_output(ticks):
+    """Poses up to 1000 km apart, any rotation and any time step give finite records."""
     running = engine("zoo")
     running.reset()
     for position, orientation, dt in ticks:
@@ -321,7 +326,7 @@ def test_no_finite_input_gives_anything_but_finite_output(ticks):
 
 @entry
 def as_matrices(quaternions, out):
-    """Rotation matrices (n, 3, 3) of what the kernels make of quaternions (n, 4) of any length: unit ones first."""
+    """Compute rotation matrices (n, 3, 3) of quaternions (n, 4) of any length, which the kernels normalise first."""
     for i in range(quaternions.shape[0]):
         q = rotations.normalize((quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]))
         for k in range(3):
@@ -331,7 +336,8 @@ def as_matrices(quaternions, out):
 
 @entry
 def walk_by(turns, steps, out):
-    """Orientations (n, 4) of a walk by rotation vectors (n, 3), and `relative` of each to the one before."""
+    """Compute orientations (n, 4) from successive rotation vectors (n, 3), and `relative` of each to the previous
+    one."""
     q = (1.0, 0.0, 0.0, 0.0)
     for i in range(turns.shape[0]):
         before = q
@@ -342,7 +348,7 @@ def walk_by(turns, steps, out):
 
 
 def walk(turns, ticks):
-    """Orientations (ticks, 4) of a walk by rotation vectors (n, 3), over and over, and its steps (ticks, 4)."""
+    """Return orientations (ticks, 4) from rotation vectors (n, 3), repeated, and the steps between them (ticks, 4)."""
     orientations, steps = np.empty((ticks, 4)), np.empty((ticks, 4))
     walk_by(np.resize(turns, (ticks, 3)), steps, orientations)
     return orientations, steps
@@ -350,7 +356,7 @@ def walk(turns, ticks):
 
 @entry
 def moved_pose(motion, pose, time, out):
-    """Orientation (4,) of an object that rests at `pose`, at `time` s."""
+    """Compute the orientation (4,) at `time` s of an object with rest pose `pose`."""
     out[0], out[1], out[2], out[3] = pose_at(motion, pose, time).orientation
 
 
@@ -358,7 +364,8 @@ ULP = np.finfo(float).eps
 
 
 def assert_rotations(matrices):
-    """R^T R = 1 and det R = +1: an entry is some ten operations on numbers of up to 2, each off by half an ulp."""
+    """Assert R^T R = 1 and det R = +1: an entry has some ten operations on numbers up to 2, each accurate to half an
+    ulp."""
     assert np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() <= 16 * ULP
     assert np.abs(np.linalg.det(matrices) - 1.0).max() <= 24 * ULP
 
@@ -373,7 +380,7 @@ def matrices_of(quaternions):
 @examples(150)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
 def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
-    """From 1e-6 to 1e6 long, a quaternion becomes the rotation it stands for, orthogonal to some ulp."""
+    """A quaternion of length 1e-6 to 1e6 gives its rotation, orthogonal to some ulp."""
     if not found.any():
         return
     q = 10.0**exponent * found / np.linalg.norm(found)
@@ -385,10 +392,10 @@ def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
 @pytest.mark.scaled
 @examples(50)
 @given(numbers(3, 3), st.integers(1, 300))
-def test_a_walk_of_rotations_stays_rotations(found, ticks):
-    """After up to 300 turns, each from the one before, orientation and step are unit and no drift has come together."""
+def test_a_sequence_of_rotations_stays_normalised(found, ticks):
+    """After up to 300 rotations, orientation and step have unit norm without drift."""
     orientations, steps = walk(3.0 * found, ticks)
-    # One product and one normalisation from unit again, whatever the tick; a step is the product of two unit ones.
+    # One product and one normalisation of a unit quaternion per tick; a step is the product of two unit quaternions.
     assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
     assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP
     assert (steps[:, 0] >= 0.0).all()
@@ -399,7 +406,7 @@ def test_a_walk_of_rotations_stays_rotations(found, ticks):
 @examples(100)
 @given(numbers(1, 7), st.floats(-100.0, 100.0), st.floats(0.0, 1e9))
 def test_poses_of_moving_objects_stay_rotations(found, rate, time):
-    """Thirty years on, a turntable and a sinusoid have turned their object by a rotation."""
+    """After thirty years a turntable and a sinusoid still give rotations."""
     q, axis = found[0, :4], found[0, 4:]
     if not (q.any() and axis.any()):
         return
@@ -415,8 +422,8 @@ def test_poses_of_moving_objects_stay_rotations(found, rate, time):
 @pytest.mark.scaled
 @examples(12)
 @given(numbers(3, 3), st.floats(1e-4, 2e-3))
-def test_contact_keeps_its_directions_over_many_ticks(found, deep):
-    """Over two hundred ticks of rolling on a ball, normal and finger-side point neither grow nor shrink."""
+def test_contact_directions_stay_normalised_over_many_ticks(found, deep):
+    """During 200 ticks of rolling on a ball, the lengths of normal and finger-side point are constant."""
     running = engine("ball", "springs")
     running.reset()
     poses = np.tile([0.0, 0.0, R + 0.02 - deep, 0.0, 0.0, 0.0, 0.0], (200, 1))

@@ -1,6 +1,6 @@
-"""Compiled kernels on disk: what is loaded, what is refused, and that nothing about them keeps a start from running.
+"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start.
 
-Real processes, real damage, a real full disk; where the suite runs as root, real other users.
+Uses real processes, damaged files and a full disk, and real other users if the suite runs as root.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ PACKAGE_KERNELS = "import softfinger.drivers.replay.device as r; print('runs', r
 
 @pytest.fixture
 def scripts(tmp_path: Path) -> Path:
-    """A folder with a kernel that inlines code from another file."""
+    """Return a folder with a kernel that inlines code from another file."""
     folder = tmp_path / "scripts"
     folder.mkdir()
     (folder / "inner.py").write_text(INNER)
@@ -86,7 +86,7 @@ def scripts(tmp_path: Path) -> Path:
 def start(
     what: Path | str, cache: Path | str, prepare: Callable[[], None] | None = None, **env: str | None
 ) -> tuple[str, str]:
-    """Run a script or code in a process of its own; returns what it printed and what it said. It must not fail."""
+    """Run a script or code in a new process; return its stdout and stderr. It must exit with 0."""
     command = [sys.executable, "-B", *(["-c", what] if isinstance(what, str) else [str(what)])]
     changed = {"SOFTFINGER_CACHE_DIR": str(cache), **env}
     environment = {k: v for k, v in (os.environ | changed).items() if v is not None}
@@ -98,15 +98,16 @@ def start(
 
 
 def kernels(cache: Path) -> list[Path]:
-    """What is kept, but for the kernel that the others inline."""
+    """Return the cached kernels, except the inlined one."""
     return sorted(path for path in cache.rglob("*.kernel") if not path.name.startswith("scaled-"))
 
 
-def test_a_kernel_is_kept_and_loaded_until_an_edit_beside_it(scripts: Path, tmp_path: Path) -> None:
-    """The second process loads what the first compiled, without a message; the folder is the user's alone. A driver
-    outside of this program may inline from its own package: an edit there compiles it again, too.
+def test_a_kernel_is_loaded_until_a_neighbouring_file_is_edited(scripts: Path, tmp_path: Path) -> None:
+    """The second process loads the cached kernel without a message; folder and file are private. Editing a file of the
+    same package, here an outside driver, compiles again.
 
-    What numba needs to compile, and SciPy with it, would be most of what a start imports: a hit does without.
+    A cache hit does not import the modules that numba needs for compiling, nor SciPy: they would dominate the start
+    time.
     """
     (scripts / "__init__.py").touch()
     cache, outer = tmp_path / "cache", scripts / "outer.py"
@@ -122,8 +123,8 @@ def test_a_kernel_is_kept_and_loaded_until_an_edit_beside_it(scripts: Path, tmp_
     assert start(outer, cache) == ("1.375 0\nTrue", "")
 
 
-def test_a_kernel_finds_what_only_numba_offers(tmp_path: Path) -> None:
-    """One that calls numba's allocator is loaded with it: LLVM ends a program where an address is missing."""
+def test_a_cached_kernel_may_call_numba_s_allocator(tmp_path: Path) -> None:
+    """LLVM would abort the process if the symbol of the allocator were missing."""
     script, cache = tmp_path / "allocates.py", tmp_path / "cache"
     script.write_text(ALLOCATES)
     assert start(script, cache) == ("1000 0 True", "")
@@ -131,7 +132,7 @@ def test_a_kernel_finds_what_only_numba_offers(tmp_path: Path) -> None:
 
 
 def flip(place: float) -> Callable[[Path, bytes], object]:
-    """Changes one bit, so far into the file."""
+    """Return a function that flips one bit at this fraction of the file."""
 
     def change(kept: Path, whole: bytes) -> None:
         data = bytearray(whole)
@@ -163,12 +164,12 @@ DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
     "link": lead_elsewhere,
     "other_pickle": pickle_other,
 }
-"""What is put in the place of a kept kernel, which has that name."""
+"""Name of a kernel, and the damage to its cached file."""
 
 
-def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None:
-    """A program starts though a kept kernel has one bit changed, or is what a crash, a full disk or an accident left.
-    It names the file, compiles the kernel, and keeps it again."""
+def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> None:
+    """A program starts with kernels that have a flipped bit, are truncated or were replaced. It names each file,
+    compiles the kernel and caches it again."""
     cache, script = tmp_path / "cache", scripts / "many.py"
     made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
     told = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
@@ -190,16 +191,16 @@ def test_what_is_damaged_is_compiled_anew(scripts: Path, tmp_path: Path) -> None
     assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
 
-def test_nothing_is_kept_elsewhere(scripts: Path) -> None:
-    """Without a folder to write to kernels are compiled in memory, and no file is written beside their source."""
+def test_no_files_are_written_outside_the_cache(scripts: Path) -> None:
+    """Without a writable folder, kernels are compiled in memory and no file is written next to their source."""
     printed, said = start(scripts / "outer.py", "/dev/null/none")
     assert printed == "4.0 0"
     assert said.count("not cached") == 1 and "SOFTFINGER_CACHE_DIR" in said
     assert sorted(path.name for path in scripts.rglob("*")) == ["inner.py", "outer.py"]
 
 
-def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
-    """Files that cannot be written whole are removed; the program of several kernels runs, and logs that once."""
+def test_a_program_runs_on_a_full_disk(tmp_path: Path) -> None:
+    """Incompletely written files are removed; the program runs, and logs the problem once for all kernels."""
 
     def no_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
@@ -212,7 +213,6 @@ def test_a_full_disk_is_no_reason_not_to_run(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 @as_root
 def test_a_disk_without_room(tmp_path: Path) -> None:
-    """The same on a file system that is full."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=8k,mode=0700", "tmpfs", str(disk)]
@@ -228,7 +228,7 @@ def test_a_disk_without_room(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None:
-    """Processes that compile the same kernel into the same folder at the same time leave one whole file."""
+    """Processes that compile the same kernel into the same folder concurrently leave one complete file."""
     cache = tmp_path / "cache"
     command = [sys.executable, "-B", str(scripts / "outer.py")]
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
@@ -239,8 +239,8 @@ def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None
     assert start(scripts / "outer.py", cache) == ("4.0 1", "")
 
 
-def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """Without HOME and without an entry in passwd there is no folder, which is said; a process still starts."""
+def test_a_program_runs_without_a_home(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """Without HOME and a passwd entry there is no cache folder; this is logged once."""
     for name in ("HOME", "XDG_CACHE_HOME", "SOFTFINGER_CACHE_DIR"):
         monkeypatch.delenv(name, raising=False)
     with monkeypatch.context() as patch:
@@ -257,7 +257,7 @@ def test_no_home_is_no_reason_not_to_run(monkeypatch: pytest.MonkeyPatch, caplog
 
 @as_root
 def test_a_user_without_a_name_still_starts() -> None:
-    """The same with a real user whom passwd does not know."""
+    """A real user without passwd entry starts the program."""
 
     def become() -> None:
         os.setgroups([])
@@ -277,7 +277,7 @@ def test_a_user_without_a_name_still_starts() -> None:
 
 
 class Planted:
-    """Unpickled, it leaves a file behind."""
+    """Creates a folder when unpickled."""
 
     def __init__(self, proof: Path) -> None:
         self.proof = proof
@@ -288,10 +288,11 @@ class Planted:
 
 @as_root
 def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> None:
-    """A pickle with a right checksum, under the name that is looked for: it runs as us if it is ours, else it does not.
+    """A pickle with a valid checksum under the name of a kernel is executed only if file and folder belong to the
+    current user.
 
-    The first half shows that the plant works: without the check of owners it would run. A folder above the cache's is
-    checked in `test_folders_that_others_may_write_to_are_refused`.
+    The first half shows that the planted pickle would run without the check of owners.
+    `test_folders_that_others_may_write_to_are_refused` checks the parent folders.
     """
     cache, proof = tmp_path / "cache", tmp_path / "proof"
     start(scripts / "outer.py", cache)
@@ -312,7 +313,7 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> 
 
 
 def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
-    """The folder itself, one above it, or one that a link leads through; a sticky one only above."""
+    """The folder itself, a parent, or the target of a link is refused; a sticky folder is accepted as a parent only."""
     for number, mode in enumerate((0o777, 0o775, 0o770, 0o1777)):
         folder = tmp_path / str(number)
         (folder / "own").mkdir(parents=True)
@@ -330,14 +331,12 @@ def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
             make_private(link)
 
 
-def test_a_folder_that_another_process_makes_meanwhile_is_taken(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Two programs start on a fresh machine: both keep their kernels, whichever made the folder."""
+def test_a_folder_created_concurrently_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two programs starting on a fresh machine both use the folder, whichever creates it."""
     make = os.mkdir
 
     def second(path: Path, mode: int) -> None:
-        make(path, mode)  # the other one's
+        make(path, mode)  # created by the other process
         make(path, mode)
 
     monkeypatch.setattr(os, "mkdir", second)
@@ -346,7 +345,7 @@ def test_a_folder_that_another_process_makes_meanwhile_is_taken(
 
 
 def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
-    """A cache moved to another disk by a link is as good as any; a circle is not."""
+    """A cache moved to another disk by a link is used; a circular link is refused."""
     (tmp_path / "disk").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to("disk")
     make_private(tmp_path / "link" / "new")
@@ -358,7 +357,7 @@ def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
 
 @as_root
 def test_links_of_another_user_are_not(tmp_path: Path) -> None:
-    """In a folder that all may write to, such as /tmp, a link may be anybody's, and lead anywhere tomorrow."""
+    """In a folder writable by all, such as /tmp, a link of another user may be changed at any time."""
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared").chmod(0o1777)
     (tmp_path / "ours").mkdir(mode=0o700)
@@ -370,16 +369,16 @@ def test_links_of_another_user_are_not(tmp_path: Path) -> None:
         make_private(link)
 
 
-def test_a_class_is_seen_wherever_a_signature_has_it() -> None:
-    """In a tuple, in rows of many, behind a type given as an argument: a kernel is kept under its file, too."""
+def test_kinds_in_finds_a_class_in_any_signature() -> None:
+    """A class is found in a tuple, in `Rows` and behind a TypeRef, so its file is part of the cache key."""
     plane = Plane((0.0, 0.0, 1.0), 0.0)
     for given in (plane, (1.0, plane), Rows([plane, plane])):
         kind = numba.typeof(given)
         assert Plane in kinds_in((kind,)) and Plane in kinds_in((numba.types.TypeRef(kind),))
 
 
-def test_a_c_function_on_demand_waits_until_its_address_is_asked_for(tmp_path: Path) -> None:
-    """Until then nothing is compiled; then it is, once, and kept."""
+def test_a_c_function_on_demand_is_compiled_on_first_use(tmp_path: Path) -> None:
+    """It is compiled and cached when its address is first read."""
     script, cache = tmp_path / "demand.py", tmp_path / "cache"
     script.write_text(ON_DEMAND)
     assert start(script, cache) == ("None True 42", "")

@@ -1,7 +1,8 @@
-"""Meshes that nobody should have made, in a hand that does not know: one clear error, or forces that are safe.
+"""Malformed meshes give one clear error, or safe forces.
 
-It compiles one type of scene, a mesh with friction, torsion and rolling, which takes half a minute; all other files of
-compiled meshes have the same."""
+Compiles one type of scene, a mesh with friction, torsion and rolling, which takes half a minute; all other files of
+compiled meshes share it.
+"""
 
 import numpy as np
 import pytest
@@ -20,26 +21,26 @@ from softfinger.proxy.record import AT
 TICKS = 3000
 STIFFNESS = 1000.0
 STATIC = 0.6
-"""Of the friction."""
+"""Friction coefficient."""
 OUTSIDE = R * (1.0 - 1e-9)
 LANES = 8
-"""Of the last node of a query, which are asked though its budget is used up."""
+"""Triangles of the last node of a query, which are tested although the budget is exhausted."""
 
 
 def smooth_and_rough(tmp_path, made, **keys):
-    """An engine without friction, which says how deep the probe is, and one with friction, torsion and rolling."""
+    """Return an engine without friction, for the depth of the probe, and one with friction, torsion and rolling."""
     file = saved(tmp_path, *made)
     smooth = engine(thing("part", "mesh", file=file, material=SLIPPERY, **keys))
     return smooth, engine(thing("part", "mesh", file=file, **keys))
 
 
 def is_outside(made, records):
-    """Whether the proxy is in every tick, of all triangles asked."""
+    """Return whether the proxy is outside of all triangles in every tick."""
     return brute_distances(balls_of(*made), records["proxy.position"]).min() >= OUTSIDE
 
 
 def asked_most(running, points):
-    """Nodes and triangles asked for the nearest one, at most."""
+    """Return the largest number of nodes and triangles visited by a query."""
     shape = running.scene.objects.body.shape
     found = np.zeros((len(points), 3))
     ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, found)
@@ -49,9 +50,9 @@ def asked_most(running, points):
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", hostile_meshes.MADE)
 def test_it_is_touched_safely(tmp_path, name):
-    """Pressed, dragged and lifted at random: outside of every triangle in every tick. Without friction the force is at
-    most the stiffness times the way from probe to proxy; friction displaces the proxy, and adds what its cone allows,
-    for each of three patches. No question asks more than its budget."""
+    """Pressed, dragged and lifted at random, the proxy is outside of every triangle in every tick. Without friction the
+    force is at most the stiffness times the distance from probe to proxy; friction displaces the proxy and adds at most
+    its cone for each of three patches. No query exceeds its budget."""
     made = hostile_meshes.MADE[name]()
     smooth, rough = smooth_and_rough(tmp_path, made)
     poses = hand(made, TICKS, R, np.random.default_rng(4))
@@ -72,25 +73,25 @@ def test_it_is_touched_safely(tmp_path, name):
     assert asked_most(smooth, np.concatenate([even["proxy.position"], poses[:, :3]])) <= BUDGET + LANES
 
 
-def test_what_is_mended_is_felt_as_the_whole(tmp_path):
-    """A ball with triangles twice, inverted and without area: where it is touched it is the ball."""
+def test_a_mended_mesh_equals_the_intact_one(tmp_path):
+    """A ball with duplicate, inverted and degenerate triangles gives the forces of the ball."""
     ball, poses = meshes.geodesic(12, 0.05), hand(meshes.geodesic(12, 0.05), TICKS, R, np.random.default_rng(5))
     whole, _ = smooth_and_rough(tmp_path, ball)
     mended, _ = smooth_and_rough(tmp_path, hostile_meshes.messy_ball(12, 0.05))
     expected, found = whole.run(poses), mended.run(poses)
     assert (expected["contact.mode"] > 0).mean() > 0.3
-    # Which of two triangles holds it at their edge is by their order, and a tick's way round an edge by what holds it.
+    # The order of two triangles decides which is touched at their edge, and thus the path around the edge.
     np.testing.assert_allclose(found["force"], expected["force"], rtol=0.0, atol=0.02)
     np.testing.assert_allclose(np.median(np.abs(found["force"] - expected["force"])), 0.0, atol=1e-9)
 
 
 @pytest.mark.scaled
 @pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
-def test_the_middle_of_a_socket(tmp_path, cases, room):
-    """Of a hollow ball by a share `room` wider than the fingertip, which begins in its centre: outside, whatever the
-    hand does, held whenever the hand is beyond the wall, and pushed back no harder than by the depth.
+def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
+    """In a hollow ball wider than the fingertip by a fraction `room`, the proxy stays outside of the triangles for any
+    motion, is in contact whenever the hand is beyond the wall, and the force is at most that of the depth.
 
-    Where it fits exactly, no search tells whether it touches: that is said in every tick, and it is not felt.
+    If it fits exactly, no search can decide on contact: `contact.budget` is set in every tick, and there is no force.
     """
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
@@ -111,20 +112,21 @@ def test_the_middle_of_a_socket(tmp_path, cases, room):
 
 
 @pytest.mark.parametrize("room", [0.1, 0.3])
-def test_a_fingertip_in_a_socket_goes_where_the_hand_is(tmp_path, room):
-    """Without friction the proxy comes to the side of the hand, whichever it was on, though all are about as near."""
+def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
+    """Without friction the proxy moves to the side of the hand from any other side, though all triangles are equally
+    close."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
         reach = R * (room + 0.2)
         records = go(smooth, np.repeat(reach * side[None], 300, axis=0))
-        # It rests on a facet, whose tangent is a facet's angle off, or in an edge between two.
+        # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
         assert records["proxy.position"][-1] @ side > 0.99 * room * R
         assert not records["contact.budget"][-1]
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, 2000.0])
-def test_a_vertex_that_is_nowhere_is_refused(tmp_path, wrong):
-    """In one line that names the object and the file."""
+def test_an_invalid_vertex_is_refused(tmp_path, wrong):
+    """The error is one line that names the object and the file."""
     made = meshes.geodesic(4, 0.05)
     vertices = made.vertices.copy()
     vertices[7, 1] = wrong
@@ -135,7 +137,7 @@ def test_a_vertex_that_is_nowhere_is_refused(tmp_path, wrong):
 
 
 def test_an_ellipsoid_is_refused_by_name(tmp_path):
-    """A fingertip that is no ball has no closed form on a triangle: one line names the mesh and the ellipsoid."""
+    """An ellipsoid fingertip has no closed form on a triangle: one line names the mesh and the ellipsoid."""
     part = thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(4, 0.05)))
     with pytest.raises(ConfigError, match="ellipsoid") as refused:
         engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
@@ -143,9 +145,9 @@ def test_an_ellipsoid_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["star", "messy", "crossing"])
-def test_a_proxy_that_is_late_does_not_let_the_force_jump(tmp_path, name):
-    """A hand that goes deep, up to six radii, and fast: the proxy takes its time round the object, and the force does
-    not change by more than the stiffness times what probe and proxy went."""
+def test_a_delayed_proxy_does_not_let_the_force_jump(tmp_path, name):
+    """A hand moves quickly, up to six radii deep, while the proxy moves around the object: the force changes by at most
+    the stiffness times the motion of probe and proxy."""
     made = hostile_meshes.MADE[name]()
     smooth, _ = smooth_and_rough(tmp_path, made)
     start = np.abs(made.vertices).max() + 2.0 * R
@@ -156,5 +158,6 @@ def test_a_proxy_that_is_late_does_not_let_the_force_jump(tmp_path, name):
     went = np.linalg.norm(np.diff(ways, axis=0), axis=1)
     went += np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1)
     jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
-    # The lift of a proxy among many facets is below a ten-thousandth of the radius, and so is what a pinch shares out.
+    # Lifting a proxy among many facets changes the force by less than 1e-4 of the radius, as does the distribution in a
+    # pinch.
     assert (jumps <= STIFFNESS * (went + 2e-4 * R)).all()

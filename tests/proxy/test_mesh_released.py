@@ -1,10 +1,9 @@
-"""Nothing holds a proxy but what it touches: strokes through thin walls, threads, bars and needles, by brute force.
+"""Proxies are blocked only by triangles they touch: strokes through thin walls, threads, bars and needles, compared
+with brute force.
 
-Compiled: a stroke is two thousand ticks. The type of scene is that of the other meshes.
-
-A fingertip without friction that stands still is held by the triangles that it touches, and the force on it is a sum of
-their normals, none of them pulling. That is asked of every kind of mesh, wherever a stroke has led, against distances
-from all triangles. A proxy that is held by anything else would be locked: in open space, and for ever.
+A fingertip without friction at rest is blocked by the triangles it touches, and its force is a sum of their normals
+with no negative weight. Every kind of mesh is checked along random strokes against distances computed in NumPy.
+Compiled only: a stroke takes two thousand ticks. The scene type is that of the other meshes.
 """
 
 from __future__ import annotations
@@ -28,16 +27,17 @@ from softfinger.proxy.record import AT, CAUSE_RESTART, FREE, ON_ITS_WAY
 pytestmark = pytest.mark.scaled
 Array = NDArray[np.float64]
 STEP = 1e-4
-"""m a tick: 0.1 m/s."""
+"""Travel per tick, m: 0.1 m/s."""
 STILL = 1e-7
-"""m a tick, below which a proxy stands still; a free one goes with the probe."""
+"""Travel per tick, m, below which a proxy counts as resting; a free proxy follows the probe."""
 STIFF = {"stiffness_n_per_m": 1000.0}
 UNEXPLAINED = 0.02
-"""Share of a direction: what is touched to 1e-4 r may differ by as much round a corner; a lock leaves some tenths."""
+"""Share of a direction: contacts within 1e-4 r may differ by as much around a corner; a blocked proxy leaves some
+tenths."""
 
 
 def feet(corners: Array, x: Array) -> Array:
-    """The points (m, 3) of triangles (m, 3, 3) nearest to `x` (3,): of the plane where that is inside."""
+    """Return the points (m, 3) of triangles (m, 3, 3) closest to `x` (3,)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal)
@@ -58,7 +58,8 @@ def feet(corners: Array, x: Array) -> Array:
 
 
 def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> float:
-    """Share of the direction from probe to proxy that is no sum of normals of what the proxy touches, 0 to 1."""
+    """Return the share, 0 to 1, of the direction from probe to proxy that no sum of normals of touched triangles
+    explains."""
     apart = proxy - feet(corners, proxy)
     far = np.linalg.norm(apart, axis=1)
     touched = apart[far < radius * (1.0 + 1e-4)] / far[far < radius * (1.0 + 1e-4)][:, None]
@@ -67,7 +68,7 @@ def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> fl
 
 
 def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: int) -> list[Array]:
-    """Straight ways from outside through a mesh, and out on the other side."""
+    """Return straight paths that enter a mesh from outside and leave on the other side."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 3.0 * radius
     found = []
@@ -84,7 +85,7 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
 @pytest.mark.parametrize("radius", [0.004, 0.001])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_holds_a_proxy_is_what_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
-    """Wherever it stands still with the probe elsewhere; and a proxy that touches nothing goes with the probe."""
+    """A resting proxy away from its probe is blocked by touched triangles; a proxy without contact has zero force."""
     mesh = KINDS[kind]
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
@@ -108,7 +109,7 @@ SWAY = {"kind": "sinusoid", "translation_m": [0.004, -0.003, 0.002], "frequency_
 
 
 SLIDES = ("tube", "needles")
-"""Off these a fingertip without friction slides on most ways."""
+"""Meshes off which a fingertip without friction slides on most strokes."""
 
 
 @pytest.mark.plain
@@ -117,8 +118,8 @@ SLIDES = ("tube", "needles")
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
 def test_what_holds_each_of_two_proxies(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
-    """On a mesh that sways each finger goes on its own stroke, in the mesh's frame as above; on one that stands still
-    they go through it against each other."""
+    """Two fingers follow separate strokes in the frame of a moving mesh, or opposite strokes through a fixed one; each
+    is blocked only by triangles it touches."""
     mesh, count = KINDS[kind], cases(3, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = thing("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
@@ -127,7 +128,7 @@ def test_what_holds_each_of_two_proxies(kind: str, moves: bool, tmp_path: Path, 
     ways = [strokes(mesh, f["radius_m"], np.random.default_rng(seed), count) for seed, f in enumerate(FINGERS)]
     for thumb, index in zip(*ways, strict=True):
         ticks = min(len(thumb), len(index)) // coarse
-        seconds = 1e-3 * np.arange(1, ticks + 1)[:, None]  # an object is where it is at the end of the tick
+        seconds = 1e-3 * np.arange(1, ticks + 1)[:, None]  # objects are at their position at the end of the tick
         sway = moves * np.sin(2.0 * np.pi * SWAY["frequency_hz"] * seconds) * SWAY["translation_m"]
         one = thumb[::coarse][:ticks]
         relative = {"thumb": one, "index": index[::coarse][:ticks] if moves else one[::-1]}
@@ -148,13 +149,13 @@ def test_what_holds_each_of_two_proxies(kind: str, moves: bool, tmp_path: Path, 
 
 @pytest.fixture(scope="module")
 def crumpled() -> meshes.Mesh:
-    """A hundred thousand large triangles every way through each other: a search seldom comes to its end."""
+    """A hundred thousand large intersecting triangles: a search rarely finishes within a tick."""
     return hostile_meshes.MANY["crumpled 100k"]()
 
 
 def test_a_stuck_proxy_starts_anew_where_the_probe_is(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
-    """Among triangles that no search of a tick comes to an end of, a proxy stands still; it does not when the probe is
-    in the open. Held on the far side is only what is held by what it touches."""
+    """Where no search finishes within a tick, a proxy rests, and restarts once the probe is in free space; a force at
+    the end of a stroke is explained by touched triangles."""
     file, radius = saved(tmp_path, *crumpled), 0.002
     running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(crumpled.vertices[crumpled.triangles])
@@ -171,8 +172,8 @@ def test_a_stuck_proxy_starts_anew_where_the_probe_is(crumpled: meshes.Mesh, tmp
 
 
 def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
-    """Where a fingertip begins in what it touches it is outside after a tick, or `contact.budget` is 1 and it is free:
-    the next tick's pose is then the first again. Where it touches nothing, to GRAZE, there is no force."""
+    """A fingertip that starts in contact is outside after a tick, or `contact.budget` is nonzero and it is free;
+    without contact (to GRAZE) there is no force."""
     file, radius = saved(tmp_path, *crumpled), 0.002
     running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     rng, balls = np.random.default_rng(2), balls_of(*crumpled)
@@ -195,8 +196,8 @@ def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_
 
 @pytest.mark.exhaustive
 def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
-    """In free space the force is that of the distance from all triangles, or `contact.budget` is 1. Compiled: the tree
-    of so many triangles takes plain Python a quarter of a minute."""
+    """In free space the magnet's force follows from the distance to all triangles, or `contact.budget` is nonzero.
+    Compiled only: plain Python builds the tree of so many triangles in 15 s."""
     file, radius, force, reach = saved(tmp_path, *crumpled), 1e-5, 2.0, 0.05
     magnet = {"kind": "magnet", "force_n": force, "range_m": reach, "exponent": 1.0}
     part = thing("part", "mesh", file=file, material=SLIPPERY, effect=[magnet])
@@ -213,14 +214,14 @@ def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_
     off = np.abs(np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1) - known)
     free, unknown = records[:, AT.contact_mode] == FREE, records[:, AT.contact_budget] != 0.0
     assert (off[free & ~unknown] < 1e-9 * force).all()
-    assert (off[free] > 1e-3 * force).any()  # else there was nothing to say
+    assert (off[free] > 1e-3 * force).any()  # otherwise the test would be empty
 
 
 @pytest.mark.plain
 @pytest.mark.parametrize("speed", [0.3, 3.0])
 def test_a_thin_wall_that_sweeps_over_is_met(speed: float, tmp_path: Path) -> None:
-    """A box thinner than its way in a tick, over a still hand that presses into a mesh: it takes the proxy along, as it
-    does on the plane that the mesh is."""
+    """A box thinner than its travel per tick sweeps over a resting hand that presses into a mesh: it moves the proxy as
+    it does on the equivalent plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.moved(meshes.sheet(0.2, 0.2, 8, 8), (-0.1, -0.1, 0.0)))
     wall = thing(
         "wall", "box", size_m=[2e-4, 0.1, 0.1], position_m=[0.01, 0.0, 0.0], material=SLIPPERY,
@@ -232,13 +233,13 @@ def test_a_thin_wall_that_sweeps_over_is_met(speed: float, tmp_path: Path) -> No
         np.asarray(engine(floor, wall, fingertip={"radius_m": 0.004}).run(posed(still)))[:, AT.proxy_position :][:, :3]
         for floor in floors
     )
-    assert on_plane[-1, 0] < -0.005  # it was met
+    assert on_plane[-1, 0] < -0.005  # the box met the finger
     np.testing.assert_allclose(on_mesh, on_plane, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.003])
 def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: Cases) -> None:
-    """Dragged over 12 000 triangles in a plane, up to four radii deep: the proxy of the plane itself."""
+    """Dragged over 12 000 coplanar triangles, up to four radii deep, the proxy equals that of a plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
     running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
     rng, t = np.random.default_rng(1), 1e-3 * np.arange(600)
@@ -252,13 +253,13 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
         np.testing.assert_allclose(records[:, AT.force : AT.force + 3], expected, rtol=0.0, atol=1000.0 * 1e-9)
         proxies = records[:, AT.proxy_position : AT.proxy_position + 3]
         there = np.column_stack([way[:, :2], np.maximum(height, radius)])
-        np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # what is asked of a plate; rounding is 1e-15
+        np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
 
 
 def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> None:
-    """Where the fingertip comes to within 0.1 um of a vertex, two facets away in the tick before. Deeper than the
-    radius a search that begins on a facet beside the vertex leads away from it, from facet to facet; and the tilted
-    plane of one that the fingertip is beyond lifts it off the others by too little to be seen in a gap."""
+    """The fingertip lands within 0.1 um of a vertex, two facets away from its previous tick. Deeper than the radius, a
+    search that starts on a facet next to the vertex moves away from it facet by facet, and the tilted plane of a facet
+    that the fingertip has passed lifts it off the others by less than a gap can show."""
     radius, pitch, rng = 0.01, 0.2 / 78, np.random.default_rng(5)
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
     running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
@@ -273,7 +274,7 @@ def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> Non
         running.reset()
         last = np.asarray(running.run(posed(np.concatenate([down, over, [[*end, z]]]))))[-1]
         proxy = last[AT.proxy_position : AT.proxy_position + 3]
-        np.testing.assert_allclose(proxy, [*end, radius], rtol=0.0, atol=1e-9)  # what is asked of a plate
+        np.testing.assert_allclose(proxy, [*end, radius], rtol=0.0, atol=1e-9)  # required of a plate
 
 
 @pytest.mark.plain
@@ -281,8 +282,8 @@ def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> Non
 def test_contacts_make_up_the_force_or_the_proxy_is_said_to_be_on_its_way(
     kind: str, tmp_path: Path, cases: Cases
 ) -> None:
-    """From deep inside a proxy goes round what is in its way for some ticks: no contacts explain that force, and
-    `contact.budget` is 2. In all other ticks the force is the sum of `contacts`."""
+    """From deep inside, a proxy moves around obstacles for some ticks: `contact.budget` is 2 and no contacts explain
+    its force. In all other ticks the force is the sum of `contacts`."""
     mesh, radius = KINDS[kind], 0.001
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     running = engine(thing("part", "mesh", file=str(file)), fingertip={"radius_m": radius})

@@ -1,6 +1,6 @@
-"""The law of the normal force: closed forms, an impact against an independent integration, energy, and the file.
+"""Normal force laws: closed forms, an impact compared with an independent integration, energy, and the file.
 
-The plane is that of conftest.paper_mapping: K_n = 1000 N/m at d = 1 mm, no velocity filter, 1 kHz unless said.
+The plane is that of conftest.paper_mapping: K_n = 1000 N/m at d = 1 mm, no velocity filter, 1 kHz unless stated.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ LAWS: dict[str, dict[str, Any]] = {
 
 
 def spring(law: dict[str, Any], depth: Any) -> Any:
-    """K d (delta / d)^p, N."""
+    """Return K d (delta / d)^p, N."""
     normal = law.get("normal", {})
     d = normal.get("depth_m", D)
     return K * d * (np.maximum(depth, 0.0) / d) ** normal.get("exponent", 1.0)
 
 
 def force(law: dict[str, Any], depth: Any, inwards: Any) -> Any:
-    """The law as the page has it, N, at a depth, m, and a speed inwards, m/s."""
+    """Return the documented force, N, at a depth, m, and an inward speed, m/s."""
     elastic = spring(law, depth)
     viscous = law.get("damping_ns_per_m", 0.0) * inwards
     crossed = elastic * law.get("normal", {}).get("damping_s_per_m", 0.0) * inwards
@@ -59,7 +59,7 @@ def force(law: dict[str, Any], depth: Any, inwards: Any) -> Any:
 
 
 def smooth(law: dict[str, Any]) -> dict[str, Any]:
-    """Changes of the paper's plane: that law, and nothing but the normal force."""
+    """Return changes of the paper's plane that leave only a normal force with this law."""
     return {"rolling": None, "material": {**law, "friction": None, "torsion": None}}
 
 
@@ -69,14 +69,14 @@ def engine(name: str) -> Engine:
 
 
 def poses(depths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upright poses (n, 7) at these depths in the plane z = 0."""
+    """Return upright poses (n, 7) at these depths in the plane z = 0."""
     found = np.zeros((len(depths), 7))
     found[:, 2], found[:, 3] = R - depths, 1.0
     return found
 
 
 def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> NDArray[np.float64]:
-    """Normal forces (n,) N of a fresh contact at these depths, one a tick."""
+    """Return normal forces (n,), N, of a new contact at these depths, one per tick."""
     running.reset()
     return column(running.run(poses(depths), dt), "contact.normal_force")
 
@@ -86,7 +86,7 @@ def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> 
 
 @pytest.mark.parametrize("name", list(LAWS))
 def test_a_slow_press_has_the_closed_form(name: str) -> None:
-    """At rest at any depth f_N = K d (delta / d)^p; every other tick moves, and has another force."""
+    """At rest, f_N = K d (delta / d)^p at any depth; the intermediate ticks, which move, are skipped."""
     depths = np.repeat(np.concatenate([[-1e-3], np.geomspace(1e-6, 2e-2, 60), np.linspace(2e-2, 1e-5, 60)]), 2)
     found = pressed(engine(name), depths)[1::2]
     # R - depth is rounded to half an ulp of R, 9e-19 m, which the power multiplies by at most 3.
@@ -97,19 +97,19 @@ def test_a_slow_press_has_the_closed_form(name: str) -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize("speed", [0.01, 0.1, 0.4, 0.9])
 def test_a_press_at_a_speed_has_the_closed_form(name: str, speed: float) -> None:
-    """On the way in and out at a constant speed, 9 um a tick, the force is the law's at depth and speed."""
+    """Moving in and out at constant speed, 9 um per tick, the force is the law's at depth and speed."""
     step = 9e-6
     dt = step / speed
     way = np.arange(-5, int(0.004 / step)) * step
     depths = np.concatenate([way, way[-2::-1]])
     inwards = np.concatenate([[0.0], np.diff(depths) / dt])
     found = pressed(engine(name), depths, dt)
-    # The speed is the difference of two positions of about R: ulp(R) / dt = 2e-13 m/s at most.
+    # The speed is the difference of two positions of about R: at most ulp(R) / dt = 2e-13 m/s.
     assert found == pytest.approx(force(LAWS[name], depths, inwards), rel=1e-9, abs=1e-11)
 
 
 def test_hertz_is_the_force_between_a_sphere_and_a_half_space() -> None:
-    """K d^(1 - p) is 4/3 E* sqrt(r) where stiffness_n_per_m is 4/3 E* sqrt(r d)."""
+    """K d^(1 - p) is 4/3 E* sqrt(r) if stiffness_n_per_m is 4/3 E* sqrt(r d)."""
     modulus = 2.5e4
     law = {"normal": {"exponent": 1.5, "depth_m": D}, "stiffness_n_per_m": 4.0 / 3.0 * modulus * (R * D) ** 0.5}
     running = Engine(build(Scene, paper_mapping(**smooth(law)), "hertz"))
@@ -121,13 +121,13 @@ def test_hertz_is_the_force_between_a_sphere_and_a_half_space() -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize("load", [0.02, 1.0, 12.0])
 def test_depth_and_slope_under_a_force_are_those_of_the_law(name: str, load: float) -> None:
-    """`depth_under` is where the press has the force, `stiffness_under` the slope there, by central differences."""
+    """`depth_under` inverts the force law, and `stiffness_under` is its slope there by central differences."""
     material = build(Scene, paper_mapping(**smooth(LAWS[name])), "normal").object[0].material
     depth = material.depth_under(load)
     assert spring(LAWS[name], depth) == pytest.approx(load, rel=1e-12)
     h = 1e-5 * depth
     slope = (spring(LAWS[name], depth + h) - spring(LAWS[name], depth - h)) / (2.0 * h)
-    # Central differences err by h^2 f''' / 6, 1e-10 of the slope, and round by 1e-16 / 1e-5.
+    # Central differences have an error of h^2 f''' / 6, 1e-10 of the slope, and rounding of 1e-16 / 1e-5.
     assert material.stiffness_under(load) == pytest.approx(slope, rel=1e-9)
 
 
@@ -137,7 +137,7 @@ MASS = 0.2
 
 
 def leaving_speed(law: dict[str, Any], speed: float) -> float:
-    """Speed, m/s, at which a free mass leaves the plane, by scipy's DOP853."""
+    """Return the speed, m/s, at which a free mass leaves the plane, by SciPy's DOP853."""
 
     def rates(t: float, y: NDArray[np.float64]) -> list[float]:
         return [y[1], -float(force(law, y[0], y[1])) / MASS]
@@ -151,7 +151,7 @@ def leaving_speed(law: dict[str, Any], speed: float) -> float:
 
 
 def rendered_speed(running: Engine, speed: float, dt: float) -> float:
-    """The same with the contact step in the loop: velocity Verlet, whose error is of second order for the spring."""
+    """Return this speed with the contact step in the loop: velocity Verlet, of second order for the spring."""
     running.reset()
     running.step([0, 0, R + speed * dt], [1, 0, 0, 0], dt)
     x, v = R, -speed
@@ -166,15 +166,17 @@ def rendered_speed(running: Engine, speed: float, dt: float) -> float:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["Hertz", "Hunt-Crossley", "Hunt-Crossley, Hertz"])
-def test_an_impact_is_that_of_an_independent_integration(name: str) -> None:
-    """A mass thrown at the plane leaves it as DOP853 says, to first order in the time step, and then to second."""
+def test_an_impact_matches_an_independent_integration(name: str) -> None:
+    """The speed of a mass after impact equals DOP853's to first order in the time step, and to second order after
+    extrapolation."""
     speed = 0.2
     wanted = leaving_speed(LAWS[name], speed)
     coarse, fine = (rendered_speed(engine(name), speed, dt) for dt in (4e-5, 2e-5))
-    # Damping sees the speed of half a step ago: c a dt / 2 of the force, a = f / m at most 15 m/s^2, so 6e-4 of it.
+    # Damping uses the speed of half a step ago: an error of c a dt / 2 of the force, a = f / m at most 15 m/s^2, so
+    # 6e-4.
     assert fine == pytest.approx(wanted, rel=6e-4)
-    # Two steps extrapolate that away; what is left is of second order: (dt / 40 ms)^2, some 1e-6, and leaving the
-    # plane within a step, where the force is nothing.
+    # Extrapolating two steps cancels that; the remaining error is of second order, (dt / 40 ms)^2 or some 1e-6, and
+    # from leaving the plane within a step, where the force is zero.
     assert 2.0 * fine - coarse == pytest.approx(wanted, rel=2e-5)
 
 
@@ -182,18 +184,18 @@ def test_an_impact_is_that_of_an_independent_integration(name: str) -> None:
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.1, 0.2])
 @pytest.mark.parametrize("name", ["Hunt-Crossley", "Hunt-Crossley, Hertz"])
 def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
-    """c v - log(1 + c v) = -c e v - log(1 - c e v), whatever the mass and the spring; e = 1 - alpha v at its start."""
+    """c v - log(1 + c v) = -c e v - log(1 - c e v) for any mass and spring; for small v, e = 1 - alpha v."""
     c = 2.0
 
     def balance(e: float) -> float:
         return c * speed - log(1.0 + c * speed) + c * e * speed + log(1.0 - c * e * speed)
 
     exact = brentq(balance, 1e-3, 1.0 - 1e-9, xtol=1e-14)
-    # DOP853 at 1e-12, and the event's place.
+    # DOP853 at 1e-12, and the position of the event.
     assert leaving_speed(LAWS[name], speed) / speed == pytest.approx(exact, abs=1e-9)
     assert rendered_speed(engine(name), speed, 2e-5) / speed == pytest.approx(exact, abs=6e-4)
     alpha = 2.0 / 3.0 * c
-    # The published line is the series up to its second term; the third, by the equation above, is 4/9 (c v)^2.
+    # The published line is the series up to its second term; the third term, from the equation above, is 4/9 (c v)^2.
     assert exact == pytest.approx(1.0 - alpha * speed, abs=0.5 * (c * speed) ** 2)
 
 
@@ -204,7 +206,7 @@ def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(LAWS))
 def test_it_never_pulls_and_never_jumps(name: str) -> None:
-    """However it is moved, the force is within what depth and speed allow, so it is nothing at no depth."""
+    """For any motion, the force is between zero and the bound for depth and speed, which vanishes at zero depth."""
 
     @examples(8, 300)
     @given(handling())
@@ -227,8 +229,8 @@ def test_it_never_pulls_and_never_jumps(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(LAWS))
-def test_it_gives_no_energy(name: str) -> None:
-    """The work of the hand is at no tick less than the spring stores; so no closed cycle gives any."""
+def test_it_creates_no_energy(name: str) -> None:
+    """At every tick the work of the hand is at least the energy stored in the spring."""
 
     @examples(8, 300)
     @given(handling())
@@ -239,7 +241,7 @@ def test_it_gives_no_energy(name: str) -> None:
         exponent = LAWS[name].get("normal", {}).get("exponent", 1.0)
         depth = column(records, "contact.penetration")
         stored = spring(LAWS[name], depth) * depth / (exponent + 1.0)
-        # Some hundred sums of 1e-2 J at most, rounded.
+        # Sums of some hundred terms of at most 1e-2 J, rounded.
         assert (work_of_the_hand(records) - stored).min() >= -1e-15 * len(records)
 
     check()
@@ -247,7 +249,7 @@ def test_it_gives_no_energy(name: str) -> None:
 
 @pytest.mark.scaled
 def test_no_law_in_its_range_gives_energy_in_a_closed_cycle() -> None:
-    """The same over the ranges of the parameters: from outside, in and out again, and back to where it began."""
+    """The same over the ranges of the parameters, on paths that start and end outside."""
     running = Engine(build(Scene, paper_mapping(**smooth(LAWS["Hunt-Crossley, Hertz"])), "ranges"))
     crossed = st.floats(0.0, 100.0).map(lambda c: {"damping_s_per_m": c})
     plain = st.floats(0.0, 20.0).map(lambda b: {"damping_ns_per_m": b})
@@ -257,20 +259,21 @@ def test_no_law_in_its_range_gives_energy_in_a_closed_cycle() -> None:
     def check(depths: list[float], exponent: float, damping: dict[str, float]) -> None:
         viscous = damping.get("damping_ns_per_m", 0.0)
         normal = {"exponent": exponent, "damping_s_per_m": damping.get("damping_s_per_m", 0.0)}
-        # Both dampings in one kernel, as in a scene whose objects have either; a file may not say both of one.
+        # Both dampings in one kernel, as in a scene with objects of either kind; a file may not combine them in one
+        # object.
         law = Material(stiffness_n_per_m=K, damping_ns_per_m=viscous, normal=Normal(**normal))
         plane = build(Scene, paper_mapping(**smooth({})), "ranges")
         running.tune(replace(plane, object=(replace(plane.object[0], material=law),)))
         running.reset()
         records = running.run(poses(np.concatenate([[-1e-3], np.repeat(depths, 3), [-1e-3]])))
-        # Sums of a dozen products of the force and ways of 4 mm, rounded.
+        # Sums of a dozen products of the force and displacements of 4 mm, rounded.
         assert work_of_the_hand(records)[-1] >= -1e-16 * column(records, "contact.normal_force").max()
 
     check()
 
 
 def test_friction_follows_the_force_of_the_law(plane_scene: SceneFactory) -> None:
-    """Dragged at 2 mm of depth in Hertz's law the finger slides at mu_d f_N, after a peak of mu_s f_N."""
+    """Dragged at a depth of 2 mm with Hertz's law, the finger slides at mu_d f_N after a peak of mu_s f_N."""
     running = Engine(plane_scene(material={"normal": {"exponent": 1.5}}))
     way = poses(np.full(300, 0.002))
     way[:, 0] = np.linspace(0.0, 0.015, 300)
@@ -281,8 +284,8 @@ def test_friction_follows_the_force_of_the_law(plane_scene: SceneFactory) -> Non
     assert tangential[-1] == pytest.approx(0.5 * load, rel=1e-12)
 
 
-def test_in_a_corner_each_wall_presses_by_its_own_law() -> None:
-    """Pressed into two walls at right angles, each force is its wall's law of its own depth, along its own normal."""
+def test_each_wall_of_a_corner_has_a_separate_law() -> None:
+    """Each of two perpendicular walls presses along its normal with the force its law gives at its depth."""
     mapping = paper_mapping(**smooth({"normal": {"exponent": 1.5}}))
     floor = mapping["object"][0]
     springy = {"stiffness_n_per_m": 400.0, "normal": {"exponent": 2.0, "depth_m": 0.002}}
@@ -292,7 +295,7 @@ def test_in_a_corner_each_wall_presses_by_its_own_law() -> None:
     way[:, 0], way[:, 2], way[:, 3] = R - np.linspace(-1e-3, 3e-3, 40), R - np.linspace(-1e-3, 2e-3, 40), 1.0
     found = column(running.run(way), "force", 3)
     depths = R - way[:, [0, 2]]
-    # Where it rests between two planes is found to 1e-13 of the radius.
+    # The position of rest between two planes is accurate to 1e-13 of the radius.
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2
     assert found[:, 0] == pytest.approx(wall, abs=1e-12)
     assert found[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
@@ -300,13 +303,13 @@ def test_in_a_corner_each_wall_presses_by_its_own_law() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.2, True)])
-def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> None:
-    """A weight on Hertz's wall: a knock dies out where K(f) is below 2 b / T and grows above, as on a linear wall.
+def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) -> None:
+    """A perturbation of a weight on Hertz's wall decays if K(f) is below 2 b / T and grows above, as on a linear wall.
 
-    K T / 2 = b is Colgate and Schenkel's bound and, for a slow loop, the limit of Gil and others.
+    K T / 2 = b is the bound of Colgate and Schenkel and, for a slow loop, the limit of Gil et al.
     """
     mass, damping, period, weight = 0.2, 2.0, 0.001, 5.0
-    # For Hertz's law K(f) = 1.5 K (f / (K d))^(1/3), so K from K(f).
+    # For Hertz's law K(f) = 1.5 K (f / (K d))^(1/3); solved for K.
     wanted = share * 2.0 * damping / period
     stiffness = (wanted / 1.5) ** 1.5 / (weight / D) ** 0.5
     scene = build(Scene, paper_mapping(**smooth({**LAWS["Hertz"], "stiffness_n_per_m": stiffness})), "weight")
@@ -315,7 +318,7 @@ def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> 
     running.tune(scene)
     running.reset()
     running.step([0, 0, R + 0.001], [1, 0, 0, 0])
-    # Mass and damper under a held force, exactly.
+    # Exact solution of mass and damper under a constant force.
     kept = np.exp(-damping / mass * period)
     rest = R - scene.object[0].material.depth_under(weight)
     z, v, swing = rest, 1e-4, []
@@ -324,7 +327,7 @@ def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> 
         z, v = z + push * period + (v - push) * mass / damping * (1.0 - kept), push + (v - push) * kept
         swing.append(abs(z - rest))
     running.tune(build(Scene, paper_mapping(**smooth(LAWS["Hertz"])), "normal"))
-    # (b - K T / 2) / 2 m is 1/s either way: a factor of e^3 between the first and the last second.
+    # (b - K T / 2) / 2 m is 1/s in both cases: a factor of e^3 between the first and the last second.
     ratio = max(swing[-1000:]) / max(swing[:1000])
     assert ratio > 5.0 if grows else ratio < 0.2
 
@@ -345,13 +348,12 @@ def test_stability_goes_by_the_slope_at_the_force(share: float, grows: bool) -> 
     ],
 )
 def test_a_faulty_law_is_refused(material: dict[str, Any], message: str) -> None:
-    """With what to change."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(material=material), "test scene")
 
 
-def test_only_the_law_that_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the law, which is what gets compiled, has the parts that the scene names."""
+def test_only_the_law_of_the_scene_is_compiled(plane_scene: SceneFactory) -> None:
+    """The type of the law, which determines what is compiled, has only the parts in the scene."""
     linear = model.LinearNormal(1000.0, 0.0)
     hertz = model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0)
     for normal, law in [
@@ -365,7 +367,7 @@ def test_only_the_law_that_a_scene_says_is_compiled(plane_scene: SceneFactory) -
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    """Beside a bent law the others are of its type, with the exponent 1 and no damping of its kind."""
+    """In a scene with one nonlinear law, linear objects use its type with exponent 1 and no damping of that kind."""
     mapping = paper_mapping()
     table = mapping["object"][0]
     bent = {**table["material"], "normal": {"exponent": 1.5, "damping_s_per_m": 0.5}}
@@ -375,8 +377,8 @@ def test_objects_of_a_scene_share_one_law() -> None:
     assert other == model.HuntCrossley(model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0), 0.5)
 
 
-def test_a_linear_law_of_the_richer_type_has_the_same_bits() -> None:
-    """delta^1 is delta and c = 0 adds nothing, so a second object changes nothing about the first."""
+def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:
+    """delta^1 is delta and c = 0 adds nothing, so adding an object does not change the forces of others."""
     law = model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 3.0), 0.0)
     rng = np.random.default_rng(0)
     for depth, speed in zip(rng.uniform(-1e-3, 5e-3, 500), rng.normal(scale=0.3, size=500), strict=True):

@@ -1,4 +1,4 @@
-"""Shapes of other packages, each in one file, named in scene files and touched like those of this program."""
+"""Shapes of other packages, each in one file, named in scene files and touched like built-in shapes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ HALF_ANGLE = 0.5
 
 
 def outside(name: str) -> Iterator[ModuleType]:
-    """The module of a shape, and its table known only so long: other tests list the shapes that are here."""
+    """Import the module of a shape, and register its table only during the tests: others list all registered shapes."""
     before = list(schema.ObjectBase.added)
     sys.path.insert(0, str(OUTSIDE))
     try:
@@ -63,7 +63,7 @@ def beads() -> Iterator[ModuleType]:
 
 
 def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
-    """One object with friction and torsion, and rolling, as a scene file has them."""
+    """Return a scene with rolling and one object with friction and torsion."""
     material = {
         "stiffness_n_per_m": STIFFNESS,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -78,8 +78,8 @@ def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
 
 
 @pytest.mark.plain
-def test_a_shape_of_another_package_is_one_of_the_scene_format(cone: ModuleType) -> None:
-    """Its tag is known, its keys are checked, and a scene of it survives being written out and read again."""
+def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -> None:
+    """Its tag is accepted, its keys are checked, and a scene with it survives a round trip."""
     found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
     assert isinstance(found.object[0], cone.ConeTable)
     assert build(schema.Scene, describe(found), "again") == found
@@ -92,8 +92,8 @@ def test_a_shape_of_another_package_is_one_of_the_scene_format(cone: ModuleType)
 
 
 @pytest.mark.plain
-def test_a_tag_is_taken_once(cone: ModuleType) -> None:
-    """Two tables of one tag, or one of a shape that is here already, would leave it to chance which is meant."""
+def test_a_tag_is_registered_once(cone: ModuleType) -> None:
+    """A second table with a registered tag, or one without a tag, raises TypeError."""
     before = list(schema.ObjectBase.added)
     for tag in ("cone", "sphere"):
 
@@ -112,25 +112,27 @@ def test_a_tag_is_taken_once(cone: ModuleType) -> None:
 
 
 @pytest.mark.plain
-def test_cone_is_where_its_points_are(cone: ModuleType) -> None:
-    """The gap is the distance to the nearest of many points of the flank, and the point is on it, along the normal."""
+def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
+    """The gap is the distance to the closest of many points of the flank; the point is on the flank, along the
+    normal."""
     rng = np.random.default_rng(1)
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     spacing = 1e-4
-    line = np.arange(0.0, 0.3, spacing)[:, None] * [s, -c]  # in the half plane of the axis: distance from it, and z
+    # in the half plane through the axis: distance from it, and z
+    line = np.arange(0.0, 0.3, spacing)[:, None] * [s, -c]
     for x in rng.uniform(-0.1, 0.1, (50, 3)):
         gap, point, normal = closest(cone.Cone(s, c), tuple(x))
         level = np.hypot(x[0], x[1])
         nearest = np.hypot(*(line - [level, x[2]]).T).min()
-        # The point between two of the line is at most half a spacing away from one.
+        # Any point of the line is at most half a spacing from a sample.
         assert abs(abs(gap) - nearest) <= 0.5 * spacing
         assert (gap < 0.0) == (level * c + x[2] * s < 0.0)
         np.testing.assert_allclose(np.add(point, np.multiply(gap, normal)), x, atol=1e-15)
 
 
 @pytest.mark.plain
-def test_curvature_of_cone_is_how_its_normal_turns(cone: ModuleType) -> None:
-    """On the offset surface the normal turns by k1 along d1 and by k2 across, as finite differences have it."""
+def test_curvature_of_cone_is_the_rotation_of_its_normal(cone: ModuleType) -> None:
+    """On the offset surface the normal changes by k1 along d1 and by k2 across, by finite differences."""
     shape, step = cone.Cone(np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)), 1e-6
     for x in ((0.02, 0.01, -0.01), (0.003, 0.0, 0.002), (0.0, 0.001, 0.02)):
         _, point, normal = closest(shape, x)
@@ -138,19 +140,20 @@ def test_curvature_of_cone_is_how_its_normal_turns(cone: ModuleType) -> None:
         k1, k2, d1 = curvature(shape, RADIUS, point, normal)
         for k, d in ((k1, np.array(d1)), (k2, np.cross(normal, d1))):
             ahead, behind = (closest(shape, tuple(center + way * d))[2] for way in (step, -step))
-            # Central differences err by the square of the step, and by rounding over it.
+            # Central differences have an error of the square of the step, and rounding divided by it.
             np.testing.assert_allclose(np.subtract(ahead, behind) / (2.0 * step), k * d, atol=1e-6 * max(k1, 1.0))
 
 
 @pytest.mark.plain
 def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None:
-    """Along a straight line of the flank: touch, press, roll, spin, and drag until it slides, as on that plane.
+    """Along a straight line of the flank, touching, pressing, rolling, spinning and sliding give the records of the
+    tangent plane.
 
-    The normal curvature there is none, so the plane is the closed form of every column of the record.
+    The normal curvature along the line is zero, so the plane is the closed form of every column.
     """
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     normal, along, across = np.array([c, 0.0, s]), np.array([s, 0.0, -c]), np.array([0.0, 1.0, 0.0])
-    tick = np.arange(401)  # one thing changes in a tick: roll and spin at once would lead off the straight line
+    tick = np.arange(401)  # one change at a time: simultaneous roll and spin would leave the straight line
     depth = np.interp(tick, [0, 80, 400], [-0.00101, 0.001, 0.001])  # no tick at a depth of zero
     roll = np.interp(tick, [80, 160], [0.0, 0.3])
     spin = np.interp(tick, [160, 240], [0.0, 0.2])
@@ -162,18 +165,18 @@ def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None
         second = np.concatenate([[np.cos(b / 2)], np.sin(b / 2) * normal])
         row[3] = first[0] * second[0] - first[1:] @ second[1:]
         row[4:] = first[0] * second[1:] + second[0] * first[1:] + np.cross(second[1:], first[1:])
-    turn = np.arctan2(c, s)  # of the plane about y, so that its z axis is the normal
+    turn = np.arctan2(c, s)  # rotation of the plane about y that turns its z axis to the normal
     tilted = {"shape": "plane", "orientation_wxyz": [np.cos(turn / 2), 0.0, np.sin(turn / 2), 0.0]}
     on_cone = Engine(scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})).run(poses)
     on_plane = Engine(scene(tilted)).run(poses)
     assert {0, 1, 2} <= set(column(on_cone, "contact.mode").ravel().astype(int))
     assert column(on_cone, "contact.rolled").max() > 0.9 * RADIUS * 0.3
-    # Forces of the order of 1 N at 1000 N/m: 1e-9 N is a picometre, far above rounding and below any model's error.
+    # Forces of about 1 N at 1000 N/m: 1e-9 N is a picometre, far above rounding and below any modelling error.
     np.testing.assert_allclose(on_cone, on_plane, atol=1e-9)
 
 
-def test_defaults_serve_what_says_nothing_else_and_never_an_absent_part(cone: ModuleType) -> None:
-    """`otherwise` is for kinds that are there: None stays an error where nobody said what it means."""
+def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> None:
+    """`otherwise` serves every type without a kernel, but None raises TypeError."""
 
     @by_type
     def half(node: Any) -> Any: ...
@@ -240,10 +243,10 @@ material.stiffness_n_per_m = 1000.0
 
 
 def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
-    """Force, and kernels loaded, of a process of its own that touches a shape; the cache is in the folder, too."""
+    """Return the force of a touch and the number of cache hits, from a new process with its cache in the folder."""
     (folder / "scene.toml").write_text(SCENE.format(name=name, keys=keys))
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
-    script = folder / "touch.py"  # what only stands in a command line is not kept
+    script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(program.format(name=name))
     command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
@@ -251,9 +254,9 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     return done.stdout.strip()
 
 
-@pytest.mark.exhaustive  # the beads below show it of a shape that is called, too
-def test_an_edited_shape_is_compiled_anew(tmp_path: Path) -> None:
-    """The step is this program's and is kept, but not for a shape whose file has changed since."""
+@pytest.mark.exhaustive  # the beads below also test this, with a called kernel
+def test_an_edited_shape_is_compiled_again(tmp_path: Path) -> None:
+    """The step is cached, but compiled again after the file of the shape changes."""
     file = tmp_path / "softfinger_cone.py"
     shutil.copy(OUTSIDE / file.name, file)
     keys = "half_angle_rad = 0.5"
@@ -283,7 +286,7 @@ def beads_of(file: Path) -> dict[str, Any]:
 
 
 def rolling_over(ball: Array) -> Array:
-    """Poses (300, 7) that touch a ball from above, roll, and go on until the fingertip slides."""
+    """Return poses (300, 7) that touch a ball from above, roll, and move on until the fingertip slides."""
     t = np.linspace(0.0, 1.0, 300)
     poses = np.zeros((len(t), 7))
     depth = np.interp(t, [0.0, 0.2, 1.0], [-0.001, 0.001, 0.001])
@@ -296,8 +299,8 @@ def rolling_over(ball: Array) -> Array:
 
 
 @pytest.mark.plain
-def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_file: Path) -> None:
-    """Each ball of the array gives what the sphere of this program gives in its place, with friction and rolling."""
+def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) -> None:
+    """Each ball of the array gives the records of a built-in sphere at its position, with friction and rolling."""
     engine = Engine(scene(beads_of(balls_file)))
     for ball in BALLS:
         sphere = {"shape": "sphere", "radius_m": ball[3], "position_m": ball[:3].tolist()}
@@ -310,8 +313,9 @@ def test_balls_of_an_array_are_touched_as_spheres_are(beads: ModuleType, balls_f
 
 
 @pytest.mark.plain
-def test_results_do_not_depend_on_where_the_array_lies(beads: ModuleType, balls_file: Path) -> None:
-    """Two engines whose arrays lie apart give the same bits, through one compiled kernel; nothing else is longer."""
+def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, balls_file: Path) -> None:
+    """Two engines whose arrays have different addresses give the same bits with one compiled kernel; only the address
+    differs in their parameters."""
     one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
     first, second = one.scene.objects.body.shape.balls, other.scene.objects.body.shape.balls
     assert first.address != second.address
@@ -322,7 +326,7 @@ def test_results_do_not_depend_on_where_the_array_lies(beads: ModuleType, balls_
 
 
 def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Path) -> None:
-    """The engine alone keeps it, through a change of parameters too, and nothing keeps it after the engine."""
+    """The engine holds the only reference, replaced by `tune` and released with the engine."""
     config = scene(beads_of(balls_file))
     engine = Engine(config)
     was = weakref.ref(engine.scene.objects.body.shape.balls.array)
@@ -339,8 +343,8 @@ def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Pat
     assert now() is None
 
 
-def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, balls_file: Path) -> None:
-    """What was replaced is let go only when two whole ticks have passed since: the first may still have read it."""
+def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, balls_file: Path) -> None:
+    """A replaced array is released after two complete ticks, because the first may still have read it."""
     rig, config = load_rig("replay"), scene(beads_of(balls_file))
     servo = Servo([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
     array = [servo.tuning.scene.objects.body.shape.balls.array]
@@ -351,7 +355,7 @@ def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, 
         array.append(servo._recent_tunings[-1].scene.objects.body.shape.balls.array)
         kept.append(weakref.ref(array.pop(0)))
         gc.collect()
-        # Of those replaced, the first is the loop's own argument.
+        # The first of the replaced ones is an argument of the loop.
         alive = [each() is not None for each in kept]
         expected = {
             0: [True],
@@ -365,7 +369,7 @@ def test_a_servo_keeps_an_array_until_its_loop_reads_another(beads: ModuleType, 
 
 
 def test_an_array_is_read_only(beads: ModuleType) -> None:
-    """In Python it refuses to be written to, in a kernel a write does not compile; the numbers given are copied."""
+    """Writing raises in Python and does not compile in a kernel; the given numbers are copied."""
     given = np.arange(6.0).reshape(2, 3)
     held = ReadOnly(given)
     given[0, 0] = 7.0
@@ -391,8 +395,9 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
-def test_an_outlined_kernel_is_linked_to_a_kept_caller(tmp_path: Path, program: str) -> None:
-    """A process that loads its caller from disk calls the query that it was compiled with; an edit of it is obeyed."""
+def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, program: str) -> None:
+    """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
+    again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")

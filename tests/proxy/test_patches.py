@@ -1,7 +1,7 @@
-"""A patch of contact for each object that holds the fingertip: friction, torsion and rolling in grooves, at seams and
-in pinches, against closed forms.
+"""One contact patch per object that touches the fingertip: friction, torsion and rolling in grooves, at seams and in
+pinches, compared with closed forms.
 
-Finger 10 mm, K = 1000 N/m, mu .6/.5. Pressed 1 mm into a groove of 90 degrees each wall bears f = 1 N / sqrt 2.
+Finger 10 mm, K = 1000 N/m, mu .6/.5. Pressed 1 mm into a 90 degree groove, each wall bears f = 1 N / sqrt 2.
 """
 
 from itertools import pairwise
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.plain
 R = 0.01
 SQRT2 = 2.0**0.5
 F = 1.0 / SQRT2
-"""Normal force of each wall of the groove, N."""
+"""Normal force on each wall of the groove, N."""
 GRIP = {"static": 0.6, "kinetic": 0.5}
 LATE = {"static": 0.2, "kinetic": 0.1}
 LIMP = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
@@ -31,13 +31,13 @@ STRONG = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 1.0}
 WALLS = (np.array([1.0, 0.0, 1.0]) / SQRT2, np.array([-1.0, 0.0, 1.0]) / SQRT2)
 ORDERS = ((0, 1), (1, 0))
 SOFT = {"fingertip": {"radius_m": R, "patch": {"shear_modulus_pa": 45e3, "rolling_loss": 0.4}}}
-"""A fingertip with Hertz's patch, under a load f of radius (3 f R / 16 G)^(1/3), as stiff against spin as f R."""
+"""Fingertip with a Hertzian patch: radius (3 f R / 16 G)^(1/3) and spin stiffness f R under a load f."""
 BASE = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
 PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "rolling": {"method": "rotation_vector"}}
 
 
 def facing(normal):
-    """Quaternion that turns +z to `normal` (3,)."""
+    """Return the quaternion that rotates +z to `normal` (3,)."""
     n = np.asarray(normal, float) / np.linalg.norm(normal)
     q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
     return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
@@ -65,7 +65,7 @@ def wall(name, normal, stuff=None, offset=0.0, **keys):
 
 
 def tile(name, x, y=0.0, edge=0.1, stuff=None):
-    """A box whose top is z = 0."""
+    """Return a box whose top face is z = 0."""
     return {
         "name": name,
         "shape": "box",
@@ -76,7 +76,8 @@ def tile(name, x, y=0.0, edge=0.1, stuff=None):
 
 
 def groove(order=(0, 1), stuff=(None, None), angle=None):
-    """Two planes whose line is y, in either order; 90 degrees, or with normals `angle` rad from z."""
+    """Return two planes that intersect in the y axis, in the given order; 90 degrees apart, or with normals `angle` rad
+    from z."""
     normals = WALLS if angle is None else [(s * np.sin(angle), 0.0, np.cos(angle)) for s in (1.0, -1.0)]
     return [wall(f"wall {i}", normals[i], stuff[i]) for i in order]
 
@@ -87,7 +88,7 @@ def engine(*things, **tables):
 
 
 def poses(points, vectors=None):
-    """Poses (n, 7) of points (n, 3), turned by rotation vectors (n, 3)."""
+    """Return poses (n, 7) with positions (n, 3) and rotation vectors (n, 3)."""
     points = np.asarray(points, float)
     vectors = np.zeros_like(points) if vectors is None else np.asarray(vectors, float)
     angles = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -105,7 +106,7 @@ def part(records, name, size=3):
 
 
 def pressing(goal, ticks=20):
-    """Points of a way straight down to a goal."""
+    """Return points of a straight path down to a goal."""
     above = np.add(goal, [0.0, 0.0, 0.003])
     return np.vstack([above, line(above, goal, ticks)])
 
@@ -116,7 +117,7 @@ PRESS = pressing(IN_GROOVE, 100)
 
 
 def in_groove(running, points, vectors=None):
-    """Records of a way in the groove, pressed 1 mm before."""
+    """Return the records of a path in the groove, after pressing 1 mm into it."""
     running.run(poses(PRESS))
     return running.run(poses(points, vectors))
 
@@ -128,10 +129,11 @@ def in_groove(running, points, vectors=None):
     [((GRIP, GRIP), 1.0 * F), ((GRIP, None), 0.5 * F), ((None, GRIP), 0.5 * F), ((GRIP, LATE), 0.6 * F)],
 )
 def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expected):
-    """mu_d1 f1 + mu_d2 f2, whichever wall comes first: 0.354 N with one of ice, 0.424 N with 0.5 and 0.1."""
+    """Friction along the groove is mu_d1 f1 + mu_d2 f2 in either order: 0.354 N if one wall is frictionless, 0.424 N
+    for 0.5 and 0.1."""
     running = engine(*groove(order, [material(law) for law in laws]))
     force = part(in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400)), "force")
-    # Dragged by 20 mm; what lies across decays by e for every 0.7 mm of slip.
+    # Dragged by 20 mm; the component across decays by a factor e per 0.7 mm of slip.
     np.testing.assert_allclose(force[-1], [0.0, -expected, 1.0], atol=1e-9)
 
 
@@ -139,7 +141,7 @@ def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expec
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
 def test_which_wall_was_touched_first_is_forgotten(order, shifted):
-    """Come to by one wall or the other, the drag is the same."""
+    """The drag does not depend on which wall was touched first."""
     running = engine(*groove(order, [material(None), material()]))
     begin = np.add(ABOVE, [shifted, 0.0, 0.0])
     running.run(poses(np.vstack([begin, line(begin, IN_GROOVE, 100)])))
@@ -148,7 +150,7 @@ def test_which_wall_was_touched_first_is_forgotten(order, shifted):
 
 
 def test_each_patch_is_in_the_record():
-    """Object, point, normal, force and mode of each wall; the forces add up."""
+    """The record holds object, point, normal, force and mode of each wall; the forces sum to the total."""
     running = engine(*groove(stuff=[material(), material(LATE)]))
     record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
     for i in (0, 1):
@@ -165,7 +167,7 @@ def test_each_patch_is_in_the_record():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_first_patch_is_the_one_that_bears_most(order):
-    """As deep in both walls: the one that is three times as stiff, whichever the scene names first."""
+    """At equal depth the wall that is three times as stiff is listed first, in either scene order."""
     running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
     record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
     for i in (0, 1):
@@ -177,28 +179,28 @@ def test_the_first_patch_is_the_one_that_bears_most(order):
 def test_equal_walls_give_no_moment_about_the_bisector():
     records = in_groove(engine(*groove()), line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))
     assert np.abs(part(records, "torque")[:, 2]).max() < 1e-15
-    # About the axis across: both forces along are sin 45 r below the centre.
+    # About the axis across: both friction forces act r sin 45 below the centre.
     np.testing.assert_allclose(part(records, "torque")[-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_spun_about_the_bisector_there_is_no_force_along(order):
-    """By symmetry: the patches rub to either side, and both resist the spin."""
+    """By symmetry the tangential forces cancel, and the torques add."""
     running = engine(*groove(order))
     spin = np.zeros((400, 3))
     spin[:, 2] = np.linspace(0.0, 1.0, 401)[1:]
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
     assert np.abs(part(records, "force")[:, :2]).max() < 1e-12
-    # Each rubs with mu_d f at r sin 45 from the bisector.
+    # Each patch rubs with mu_d f at a distance r sin 45 from the bisector.
     np.testing.assert_allclose(part(records, "torque")[-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_turned_about_the_axis_both_walls_rub(order):
-    """A shaft in a V-block: friction of each wall presses on the other, and they bear F (1 + mu) / (1 + mu^2) and
-    F (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
+    """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
+    (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove(order))
     turn = np.zeros((400, 3))
     turn[:, 1] = np.linspace(0.0, 1.0, 401)[1:]
@@ -215,9 +217,9 @@ ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
 def test_dragged_across_a_seam_friction_stays(order, speed):
-    """Two flush boxes are the plane they make: mu_d f_N from side to side."""
+    """Two flush boxes act like one plane: sliding friction is mu_d f_N on both sides of the seam."""
     running = engine(*[SEAM[i] for i in order])
-    half = min(0.03, 0.5 * speed)  # for a second at most
+    half = min(0.03, 0.5 * speed)  # at most one second
     start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
     running.run(poses(pressing(start)))
     records = running.run(poses(line(start, end, round(2.0 * half / speed * 1000.0))))
@@ -227,13 +229,15 @@ def test_dragged_across_a_seam_friction_stays(order, speed):
 
 
 def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
-    """Without friction: nothing for across and back at a depth d, (K1 - K2) d^2 / 2 for pressing and lifting apart."""
+    """Without friction, crossing and returning at depth d does no work; pressing on one box and lifting on the other
+    does (K1 - K2) d^2 / 2."""
     slick, stiffness, deep = {"static": 0.0, "kinetic": 0.0}, (1000.0, 300.0), 0.001
     boxes = [each | {"material": material(slick, stiffness_n_per_m=k)} for each, k in zip(SEAM, stiffness, strict=True)]
     running = engine(*boxes)
 
     def work(*corners):
-        """The hand's over a way, J: in a piece of it the force goes with the way, or at right angles to it."""
+        """Return the work of the hand along a path, J; on each segment the force varies linearly or is perpendicular to
+        the path."""
         way = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
         force = part(running.run(poses(way)), "force")
         running.reset()
@@ -241,27 +245,27 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
 
     (over_stiff, stiff), (over_soft, soft) = ([(x, 0.0, R), (x, 0.0, R - deep)] for x in (-0.005, 0.005))
     gained = 0.5 * (stiffness[0] - stiffness[1]) * deep**2  # 0.35 mJ
-    # Sums of hundreds of terms of up to 1e-5 J.
+    # Sums of hundreds of terms up to 1e-5 J.
     assert work(over_stiff, stiff, soft, stiff, over_stiff) == pytest.approx(0.0, abs=1e-15)
     assert work(over_soft, soft, stiff, over_stiff, over_soft) == pytest.approx(-gained, abs=1e-15)
     assert work(over_stiff, stiff, soft, over_soft, over_stiff) == pytest.approx(gained, abs=1e-15)
 
 
 def tiled(edge, stuff, side=10):
-    """A surface z = 0 of side x side flush boxes about the origin."""
+    """Return side x side flush boxes around the origin whose tops form the surface z = 0."""
     at = edge * (np.arange(side) - 0.5 * (side - 1))
     return [tile(f"tile {i} {j}", x, y, edge, stuff) for i, x in enumerate(at) for j, y in enumerate(at)]
 
 
 def all_over():
-    """Pressed, dragged, rolled and spun all over 30 mm x 30 mm."""
+    """Return poses that press, drag, roll and spin within 30 mm x 30 mm."""
     t = np.linspace(0.0, 20.0, 4000)
     points = np.stack([0.014 * np.sin(1.3 * t), 0.014 * np.sin(1.7 * t), R - 0.0006 + 0.001 * np.sin(2.9 * t)], axis=1)
     return poses(points, np.stack([0.9 * np.sin(1.1 * t), 0.9 * np.sin(1.9 * t), 0.5 * np.sin(2.3 * t)], axis=1))
 
 
 def deep():
-    """Twice as deep as the fingertip is thick: alone, a tile that is left would let the proxy fall round its edge."""
+    """Return the same path down to 20 mm depth: the edge of a single tile would release the proxy there."""
     way = all_over()
     way[:, 2] = np.linspace(R + 0.001, R - 0.02, len(way))
     return way
@@ -278,23 +282,25 @@ WAYS = {
 @pytest.mark.scaled
 @pytest.mark.parametrize(("way", "tip"), [*((way, {}) for way in WAYS), ("all over", SOFT)])
 def test_a_tiled_surface_is_the_plane_it_stands_for(cases, way, tip):
-    """A hundred flush boxes of 6 mm: nothing tells them from a plane."""
+    """A hundred flush boxes of 6 mm give the same records as a plane."""
     stuff = material(GRIP, LIMP)
     whole = WAYS[way]()
     way = whole[:: len(whole) // cases(200, len(whole))]
     plane, boxes = engine(wall("plane", (0, 0, 1), stuff), **tip).run(way), engine(*tiled(0.006, stuff), **tip).run(way)
     assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
-    # A roll by u over a seam lowers the proxy by u^2 / 2 r: below the rounding of r, u < 0.2 nm, the next box is not
-    # nearer. The contact point stays at the edge, and the normal is off by u / r: 4e-9 N m at 20 mm, 20 N.
+    # Rolling by u over a seam lowers the proxy by u^2 / 2 r. If that is below the rounding of r (u < 0.2 nm), the next
+    # box is not closer: the contact point stays at the edge, and the normal is off by u / r, which is 4e-9 N m at 20 mm
+    # and 20 N.
     for name, tolerance in (("force", 1e-11), ("proxy_position", 1e-11), ("contact_point", 2e-10), ("torque", 4e-9)):
-        # Rounding of 20 mm times 1000 N/m, and a sum of thousands of ticks.
+        # Rounding of 20 mm times 1000 N/m, summed over thousands of ticks.
         np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=tolerance)
     for name in ("contact_mode", "contact_rolled", "contact_spin", "contact_torsion", "contact_patch_radius"):
         np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
 
 
 def test_objects_have_the_numbers_of_the_file_however_they_are_asked():
-    """Nine balls, of which the kernels ask eight and more in a row, about a floor in the middle of the list."""
+    """Object indices match the scene file if a plane is listed between nine spheres; kernels process eight or more in a
+    row."""
     ball = {"shape": "sphere", "radius_m": 0.005, "material": material()}
     things = [ball | {"name": f"ball {i}", "position_m": [0.03 * i, 0.0, 0.05]} for i in range(9)]
     running = engine(*things[:4], wall("floor", (0, 0, 1)), *things[4:])
@@ -307,7 +313,7 @@ def test_objects_have_the_numbers_of_the_file_however_they_are_asked():
 
 
 def test_any_number_of_moving_objects_is_one_type():
-    """25 driven boxes compile to the code of four, and of four that stand still."""
+    """Scenes of 25 driven boxes, four driven boxes and four fixed boxes have the same compiled type."""
     moving = [each | {"motion": {"kind": "driven"}} for each in tiled(0.004, material(), 5)]
     fixed = tiled(0.004, material(), 2)
     scenes = [build_scene(build(Scene, BASE | PLAIN | {"object": each}, "")) for each in (moving, moving[:4], fixed)]
@@ -315,7 +321,7 @@ def test_any_number_of_moving_objects_is_one_type():
 
 
 def test_another_number_of_objects_is_another_scene():
-    """What runs has places for so many: tuned to fewer, a patch could be on one that is not there."""
+    """Tuning to a scene with fewer objects raises ValueError, because a patch could refer to a removed object."""
     more, fewer = (build(Scene, BASE | PLAIN | {"object": tiled(0.004, material(), side)}, "") for side in (4, 3))
     with pytest.raises(ValueError, match="other parts"):
         Engine(more).tune(fewer)
@@ -323,7 +329,7 @@ def test_another_number_of_objects_is_another_scene():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_rolled_across_a_seam_the_moment_stays(order):
-    """Torsion wound on one box is there on the next."""
+    """Torsion wound on one box persists on the next."""
     running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
     start = ON_SEAM - [0.004, 0.0, 0.0]
     running.run(poses(pressing(start)))
@@ -333,7 +339,7 @@ def test_rolled_across_a_seam_the_moment_stays(order):
     ticks = 400
     angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
     points = start + np.hstack([R * angles, np.zeros((ticks, 2))])
-    # Roll about y, in the world, after the spin.
+    # Roll about y in the world frame, after the spin.
     q_spin, half = np.array([np.cos(0.03), 0.0, 0.0, np.sin(0.03)]), 0.5 * angles[:, 0]
     c, s = np.cos(half), np.sin(half)
     q = np.stack([c * q_spin[0], s * q_spin[3], s * q_spin[0], c * q_spin[3]], axis=1)
@@ -344,7 +350,7 @@ def test_rolled_across_a_seam_the_moment_stays(order):
 
 
 def test_weight_shifted_between_walls_hands_the_moment_on():
-    """The moment about the normals goes as the share does, and never faster than the shift."""
+    """When the load shifts between walls, the torque changes no faster than the shift of the load."""
     running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))
     spin = np.zeros((300, 3))
     spin[:, 2] = np.linspace(0.0, 0.4, 301)[1:]
@@ -352,7 +358,8 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2001))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(2000), np.zeros(2000)], axis=1)
     torque = part(running.run(poses(points, np.tile(spin[-1], (2000, 1)))), "torque")
-    # A share changes by what the probe goes aside over the depth, 1 mm; what is held is at most k_z phi and r mu_s f.
+    # A wall's share changes by the sideways motion of the probe over the depth, 1 mm; the moment is at most k_z phi and
+    # r mu_s f.
     moved = np.abs(np.diff(aside))
     held = 2.0 * (0.05 * 0.4 + R * 0.6 * SQRT2)
     assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= held * moved / 0.001 + 1e-12).all()
@@ -362,17 +369,18 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     "law", [{}, {"exponent": 0.3}, {"model": "soft_finger_proxy"}], ids=["linear", "power", "proxy"]
 )
 def test_each_wall_winds_its_share_of_the_torsional_spring(law):
-    """Spun by phi about the bisector, each of two equal walls winds k_z / 2 by phi cos 45, about its own normal."""
+    """Spun by phi about the bisector, each of two equal walls winds k_z / 2 by phi cos 45 about its normal."""
     running = engine(*groove(stuff=[material(None, STRONG | law)] * 2), rolling=None)
     spin = np.zeros((50, 3))
     spin[:, 2] = np.linspace(0.0, 0.05, 51)[1:]
     records = in_groove(running, np.tile(IN_GROOVE, (50, 1)), spin)
-    # What of a turn by 1 mrad is about an axis 45 degrees off is that to a share of 1e-6 / 24.
+    # A rotation of 1 mrad about an axis 45 degrees off projects exactly up to a relative error of 1e-6 / 24.
     np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
 
 
 def test_a_spin_wound_on_one_wall_comes_to_another_as_far_as_it_is_about_its_normal():
-    """Between normals 60 degrees apart that is half of it; the wall where it was wound keeps the whole angle."""
+    """A spin wound on one wall is projected onto the normal of the next: half of it at 60 degrees between the normals;
+    the first wall retains the full angle."""
     normals = np.array([[0.5, 0.0, 0.75**0.5], [-0.5, 0.0, 0.75**0.5]])
     running = engine(*groove(angle=np.pi / 6.0, stuff=[material(None, STRONG)] * 2), rolling=None)
     on_one, on_both = (np.linalg.solve(normals[:, [0, 2]], gaps) for gaps in ([R - 0.001, R + 0.001], [R - 0.001] * 2))
@@ -388,7 +396,8 @@ def test_a_spin_wound_on_one_wall_comes_to_another_as_far_as_it_is_about_its_nor
 
 
 def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
-    """3/16 alpha r (f1 + f2) phi, however the two walls share the load, and so the energy that it holds."""
+    """The moment against rolling stays 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
+    stored energy."""
     running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
     turn = np.zeros((20, 3))
     turn[:, 1] = np.linspace(0.0, 0.02, 21)[1:]
@@ -401,13 +410,15 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
 
 
 BALL, DEEP, ARC = 0.05, 0.001, 0.4
-"""A ball's radius and the depth in it, m, and an angle on it, rad: stuck, 0.4 N if depth x angle is lost."""
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
 STUCK = material({"static": 5.0, "kinetic": 4.0})
 FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
 
 
 def over_the_ball(angles, turned):
-    """Records of a way over its top, by angles (n,) about y; the fingertip turned by angles (n,) about that axis."""
+    """Return the records of a path over the top of the ball by `angles` (n,) about y, with the fingertip rotated by
+    `turned` (n,) about that axis."""
     running = engine({"name": "ball", "shape": "sphere", "radius_m": BALL, "material": STUCK}, FAR)
     out = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
     running.run(poses(pressing((0.0, 0.0, BALL + R - DEEP))))
@@ -415,8 +426,8 @@ def over_the_ball(angles, turned):
 
 
 def test_a_fingertip_led_as_it_rolls_over_a_curve_is_not_wound():
-    """Its centre goes (R + r) d(phi) where it turns by d(theta) = (R + r) / r d(phi), and the probe, which is deeper,
-    (R + r - d) d(phi): not a slip. Half way and at the end, after the way back, nothing pulls it aside."""
+    """The centre moves by (R + r) d(phi) while the fingertip turns by d(theta) = (R + r) / r d(phi); the deeper probe
+    moves by (R + r - d) d(phi), which is no slip. The tangential force stays zero, out and back."""
     angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
     records = over_the_ball(angles, (BALL + R) / R * angles)
     assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back
@@ -424,8 +435,8 @@ def test_a_fingertip_led_as_it_rolls_over_a_curve_is_not_wound():
 
 
 def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
-    """The surface point that sticks keeps its normal, so the tangential force is K_t times the probe's way along it.
-    Let go on the way that it came, none is left."""
+    """The sticking surface point keeps its normal, so the tangential force is K_t times the displacement of the probe
+    along it, and returns to zero when the probe returns."""
     angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
     records = over_the_ball(angles, 0.0 * angles)
     wound = 1000.0 * (BALL + R - DEEP) * np.sin(angles)
@@ -436,11 +447,11 @@ def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
-    """The finger stands on a still floor. Friction of the wall, 0.25 N, is added along the floor; upwards it takes as
-    much from what the floor bears, and the force is that of the spring to the proxy at rest."""
+    """The finger rests on a fixed floor while a wall slides past. The wall's friction, 0.25 N, adds along the floor;
+    upwards it unloads the floor by the same amount, and the force is that of the spring to the resting proxy."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.0], "frequency_hz": 0.1}
     slides = wall("wall", (1, 0, 0)) | {"motion": motion}
-    # The motion is given in the wall's own frame, whose z is the normal, x is -z of the world, y is y.
+    # The motion is given in the wall's frame: z is the normal, x is -z of the world, y is y.
     slides["motion"]["translation_m"] = [0.0, 0.1 * along[1], 0.0] if along[1] else [-0.1, 0.0, 0.0]
     things = [wall("floor", (0, 0, 1)), slides]
     running = engine(*[things[i] for i in order])
@@ -456,7 +467,7 @@ def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_wall_that_moves_in_has_its_damping(order):
-    """The finger stands on the floor; the wall comes at 10 mm/s with 20 N s/m."""
+    """The finger rests on the floor while a wall with 20 N s/m moves in at 10 mm/s."""
     stuff = material(None, damping_ns_per_m=20.0)
     turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
     things = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
@@ -473,7 +484,7 @@ def test_a_wall_that_moves_in_has_its_damping(order):
 
 
 def test_a_shallow_valley_is_the_plane_it_nearly_is():
-    """Dragged through a valley of one degree, friction is the plane's to what the slope changes."""
+    """Dragged through a valley of one degree, friction equals that of the plane up to the effect of the slope."""
     half = np.radians(0.5)
     running = engine(*groove(angle=half))
     start, end = np.array([-0.005, 0.0, R - 0.001]), np.array([0.005, 0.0, R - 0.001])
@@ -482,17 +493,17 @@ def test_a_shallow_valley_is_the_plane_it_nearly_is():
     plane = engine(wall("plane", (0, 0, 1)))
     plane.run(poses(pressing(start)))
     like = part(plane.run(poses(line(start, end, 800))), "force")
-    # A slope of half a degree tilts a force of 1 N by 9 mN, its depth is 44 um more at the ends, and that is 44 mN;
-    # friction has half of both. From 0.7 mm on both slide.
+    # A slope of half a degree tilts a force of 1 N by 9 mN; its depth is 44 um larger at the ends, which is 44 mN;
+    # friction adds half of both. After 0.7 mm both contacts slide.
     assert np.abs(force - like)[56:].max() < 0.07
-    # A tick of 12.5 um, two of which are the crease: as much as friction can change in it is 2 mu sin(1 degree) f.
+    # A tick of 12.5 um, two of which cross the crease: friction can change by at most 2 mu sin(1 degree) f.
     assert np.abs(np.diff(force[56:], axis=0)).max() < 2.0 * 0.5 * np.sin(2.0 * half) * 1.05
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_pinched_the_forces_add(order):
-    """Floor 1 mm deep, ceiling 3 mm: 1 N up, 3 N down, and friction in each."""
+    """Floor 1 mm deep, ceiling 3 mm deep: 1 N up, 3 N down, and friction on each."""
     gap = 2.0 * R - 0.004
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
     running = engine(*[things[i] for i in order])
@@ -503,7 +514,7 @@ def test_pinched_the_forces_add(order):
 
 
 def test_a_ceiling_that_comes_down_takes_hold_by_and_by():
-    """While there is room, the floor alone; from where the ceiling reaches the probe, a spring of its own."""
+    """Only the floor presses while there is room; once the ceiling reaches the probe, it adds a spring."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
     records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
@@ -515,31 +526,29 @@ def test_a_ceiling_that_comes_down_takes_hold_by_and_by():
 
 JAWS = [np.array([np.cos(a), np.sin(a), 0.0]) for a in 2.0 * np.pi / 3.0 * np.arange(3)]
 CLOSING = 0.003
-"""How far three jaws close in from 1 mm clear of the fingertip, m."""
+"""Travel of each jaw from 1 mm clearance, m."""
 
 
 def jaws():
-    """Three plates at 120 degrees, which close within half a second."""
+    """Return an engine with three plates at 120 degrees that close within half a second."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, CLOSING], "frequency_hz": 0.5}
     stuff = material(GRIP, STRONG)
     return engine(*(wall(f"jaw {i}", n, stuff, -R - 0.001) | {"motion": motion} for i, n in enumerate(JAWS)))
 
 
 def test_three_jaws_hold_a_finger_in_the_middle_with_a_force_each():
-    """Closed by t each bears K t, with no force in all; aside of the middle by s they push back as a spring K does.
-
-    As long as the jaws leave room the nearest does that alone, and nothing jumps where the room ends.
-    """
+    """Closed by t, each jaw bears K t with zero net force; at an offset s from the centre they act as a spring K. While
+    there is room only the nearest jaw does, and the force is continuous where the room ends."""
     running, aside = jaws(), 0.0004
     records = running.run(poses(np.tile([-aside, 0.0, 0.0], (500, 1))))
     t = CLOSING * np.sin(np.pi * (records[:, AT.timestamp] + 0.001)) - 0.001
     force = part(records, "force")
     closed, away = t > 0.0, t < -aside
     assert closed.sum() > 300 and away.sum() > 50
-    # All rounded by some 10 mm times 1000 N/m. The hand is at rest, and so is friction.
+    # Rounding of about 10 mm times 1000 N/m. The hand is at rest, so friction is zero.
     np.testing.assert_allclose(force[closed], np.tile([1000.0 * aside, 0.0, 0.0], (closed.sum(), 1)), atol=1e-11)
     np.testing.assert_allclose(force[away], 0.0, atol=1e-11)
-    fastest = 2.0 * np.pi * 0.5 * CLOSING * 0.001  # way of a jaw in a tick, m
+    fastest = 2.0 * np.pi * 0.5 * CLOSING * 0.001  # travel of a jaw in a tick, m
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() < 1000.0 * fastest
     for i in range(3):
         on = records[closed][:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]] == i
@@ -550,9 +559,10 @@ def test_three_jaws_hold_a_finger_in_the_middle_with_a_force_each():
 
 
 def test_three_jaws_resist_a_twist_and_a_tilt():
-    """Spun about their axis each rubs with mu_d K t at r; tilted about a normal each winds by what it sees of the tilt.
+    """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, each winds by the component of the tilt it sees.
 
-    Springs of a third each: k_z along a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the jaws.
+    Each has a third of the springs: k_z about a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the
+    jaws.
     """
     running, angle = jaws(), 0.01
     closed = running.run(poses(np.zeros((500, 3))))
@@ -560,14 +570,14 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     vectors = np.zeros((10, 3))
     vectors[:, 0] = np.linspace(0.0, angle, 11)[1:]
     tilted = part(running.run(poses(np.zeros((10, 3)), vectors)), "torque")
-    # A roll in steps of 1 mrad about an axis that turns with none of the patches: exact but for their product.
+    # A roll in steps of 1 mrad about an axis that no patch rotates about: exact up to second order.
     np.testing.assert_allclose(tilted[-1], [-0.5 * (0.05 + 1000.0 * R**2) * angle, 0.0, 0.0], atol=1e-9)
     running.reset()
     running.run(poses(np.zeros((500, 3))))
     vectors = np.zeros((200, 3))
     vectors[:, 2] = np.linspace(0.0, 1.5, 201)[1:]
     spun = part(running.run(poses(np.zeros((200, 3)), vectors)), "torque")
-    # The jaws have begun to open again, 0.7 s after they began to close.
+    # The jaws are opening again, 0.7 s after they started to close.
     load = 3.0 * 1000.0 * (CLOSING * np.sin(0.7 * np.pi) - 0.001)
     np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
 
@@ -578,7 +588,7 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_each_wall_has_the_contact_patch_of_its_own_load(order):
-    """Spun by phi about the bisector, each patch winds by phi / sqrt 2 against f R, up to mu_s 3 pi / 16 a f."""
+    """Spun by phi about the bisector, each patch winds by phi / sqrt 2 with stiffness f R, up to mu_s 3 pi / 16 a f."""
     running = engine(*groove(order, [material(GRIP, LIMP)] * 2), **SOFT)
     spin = np.zeros((300, 3))
     spin[:, 2] = np.linspace(0.0, 1.0, 301)[1:]
@@ -596,7 +606,7 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_each_wall_resists_rolling_by_its_own_load(order):
-    """Turned about the groove's axis without friction: 3/16 alpha a f of each wall, once it has slipped."""
+    """Rotated about the groove's axis without friction, each wall resists with 3/16 alpha a f once it slips."""
     running = engine(*groove(order, [material(None)] * 2), rolling=None, **SOFT)
     turn = np.zeros((300, 3))
     turn[:, 1] = np.linspace(0.0, 1.0, 301)[1:]

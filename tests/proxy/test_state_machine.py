@@ -1,4 +1,4 @@
-"""Free, rolling, sliding: each transition with its condition, and what must not cause one.
+"""Free, rolling, sliding: each transition with its condition, and conditions that must not cause one.
 
 The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz.
 """
@@ -26,7 +26,7 @@ EXACT = 1e-12
 
 
 def pressed(depth: float = 0.001) -> Hand:
-    """A hand that was free on its first tick and is pressed in from its second."""
+    """Return a hand that is free on its first tick and pressed in from its second."""
     return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
@@ -34,7 +34,7 @@ def pressed(depth: float = 0.001) -> Hand:
 
 
 def test_touch_is_the_first_tick_below_the_surface(plane_scene: SceneFactory) -> None:
-    """Contact begins where the gap falls under the radius, and not on it."""
+    """Contact starts when the gap is below the radius, not when it equals it."""
     engine = Engine(plane_scene())
     assert engine.step([0, 0, R], [1, 0, 0, 0]).mode == FREE
     step = engine.step([0, 0, R - 1e-9], [1, 0, 0, 0])
@@ -42,7 +42,7 @@ def test_touch_is_the_first_tick_below_the_surface(plane_scene: SceneFactory) ->
 
 
 def test_touch_starts_unwound(plane_scene: SceneFactory) -> None:
-    """A finger that lands moving and turning feels only the normal force on that tick."""
+    """On the tick of touch a moving, rotating finger has only a normal force."""
     engine = Engine(plane_scene())
     engine.step([-0.02, 0.01, R + 0.005], [1, 0, 0, 0])
     step = engine.step([0, 0, R - 0.001], [0.6, 0.48, 0.64, 0])
@@ -56,8 +56,8 @@ def test_touch_starts_unwound(plane_scene: SceneFactory) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [0.0005, 0.001, 0.003])
 def test_drag_begins_at_the_static_cone(plane_scene: SceneFactory, depth: float) -> None:
-    """A finger dragged without turning sticks until K times the way reaches mu_s f_N."""
-    step_m = 7e-6  # 0.6 of no depth tried is a multiple of it
+    """A finger dragged without rotation sticks until K times its displacement reaches mu_s f_N."""
+    step_m = 7e-6  # 0.6 of no tested depth is a multiple of it
     trace = drive(Engine(plane_scene()), pressed(depth).go(400, move=[400 * step_m, 0, 0]))
     slide = 1 + int(np.ceil(0.6 * depth / step_m))
     assert trace.events == [(1, "touch"), (slide, "drag")]
@@ -66,7 +66,7 @@ def test_drag_begins_at_the_static_cone(plane_scene: SceneFactory, depth: float)
 
 
 def test_drag_begins_where_the_normal_force_drops(plane_scene: SceneFactory) -> None:
-    """A finger held aside starts to slide when lifting takes mu_s f_N below the held force."""
+    """A finger pulled sideways starts to slide when lifting reduces mu_s f_N below the tangential force."""
     hand = pressed(0.002).go(60, move=[0.5e-3, 0, 0])
     start = hand.at
     hand.go(100, move=[0, 0, 0.0015])
@@ -91,7 +91,7 @@ def test_theta_max_grows_with_the_normal_force(plane_scene: SceneFactory) -> Non
 
 
 def test_stop_sticks_again_and_keeps_the_force(plane_scene: SceneFactory) -> None:
-    """A finger that stops sticks once its filtered slip speed is under 0.5 mm/s; force and spin stay."""
+    """A stopped finger sticks once its filtered slip speed is below 0.5 mm/s; force and spin persist."""
     hand = pressed().go(500, move=[0.025, 0, 0], turn=[0, 0, 0.03])
     stop = hand.at
     hand.go(200)
@@ -104,7 +104,7 @@ def test_stop_sticks_again_and_keeps_the_force(plane_scene: SceneFactory) -> Non
 
 
 def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
-    """Sliding at 0.1 mm/s, well under the speed at which a stop is seen, goes on sliding."""
+    """Sliding at 0.1 mm/s, well below the stop speed, continues."""
     hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
@@ -116,7 +116,8 @@ def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
 def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
     plane_scene: SceneFactory, resolution: float, way: float
 ) -> None:
-    """A reversal sticks when the deflection of 0.5 mm has fallen by 10 %, or by three encoder steps if that is more."""
+    """A reversal sticks when the deflection of 0.5 mm has decreased by 10 %, or by three encoder steps if that is
+    more."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     turn = hand.at
     step_m = 23e-6
@@ -127,7 +128,7 @@ def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
 
 
 def test_a_turn_across_the_slide_is_not_a_reversal(plane_scene: SceneFactory) -> None:
-    """Turning the corner by 90 degrees while sliding keeps sliding, and the force swings round with the motion."""
+    """Turning by 90 degrees while sliding does not stick, and the force rotates with the motion."""
     hand = pressed().go(200, move=[0.01, 0, 0]).go(400, move=[0, 0.02, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
@@ -136,7 +137,7 @@ def test_a_turn_across_the_slide_is_not_a_reversal(plane_scene: SceneFactory) ->
 
 
 def test_release_clears_everything(plane_scene: SceneFactory) -> None:
-    """Leaving ends the contact at the surface with zero force, and the next touch knows nothing of the last."""
+    """On release the force is zero, and the next touch does not depend on the previous contact."""
     hand = pressed().go(100, move=[0.01, 0, 0], turn=[0, 0, 0.05])
     hand.go_to(1, [0.01, 0, R + 0.001])
     out = hand.at
@@ -153,7 +154,7 @@ def test_release_clears_everything(plane_scene: SceneFactory) -> None:
 
 
 def test_release_from_sliding_at_the_surface(plane_scene: SceneFactory) -> None:
-    """A slide that lifts off ends exactly where the gap is the radius, with one event."""
+    """A slide that lifts off ends on the first tick with a gap of at least the radius, with one event."""
     hand = pressed().go(100, move=[0.005, 0, 0]).go(203, move=[0.01, 0, 0.002])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag", "release"]
@@ -162,7 +163,7 @@ def test_release_from_sliding_at_the_surface(plane_scene: SceneFactory) -> None:
 
 
 def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) -> None:
-    """A finger that withdraws so fast that damping cancels the force is still in contact until it is out."""
+    """A finger withdrawn so fast that damping cancels the force stays in contact until it is outside."""
     scene = plane_scene(material={"damping_ns_per_m": 10.0})
     trace = drive(Engine(scene), pressed(0.002).go(10).go(30, move=[0, 0, 0.006]))
     inside = (trace.poses[:, 2] < R) & (trace.normal_force == 0.0)
@@ -177,7 +178,7 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
 def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
-    """Three radians rolled to and fro with the hand on the contact: touch is the only event."""
+    """Three radians rolled back and forth, with the hand following the contact: touch is the only event."""
     along = R * np.cross(axis, [0, 0, 1])
     hand = pressed()
     for angle in (3.0, -2.0, 0.7, -0.01, 1.2):
@@ -188,28 +189,28 @@ def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float
 
 
 def test_a_roll_followed_with_a_lag_never_slides(plane_scene: SceneFactory) -> None:
-    """A hand drawn along by the coupling, 0.4 mm behind for a whole radian, keeps rolling under a steady force."""
+    """A hand that lags 0.4 mm behind the roll for a radian keeps rolling under a constant force."""
     hand = pressed().go(40, turn=[0.04, 0, 0]).go(1000, move=[0, -R, 0], turn=[1, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.events == [(1, "touch")]
-    # Were the whole roll counted and not what the hand lags, this would have slid at 0.06 rad.
+    # Counting the whole roll instead of the lag would slide at 0.06 rad.
     assert trace.force[41:] == pytest.approx(np.tile([0, -0.4, 1], (1001, 1)), abs=1e-11)
 
 
 def test_a_hand_that_follows_gets_its_cone_back(plane_scene: SceneFactory) -> None:
-    """After a roll of 0.05 rad the hand may follow it and go on by 0.6 mm before it slides."""
+    """After a roll of 0.05 rad the hand may follow it and move 0.6 mm further before it slides."""
     hand = pressed().go(50, turn=[0.05, 0, 0])
     start = hand.at
     hand.go(200, move=[0, -200 * 7e-6, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.events == [(1, "touch"), (start + int(np.ceil(1.1e-3 / 7e-6)), "drag")]
-    # The force crosses zero where the hand has caught up, and then opposes it.
+    # The force crosses zero when the hand has caught up, and then opposes it.
     assert trace.force[start, 1] == pytest.approx(-0.5, abs=EXACT)
     assert trace.force[-1, 1] == pytest.approx(0.5, abs=EXACT)
 
 
 def test_drag_against_a_roll_does_not_wind_up(plane_scene: SceneFactory) -> None:
-    """Rolling one way while dragging the other is bounded by the cone however long it goes on."""
+    """The cone bounds the force while rolling one way and dragging the other, for any duration."""
     trace = drive(Engine(plane_scene()), pressed().go(2000, move=[0, 0.05, 0], turn=[5, 0, 0]))
     assert len(trace.events) == 2
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
@@ -218,19 +219,19 @@ def test_drag_against_a_roll_does_not_wind_up(plane_scene: SceneFactory) -> None
 
 def test_friction_opposes_the_slip_not_the_hand(plane_scene: SceneFactory) -> None:
     """A sliding finger that rolls faster than the hand moves is pushed forward: slip is v - r w x n."""
-    # Surface speed of the roll: -50 mm/s along y; the hand goes -20 mm/s: the fingertip's skin slips along +y.
+    # Surface speed of the roll: -50 mm/s along y; the hand moves at -20 mm/s: the fingertip's skin slips along +y.
     trace = drive(Engine(plane_scene()), pressed().go(500, move=[0, -0.01, 0], turn=[2.5, 0, 0]))
     assert trace.causes == ["touch", "theta_max"]
     assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
 
 
 # --- the rows of the paper's table -----------------------------------------------------------------
-# Its conditions are on the normal force f_N, the tangential force f_T of the hand and their cone, the
-# normal distance a_N and the tangential motion a_T, v_T. One tick under each condition, and the tick after.
+# Conditions on the normal force f_N, the hand's tangential force f_T and their cone, the normal distance a_N and the
+# tangential motion a_T, v_T, checked on the tick that meets them and on the next.
 
 
 def test_paper_row_contact_is_broken(plane_scene: SceneFactory) -> None:
-    """f_N = 0 and a_N > 0, separating: rolling and sliding are both broken, on that tick."""
+    """f_N = 0 and a_N > 0, separating: rolling and sliding both end on that tick."""
     for drag in (0.0, 0.005):
         hand = pressed().go(50, move=[drag, 0, 0])
         trace = drive(Engine(plane_scene()), hand.go_to(7, [drag, 0, R + 1e-3]))
@@ -242,19 +243,19 @@ def test_paper_row_contact_is_broken(plane_scene: SceneFactory) -> None:
 
 
 def test_paper_row_rolling_is_kept(plane_scene: SceneFactory) -> None:
-    """f_N > 0, mu^2 f_N^2 - f_T^2 > 0 and no slip: rolling is kept, under every load inside the cone."""
+    """f_N > 0, mu^2 f_N^2 - f_T^2 > 0 and no slip: rolling continues under every load inside the cone."""
     hand = pressed()
     for angle in np.linspace(0, 2 * np.pi, 9):
         hand.go_to(20, [0.59e-3 * np.cos(angle), 0.59e-3 * np.sin(angle), R - 0.001])
     trace = drive(Engine(plane_scene()), hand)
     assert ((0.6 * trace.normal_force[1:]) ** 2 - trace.tangential[1:] ** 2 > 0.0).all()
     assert (trace.mode[1:] == ROLLING).all()
-    # No slip: the proxy stays where it touched.
+    # No slip: the proxy stays at the first contact point.
     assert trace.proxy[1:, :2] == pytest.approx(0.0, abs=1e-17)
 
 
 def test_paper_row_rolling_is_switched_to_sliding(plane_scene: SceneFactory) -> None:
-    """f_N > 0, mu^2 f_N^2 - f_T^2 = 0 and a_T not 0: rolling is switched to sliding, on that tick."""
+    """f_N > 0, mu^2 f_N^2 - f_T^2 = 0 and a_T not 0: rolling switches to sliding on that tick."""
     trace = drive(Engine(plane_scene()), pressed().go(100, move=[100 * 7e-6, 0, 0]))
     tick = trace.events[1][0]
     assert trace.events[1:] == [(tick, "drag")]
@@ -267,7 +268,7 @@ def test_paper_row_rolling_is_switched_to_sliding(plane_scene: SceneFactory) -> 
 
 
 def test_paper_row_sliding_is_kept(plane_scene: SceneFactory) -> None:
-    """f_N > 0 and mu_S^2 f_N^2 - f_T^2 = 0: sliding is kept, at any speed and under a changing load."""
+    """f_N > 0 and mu_S^2 f_N^2 - f_T^2 = 0: sliding continues at any speed and under a changing load."""
     hand = pressed().go(40, move=[0.002, 0, 0]).go(300, move=[0.002, 0.01, -0.001]).go(300, move=[-0.001, 0.03, 0.0015])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
@@ -277,10 +278,10 @@ def test_paper_row_sliding_is_kept(plane_scene: SceneFactory) -> None:
 
 
 def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> None:
-    """f_N > 0, mu_S^2 f_N^2 - f_T^2 > 0 and v_T = 0: sliding is switched to rolling, once the slip is over."""
+    """f_N > 0, mu_S^2 f_N^2 - f_T^2 > 0 and v_T = 0: sliding switches to rolling once the slip ends."""
     hand = pressed().go(100, move=[0.005, 0, 0])
     stop = hand.at
-    # Pressed deeper on the spot: the cone grows past the force, and nothing moves along the plane.
+    # Pressed deeper on the spot: the cone exceeds the force, and nothing moves along the plane.
     hand.go(200, move=[0, 0, -0.0005])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag", "stop"]
@@ -294,19 +295,19 @@ def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> 
 
 
 def test_rolling_moves_the_contact_on_the_object(plane_scene: SceneFactory) -> None:
-    """A classical proxy moves the contact on the finger only and lets it slip; here it moves on both alike."""
+    """A classical proxy moves the contact on the finger only, which slips; here it moves equally on both."""
     trace = drive(Engine(plane_scene()), pressed().go(300, move=[0, -0.3 * R, 0], turn=[0.3, 0, 0]))
     on_plane = trace.steps[-1].point - trace.steps[1].point
     before, after = trace.steps[1].finger_point, trace.steps[-1].finger_point
     on_finger = R * np.arccos(np.clip(before @ after / R**2, -1, 1))
-    # The two arcs are equally long: rolling without slip. arccos near 0.3 rad is good to 1e-15 / sin(0.3).
+    # Both arcs have the same length: rolling without slip. arccos near 0.3 rad is accurate to 1e-15 / sin(0.3).
     assert np.linalg.norm(on_plane) == pytest.approx(on_finger, rel=1e-12)
     assert on_finger == pytest.approx(0.3 * R, rel=1e-12)
     assert SLIDING not in trace.mode
 
 
 def test_any_tangential_force_is_not_enough_to_slide(plane_scene: SceneFactory) -> None:
-    """The coupling's own force while rolling does not end rolling: up to theta_max the contact stays rolling."""
+    """The force of the coupling does not end rolling below theta_max."""
     trace = drive(Engine(plane_scene()), pressed().go(590, turn=[0.059, 0, 0]))
     assert (trace.mode[1:] == ROLLING).all()
     assert trace.tangential[-1] == pytest.approx(0.59, abs=EXACT)
@@ -318,7 +319,7 @@ def test_any_tangential_force_is_not_enough_to_slide(plane_scene: SceneFactory) 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 5e-3])
 def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: float) -> None:
-    """A drag seen through encoders of 10 um and tremor of one step slips once and sticks once."""
+    """A drag measured by encoders of 10 um, with tremor of one step, slips once and sticks once."""
     hand, rng = pressed(depth), np.random.default_rng(7)
     way = np.concatenate([np.linspace(0, 0.03, 600), np.full(200, 0.03)])
     for i, x in enumerate(way):
@@ -336,7 +337,8 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
 def test_standing_still_does_not_chatter(
     plane_scene: SceneFactory, cases: Cases, kinetic: float, resolution: float, slide: float
 ) -> None:
-    """At rest under encoders that flicker by one step of 10 um, a finger sticks once for all, also with mu_d = mu_s."""
+    """At rest, with encoders that flicker by one step of 10 um, a finger sticks once and stays so, also with mu_d =
+    mu_s."""
     hand, rng = pressed(), np.random.default_rng(13)
     hand.go(200, move=[slide, 0, 0])
     rest, x = hand.at, hand.x.copy()
@@ -349,9 +351,9 @@ def test_standing_still_does_not_chatter(
 
 
 def test_the_stop_band_is_half_a_millimetre_a_second(plane_scene: SceneFactory) -> None:
-    """A slip of which the low-passed speed never falls into the band does not stop, one that does and rests does."""
-    # One tick of slip at 50 mm/s between pauses: each adds 4.5 mm/s to the low-passed speed, of which a pause of n
-    # ticks leaves the share 1.1^-n. That is in the band after 24 ticks at the earliest.
+    """A slip whose low-passed speed never enters the band does not stop; one that does, and rests, stops."""
+    # One tick of slip at 50 mm/s between pauses: each adds 4.5 mm/s to the low-passed speed, which a pause of n ticks
+    # multiplies by 1.1^-n. It enters the band after 24 ticks at the earliest.
     for pause, sticks in ((20, False), (80, True)):
         hand = pressed().go(100, move=[0.005, 0, 0])
         for _ in range(10):
@@ -362,7 +364,7 @@ def test_the_stop_band_is_half_a_millimetre_a_second(plane_scene: SceneFactory) 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, seed: int) -> None:
-    """On the tick of touch no deflection has been wound or was there before, so damping has nothing to act on."""
+    """On the tick of touch there is no deflection, so damping produces no tangential force."""
     rng = np.random.default_rng(seed)
     scene = plane_scene(
         coupling={"damping_ns_per_m": 1e3},
@@ -377,7 +379,7 @@ def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, 
         engine.step(origin + 0.02 * normal + 0.1 * rng.normal() * tangent, [1, 0, 0, 0])
         step = engine.step(origin + 0.009 * normal + 0.01 * rng.normal() * tangent, rng.normal(size=4))
         assert step.cause == "touch"
-        # Rounding of positions of 0.1 m, 3e-17 m, under a damper of 1e6 N/m for this tick.
+        # Rounding of positions of 0.1 m, 3e-17 m, with a damper of 1e6 N/m in this tick.
         assert step.tangential_force < 1e-9
         engine.step(origin + 0.02 * normal, [1, 0, 0, 0])
 
@@ -388,7 +390,7 @@ LETTER = {"rolling": {"state_machine": "paper"}}
 
 
 def test_letter_agrees_where_it_is_meant(plane_scene: SceneFactory) -> None:
-    """Held roll, theta_max and a plain drag: the literal rule switches where the default does."""
+    """For a held roll, theta_max and a plain drag, the literal rule switches on the same tick as the default."""
     held = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
     assert held.causes == ["touch"]
     assert held.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
@@ -401,7 +403,7 @@ def test_letter_agrees_where_it_is_meant(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_counter_tilt_disables_sliding(plane_scene: SceneFactory) -> None:
-    """A roll of one microradian against the drag, and no force is ever large enough: 25 N at f_N = 1 N."""
+    """A roll of one microradian against the drag disables sliding: 25 N at f_N = 1 N."""
     hand = pressed().go(1, turn=[0, 1e-6, 0]).go(500, move=[-0.025, 0, 0])
     trace = drive(Engine(plane_scene(**LETTER)), hand)
     assert trace.causes == ["touch"]
@@ -409,7 +411,7 @@ def test_letter_counter_tilt_disables_sliding(plane_scene: SceneFactory) -> None
 
 
 def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
-    """Dragging against a roll that stays under theta_max loads the coupling far outside the cone."""
+    """Dragging against a roll below theta_max loads the coupling far outside the cone."""
     hand = pressed().go(50, turn=[0.05, 0, 0]).go(500, move=[0, 0.01, 0])
     trace = drive(Engine(plane_scene(**LETTER)), hand)
     assert trace.causes == ["touch"]
@@ -417,14 +419,14 @@ def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_slides_a_finger_that_follows(plane_scene: SceneFactory) -> None:
-    """Counting the whole roll, a finger that follows its roll perfectly is made to slide at theta_max."""
+    """The literal rule counts the whole roll, so a finger that follows its roll perfectly slides at theta_max."""
     hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
     trace = drive(Engine(plane_scene(**LETTER)), hand)
     assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
 
 
 def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
-    """Held at exactly mu_d f_N, friction drives a hand that turns back: energy out of nothing."""
+    """Friction stays at exactly mu_d f_N and drives a reversing hand, which creates energy."""
     hand = pressed().go(200, move=[0.01, 0, 0])
     turn = hand.at
     hand.go(200, move=[-0.01, 0, 0])
@@ -435,14 +437,14 @@ def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_never_sticks_after_an_exact_stop(plane_scene: SceneFactory) -> None:
-    """Kept on the cone, the force is never inside it, so a finger at rest goes on sliding for good."""
+    """The force stays on the cone and never inside it, so a finger at rest keeps sliding."""
     trace = drive(Engine(plane_scene(**LETTER)), pressed().go(200, move=[0.01, 0, 0]).go(500))
     assert trace.causes == ["touch", "drag"]
     assert (trace.mode[-400:] == SLIDING).all()
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -> None:
-    """Its one way back: at rest along the plane, and pressed deeper."""
+    """It sticks if it is pressed deeper while resting along the plane."""
     hand = pressed().go(200, move=[0.01, 0, 0])
     stop = hand.at
     trace = drive(Engine(plane_scene(**LETTER)), hand.go(1).go(10, move=[0, 0, -0.0001]))
@@ -458,14 +460,15 @@ def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -
     ],
 )
 def test_letter_knows_coulomb_only(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
-    """The paper's rule beside a law the paper does not have is refused when the scene is read."""
+    """The paper's rule raises ConfigError when combined with a law outside the paper."""
     with pytest.raises(ConfigError, match=message):
         plane_scene(material=material, **LETTER)
 
 
 @pytest.mark.scaled
 def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases) -> None:
-    """Whatever the hand does, force stays in the static cone, torsion in its limit, the proxy outside, modes lawful."""
+    """Under random motion the force stays in the static cone, torsion within its limit, the proxy outside, and
+    transitions are valid."""
     rng = np.random.default_rng(11)
     lawful = {
         "touch": (FREE, ROLLING),
@@ -496,5 +499,5 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases)
             else:
                 assert (before, step.mode) == lawful[step.cause]
             seen.add(step.cause)
-    # Otherwise the loop above would prove less than it says.
+    # Every cause must have occurred, otherwise the loop above would check less.
     assert seen == set(CAUSE_NAMES) - {"restart"}  # which is for meshes

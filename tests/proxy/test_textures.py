@@ -1,7 +1,7 @@
-"""Textures: heights and friction from a file, against closed forms of sampled and filtered waves.
+"""Textures: heights and friction from a file, compared with closed forms of sampled and filtered waves.
 
-A fingertip of 10 mm on an object of 1000 N/m without damping, but for what a test says; poses are far apart where
-nothing depends on the velocity.
+Unless stated otherwise: a fingertip of 10 mm on an object of 1000 N/m without damping, with poses far apart if nothing
+depends on the velocity.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ SPEED = 0.5
 CUTOFF = SPEED / FREQUENCY_MAX_HZ
 EPS = float(np.finfo(float).eps)
 ROUNDING = 1e-11
-"""N, or a share of 1 N: cancellation in a depth of 1 mm of coordinates of 20 mm and slopes of some hundred cells."""
+"""N, or a fraction of 1 N: cancellation in a depth of 1 mm of coordinates of 20 mm and slopes of some hundred cells."""
 OBLIQUE = Wave(48, 40, SIZE, 1.5 * SIZE, (3, -2))
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Make:
-    """A scene with one textured object of a grid; changes are merged into its table."""
+    """Return a function that makes a scene with one textured object; changes are merged into its table."""
 
     def made(grid: Array, shape: dict[str, Any] | None = None, others: tuple[Any, ...] = (), **changes: Any) -> Any:
         file = tmp_path / f"{len(list(tmp_path.iterdir()))}.npy"
@@ -71,12 +71,12 @@ def scene(tmp_path: Path) -> Make:
 
 
 def poses_at(points: Array) -> Array:
-    """Poses (n, 7) of an unturned fingertip."""
+    """Return poses (n, 7) of an unrotated fingertip."""
     return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
 
 
 def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
-    """Points (count, 3) all over several periods, `depth` below where an even plane is touched."""
+    """Return random points (count, 3) over several periods, at this depth below first contact with an even plane."""
     points = np.random.default_rng(seed).uniform(-2.2 * SIZE, 2.2 * SIZE, (count, 3))
     points[:, 2] = R - depth
     return points
@@ -95,7 +95,7 @@ def extent(wave: Wave) -> dict[str, Any]:
 
 @pytest.mark.parametrize("wave", [OBLIQUE, Wave(64, 1, SIZE, SIZE, (4, 0)), Wave(3, 31, SIZE, SIZE, (0, 9))])
 def test_force_on_a_wave_is_that_of_the_potential_in_closed_form(scene: Make, wave: Wave) -> None:
-    """F = K (delta + h) (n - grad h), h = -H (1 - z): z the sampled wave behind filter and spline."""
+    """F = K (delta + h) (n - grad h), h = -H (1 - z), where z is the sampled wave after filter and spline."""
     points = over_plane(60)
     z, by_u, by_v = wave.texture(CUTOFF, points[:, 0], points[:, 1])
     load = K * (DEPTH - HEIGHT * (1.0 - z))
@@ -109,14 +109,14 @@ def test_force_on_a_wave_is_that_of_the_potential_in_closed_form(scene: Make, wa
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.5, 0.75, 1.0, 1.5])
-def test_ripple_above_the_cutoff_is_gone(scene: Make, speed: float) -> None:
-    """A wave of 2 mm: as strokes get faster it fades as the filter says, to a hundredth at the cutoff, and on."""
+def test_ripple_above_the_cutoff_is_removed(scene: Make, speed: float) -> None:
+    """A wave of 2 mm fades with the stroke speed as the filter prescribes, to 0.01 at the cutoff."""
     wave = Wave(100, 1, SIZE, SIZE, (10, 0))
     cutoff = speed / FREQUENCY_MAX_HZ
     points = over_plane(400)
     load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), points)[:, 2]
     ripple = 0.5 * np.ptp(load) / (0.5 * K * HEIGHT)
-    # Ten samples a wave: none on its crest, and the spline keeps sinc^4 of a tenth, with an image of 1 / 9^4 of that.
+    # Ten samples per wave: none on the crest. The spline retains sinc^4 of 0.1, with an image of 1 / 9^4 of it.
     sampled = np.sinc(0.1) ** 4 / np.cos(np.pi / 10.0)
     assert ripple == pytest.approx(sampled * REST ** ((cutoff / 2e-3) ** 2), rel=1e-3)
     assert ripple < REST or cutoff < 2e-3
@@ -124,10 +124,11 @@ def test_ripple_above_the_cutoff_is_gone(scene: Make, speed: float) -> None:
 
 @examples(70, 200)
 @given(pitch=st.floats(0.02, 3.0), turns=st.floats(0.0, 1.0), image=st.integers(-3, 3))
-def test_nothing_above_the_cutoff_keeps_more_than_a_hundredth(pitch: float, turns: float, image: int) -> None:
-    """However coarse the array: of a wave of `turns` / 2 of a turn a sample, and of its images in the spline.
+def test_frequencies_above_the_cutoff_are_reduced_to_a_hundredth(pitch: float, turns: float, image: int) -> None:
+    """For any pitch, a wave of `turns` / 2 of a turn per sample, and its images in the spline, are reduced above the
+    cutoff.
 
-    In units of the cutoff. An image at f + k / pitch has what the filter keeps at f, times sinc^4 there.
+    In units of the cutoff. An image at f + k / pitch has the filter's gain at f times sinc^4 at the image.
     """
     f = 0.5 * turns / pitch
     felt = abs(f + image / pitch)
@@ -136,12 +137,12 @@ def test_nothing_above_the_cutoff_keeps_more_than_a_hundredth(pitch: float, turn
 
 
 @pytest.mark.parametrize(("border", "rows"), [("period", 24), ("clamp", 24), ("period", 1), ("clamp", 1)])
-def test_filter_is_the_gaussian_mean_of_the_array_as_it_goes_on(border: str, rows: int) -> None:
-    """Against the sum itself: neighbours weighed by a Gaussian, over the array repeated or mirrored."""
+def test_filter_is_the_gaussian_mean_of_the_extended_array(border: str, rows: int) -> None:
+    """The filter equals a direct Gaussian-weighted sum over the repeated or mirrored array."""
     grid = np.random.default_rng(1).uniform(0.0, 1.0, (rows, 18))
     pitch, cutoff = (1.0e-3, 0.8e-3), 6.0e-3
     repeats = border == "period"
-    # The Gaussian whose transform is REST^((cutoff f)^2) = exp(-2 (pi sigma f)^2).
+    # Gaussian with the transform REST^((cutoff f)^2) = exp(-2 (pi sigma f)^2).
     sigma = cutoff * np.sqrt(-np.log(REST) / 2.0) / np.pi
     expected = grid
     for axis, step in ((1, pitch[0]), (0, pitch[1])):
@@ -151,13 +152,13 @@ def test_filter_is_the_gaussian_mean_of_the_array_as_it_goes_on(border: str, row
         wide = np.pad(expected, pads, mode="wrap" if repeats else "symmetric")
         lines = [np.convolve(line, weights / weights.sum(), "valid") for line in (wide if axis else wide.T)]
         expected = np.array(lines) if axis else np.array(lines).T
-    # Sampled at 2.9 and 3.6 spacings for sigma, a Gaussian has the transform of the whole one to less than rounding
-    # wherever the filter keeps anything: exp(-2 (pi sigma / spacing)^2) is 1e-72, and exp(-20) at the array's limit.
+    # Sampled at 2.9 and 3.6 spacings per sigma, a Gaussian has the continuous transform to rounding wherever the
+    # filter's gain matters: exp(-2 (pi sigma / spacing)^2) is 1e-72, and exp(-20) at the array's limit.
     np.testing.assert_allclose(filter_texture(grid, pitch, cutoff, (repeats, repeats)), expected, rtol=0.0, atol=1e-13)
 
 
 def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
-    """Points and steps (n, 3) of a quadrature along an edge of a box, exact for what is of degree 7 in each cell."""
+    """Return points and steps (n, 3) of a quadrature along an edge of a box, exact up to degree 7 in each cell."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     (axis,) = np.flatnonzero(end - begin)
     low, high = sorted((begin[axis], end[axis]))
@@ -172,24 +173,25 @@ def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_closed_way_over_a_frictionless_texture_gives_and_takes_nothing(scene: Make, seed: int) -> None:
-    """Work along the edges of a box, in and out between: the force is a polynomial in each cell, so it is exact."""
+def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, seed: int) -> None:
+    """The path follows the edges of a box, into and out of the object. The force is a polynomial in each cell, so the
+    quadrature is exact."""
     rng = np.random.default_rng(seed)
-    count = 15  # odd: the pieces of the spline end at whole cells from the middle
+    count = 15  # odd: the spline's pieces end at whole cells from the centre
     engine = Engine(scene(rng.uniform(size=(count, count))))
     (x0, x1), (y0, y1), (z0, z1) = (*rng.uniform(-SIZE, SIZE, (2, 2)), R - rng.uniform(HEIGHT, 2e-3, 2))
     way = [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1), (x0, y0, z1), (x0, y0, z0)]
     pairs = [gauss(np.array(a), np.array(b), SIZE / count) for a, b in pairwise(way)]
     points, steps = (np.concatenate(part) for part in zip(*pairs, strict=True))
     work = (forces(engine, points) * steps).sum(axis=1)
-    # A force is right to the rounding of coordinates of 20 mm in a depth of 0.2 mm, a hundred times that of a number.
+    # The force is accurate to the rounding of 20 mm coordinates in a depth of 0.2 mm, a hundred times that of a number.
     assert abs(work.sum()) < 100.0 * EPS * np.abs(work).sum()
     upright = work[steps[:, 2] != 0.0].sum()
-    assert abs(upright) > 1e6 * 100.0 * EPS * np.abs(work).sum()  # what going in and out alone would give
+    assert abs(upright) > 1e6 * 100.0 * EPS * np.abs(work).sum()  # work of the vertical edges only
 
 
-def test_valleys_are_not_felt_until_the_press_reaches_them(scene: Make) -> None:
-    """Less deep than a valley the force is zero there, in contact all the same, and never pulls."""
+def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> None:
+    """At a penetration smaller than the valley's depth the force is exactly zero, still in contact, and never pulls."""
     wave = Wave(64, 1, SIZE, SIZE, (2, 0))
     depth = 0.3 * HEIGHT
     points = over_plane(200, depth)
@@ -201,13 +203,13 @@ def test_valleys_are_not_felt_until_the_press_reaches_them(scene: Make) -> None:
     np.testing.assert_array_equal(rows[expected == 0.0][:, AT.force : AT.force + 3], 0.0)
 
 
-def test_damping_takes_its_energy_along_the_slope(scene: Make) -> None:
-    """With damping B the force is less by B (m . v) m, m = n - grad h: it takes B (m . v)^2 and gives none."""
+def test_damping_dissipates_along_the_slope(scene: Make) -> None:
+    """Damping B reduces the force by B (m . v) m with m = n - grad h, so its power is -B (m . v)^2."""
     damping, dt = 2.0, 1e-3
     grid = OBLIQUE.samples()
     engines = [Engine(scene(grid, extent(OBLIQUE), material={"damping_ns_per_m": b})) for b in (0.0, damping)]
     points = over_plane(30)
-    steps = np.random.default_rng(3).uniform(-2e-4, 2e-4, (30, 3))  # up to 0.2 m/s: the spring stays the stronger
+    steps = np.random.default_rng(3).uniform(-2e-4, 2e-4, (30, 3))  # up to 0.2 m/s: the spring force remains larger
     for point, step in zip(points, steps, strict=True):
         without, having = (engine.run(poses_at(np.stack([point - step, point])))[1] for engine in engines)
         elastic = without[AT.force : AT.force + 3]
@@ -229,7 +231,7 @@ AROUND = 2.0 * np.pi * 0.03 / 8.0
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(SHAPES))
 def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, cases: Cases, name: str) -> None:
-    """F = -grad (f_N^2 / 2K) by central differences, on faces, sides and ends, near edges and over them."""
+    """F = -grad (f_N^2 / 2K) by central differences, on faces, sides and ends, near and beyond edges."""
     wave = Wave(24, 24, AROUND, SIZE, (3, 2))
     engine = Engine(scene(wave.samples(), SHAPES[name] | extent(wave)))
     bare = Engine(scene(wave.samples(), SHAPES[name] | {"texture": None}))
@@ -258,7 +260,8 @@ def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, case
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
-    """u is the arc length on the cylinder from x on; under a probe at rho from the axis it changes R / rho as fast."""
+    """u is the arc length on the cylinder from x; under a probe at rho from the axis it changes R / rho times as
+    fast."""
     radius, wave = 0.03, Wave(32, 4, AROUND, SIZE, (2, 0))
     engine = Engine(scene(wave.samples(), SHAPES["hollow cylinder" if inside else "cylinder"] | extent(wave)))
     angle = np.linspace(-np.pi, np.pi, 41)
@@ -279,14 +282,14 @@ def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
 def test_each_face_of_a_box_has_the_two_other_coordinates(
     scene: Make, face: tuple[int, int, int], u: int, v: int, inside: bool
 ) -> None:
-    """In the order x, y, z, from the middle of the face, from outside and inside."""
+    """u and v are the remaining coordinates in the order x, y, z from the centre of the face, outside and inside."""
     wave = OBLIQUE
     box = SHAPES["box"] | extent(wave) | {"inside": inside}
     engine = Engine(scene(wave.samples(), box))
     normal = -np.array(face, float) if inside else np.array(face, float)
     half = 0.5 * abs(np.array(SHAPES["box"]["size_m"]) @ face)
     at = np.zeros((20, 3))
-    at[:, [u, v]] = np.random.default_rng(7).uniform(-0.01, 0.01, (20, 2))  # clear of the fade, and of other walls
+    at[:, [u, v]] = np.random.default_rng(7).uniform(-0.01, 0.01, (20, 2))  # away from the fade and from other walls
     z, by_u, by_v = wave.texture(CUTOFF, at[:, u], at[:, v])
     expected = np.tile(normal, (20, 1))
     expected[:, u], expected[:, v] = -HEIGHT * by_u, -HEIGHT * by_v
@@ -299,8 +302,8 @@ def test_each_face_of_a_box_has_the_two_other_coordinates(
 TURN = np.array([0.5, -0.1, 0.7, 0.5]) / np.linalg.norm([0.5, -0.1, 0.7, 0.5])
 
 
-def test_texture_goes_with_the_pose_of_its_object(scene: Make) -> None:
-    """Turned and moved together, hand and object feel the turned force."""
+def test_texture_moves_with_the_pose_of_its_object(scene: Make) -> None:
+    """Rotating and moving hand and object together rotates the force."""
     grid, place, points = OBLIQUE.samples(), np.array([0.02, -0.03, 0.01]), over_plane(40)
     there = {"position_m": place.tolist(), "orientation_wxyz": TURN.tolist()}
     at_rest = forces(Engine(scene(grid, extent(OBLIQUE))), points)
@@ -308,8 +311,8 @@ def test_texture_goes_with_the_pose_of_its_object(scene: Make) -> None:
     np.testing.assert_allclose(moved, at_rest @ matrix(TURN).T, rtol=0.0, atol=ROUNDING)
 
 
-def test_object_that_moves_takes_its_texture_along(scene: Make) -> None:
-    """A finger that rides on the object feels the same place of it in every tick."""
+def test_texture_moves_with_a_moving_object(scene: Make) -> None:
+    """A finger that moves with the object has the same force in every tick."""
     motion = {"kind": "sinusoid", "translation_m": [0.02, 0.01, 0.0], "frequency_hz": 1.5}
     engine = Engine(scene(OBLIQUE.samples(), extent(OBLIQUE), motion=motion))
     point, count = np.array([0.003, 0.001, R - DEPTH]), 700
@@ -321,8 +324,9 @@ def test_object_that_moves_takes_its_texture_along(scene: Make) -> None:
     np.testing.assert_allclose(riding, np.tile(expected, (count, 1)), rtol=0.0, atol=atol)
 
 
-def test_walls_of_a_corner_have_their_own_textures_or_none(scene: Make) -> None:
-    """Floor with a wave, a bare wall and another textured one, pressed at once: the sum of each alone."""
+def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
+    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
+    forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -338,7 +342,7 @@ def test_walls_of_a_corner_have_their_own_textures_or_none(scene: Make) -> None:
         Engine(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [other]}, "back")),
     ]
     for x in at:
-        # From the free: a first pose inside several objects meets the deepest alone.
+        # Start in free space: a first pose inside several objects touches only the deepest.
         way = np.stack([x + 2e-3, x, x])
         got = together.run(poses_at(way))[-1, AT.force : AT.force + 3]
         expected = sum(engine.run(poses_at(way))[-1, AT.force : AT.force + 3] for engine in alone)
@@ -346,27 +350,27 @@ def test_walls_of_a_corner_have_their_own_textures_or_none(scene: Make) -> None:
         together.reset()
 
 
-def test_clamped_border_goes_on_level(scene: Make) -> None:
-    """Beyond the array there is the value of its border, and no force along the surface across it."""
+def test_clamped_border_is_level(scene: Make) -> None:
+    """Beyond the array the value of its border applies, without a tangential force across it."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     engine = Engine(scene(grid, texture={"border": "clamp"}))
     y = np.linspace(-0.4 * SIZE, 0.4 * SIZE, 15)
     near, far = (forces(engine, np.stack([x + 0.0 * y, y, R - DEPTH + 0.0 * y], axis=1)) for x in (0.7 * SIZE, 90.0))
-    # Ninety metres out a cell's coordinate is known to 1e-11 of a cell.
+    # 90 m away the coordinate of a cell is accurate to 1e-11 of a cell.
     np.testing.assert_allclose(far, near, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(near[:, 0], 0.0, atol=ROUNDING)
     assert np.ptp(near[:, 2]) > 1e-3
 
 
 def test_clamped_border_of_a_cylinder_goes_on_level_along_it_and_repeats_around_it(scene: Make) -> None:
-    """Past the rows there is the value of the border, all round; an eighth of a turn on there is the same place."""
+    """Beyond the rows the value of the border applies all around; the texture repeats after an eighth of a turn."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
     engine = Engine(scene(grid, SHAPES["cylinder"], texture=texture))
     angle = np.linspace(0.1, 0.1 + np.pi / 4.0, 9)
     out = (0.03 + R - DEPTH) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     inside, near, far = (forces(engine, np.add(out, [0.0, 0.0, z])) for z in (0.3 * SIZE, 0.7 * SIZE, 9.0))
-    # Nine metres out a cell's coordinate is known to 1e-12 of a cell.
+    # 9 m away the coordinate of a cell is accurate to 1e-12 of a cell.
     np.testing.assert_allclose(far, near, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(near[:, 2], 0.0, atol=ROUNDING)
     for found in (inside, near):
@@ -386,19 +390,19 @@ LAWS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("law", list(LAWS))
-def test_sliding_friction_is_that_of_the_point_that_slides(scene: Make, law: str) -> None:
-    """mu(u, v) f_N at the contact point that a tick begins with, mu = mu_d times low + (high - low) z."""
+def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) -> None:
+    """Friction is mu(u, v) f_N at the contact point at the start of the tick, mu = mu_d times low + (high - low) z."""
     low, high = 0.4, 1.6
     texture = {"height_m": None, "friction_scale": [low, high], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
     friction = {"stiffness_n_per_m": K, "friction": FRICTION | LAWS[law]}
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
     x = np.linspace(0.0, 0.03, 400)
     rows = engine.run(poses_at(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
-    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 fall from static friction
+    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 decay from static friction
     before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
     z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
     got = rows[slides, AT.contact_tangential_force]
-    if law == "viscous":  # the slip speed is low-passed in the machine: 3 % of the speed of the stroke is its ripple
+    if law == "viscous":  # the slip speed is low-passed: its ripple is 3 % of the speed of the stroke
         speed = np.hypot(1.0, 0.4) * 0.03 / 399 * 1e3
         coefficient, rtol = FRICTION["kinetic"] + 2.0 * speed, 0.1
         assert coefficient > 1.3 * FRICTION["kinetic"]
@@ -411,20 +415,21 @@ def test_sliding_friction_is_that_of_the_point_that_slides(scene: Make, law: str
 
 @pytest.mark.parametrize(("x0", "value"), [(-0.25, 1.0 / 3.0), (0.25, 2.0 / 3.0)])
 def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> None:
-    """The drag at which a finger breaks away is mu_s times the factor of where it sticks: of a spline of 0, 1, 0, 1."""
+    """A finger slides when the drag reaches mu_s times the factor of its sticking point, from a spline of 0, 1, 0,
+    1."""
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)
     rows = engine.run(poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
     breaks = int(np.argmax(rows[:, AT.contact_mode] == SLIDING))
-    # On the level crest and floor of a wave of 1 m: a filter of 1 mm takes 5e-6 of it away.
+    # On the level crest and floor of a wave of 1 m, a filter of 1 mm removes 5e-6.
     limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
     assert rows[breaks, AT.contact_tangential_force] == pytest.approx(limit, rel=1e-5)
 
 
 @pytest.mark.parametrize("patch", [None, {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.0}])
 def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[str, float] | None) -> None:
-    """Where the factor is 0.5 + 1.5 2/3 a spin slips at 1.5 times mu_t f_N, or mu_s 3 pi / 16 a f_N of a patch."""
+    """With the factor 0.5 + 1.5 2/3 a spin slips at 1.5 times mu_t f_N, or mu_s 3 pi / 16 a f_N of a patch."""
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     material = {"friction": FRICTION, "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}
     made = scene(np.array([[0.0, 1.0]]), texture=texture, material=material)
@@ -435,12 +440,12 @@ def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[s
     poses[:, 3], poses[:, 6] = np.cos(half), np.sin(half)
     rows = Engine(made).run(poses)
     length = 0.004 if patch is None else FRICTION["static"] * 3.0 * np.pi / 16.0 * 0.004
-    # As above, 5e-6 of the wave is filtered away.
+    # As above, the filter removes 5e-6 of the wave.
     assert rows[-1, AT.contact_torsion] == pytest.approx(-1.5 * length * K * DEPTH, rel=1e-5)
 
 
 def test_friction_and_heights_from_one_texture(scene: Make) -> None:
-    """Sliding over hills: friction is mu_d factor f_N, of the normal force that the heights leave."""
+    """Sliding over a texture with heights, friction is mu_d times the factor times the resulting normal force."""
     texture = {"friction_scale": [0.5, 1.5], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material={"friction": FRICTION}))
     x = np.linspace(0.0, 0.03, 400)
@@ -454,7 +459,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     factor = 0.5 + OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])[0]
     drag = 0.5 * factor * load
     np.testing.assert_allclose(rows[slides, AT.contact_tangential_force], drag, rtol=1e-9)
-    # What is not friction is the slope's.
+    # The remaining tangential force is due to the slope.
     rest = rows[slides, AT.force : AT.force + 2] + (load * HEIGHT)[:, None] * np.stack([by_u, by_v], axis=1)
     np.testing.assert_allclose(np.linalg.norm(rest, axis=1), drag, rtol=1e-8)
 
@@ -469,10 +474,10 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     v=st.floats(-1.0, 1.0),
     border=st.sampled_from(["period", "clamp"]),
 )
-def test_texture_stays_between_its_lowest_and_highest_value(
+def test_texture_stays_between_its_minimum_and_maximum(
     tmp_path_factory: Any, grid: Array, u: float, v: float, border: str
 ) -> None:
-    """Whatever the array, and however far out."""
+    """The interpolated value stays in range for any array and any coordinate."""
     if grid.min() == grid.max():
         grid.flat[0] += 1.0
     file = tmp_path_factory.mktemp("grid") / "grid.npy"
@@ -481,11 +486,12 @@ def test_texture_stays_between_its_lowest_and_highest_value(
     thing = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": table}
     built = build_scene(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [thing]}, "test"))
     value = sample(built.objects.body.texture, u, v).value
-    assert -4.0 * EPS <= value <= 1.0 + 4.0 * EPS  # weights sum to 1 but for rounding
+    assert -4.0 * EPS <= value <= 1.0 + 4.0 * EPS  # weights sum to 1 up to rounding
 
 
-def test_array_is_reached_by_its_address_and_may_be_exchanged(scene: Make) -> None:
-    """A scene's parameters are as few for any array; another one is another number for the same code."""
+def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
+    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
+    compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -520,7 +526,8 @@ def test_faults_are_said(scene: Make, changes: dict[str, Any], said: str) -> Non
 
 
 def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The page's array and scene, saved in one folder, load from another, and are what `check` says."""
+    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
+    `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]
@@ -532,13 +539,14 @@ def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch:
     loaded = load_scene(tmp_path / "trunk.toml")
     texture = build_scene(loaded).objects.body.texture
     assert (texture.columns, texture.rows, texture.period_u) == (128.0, 128.0, 1.0)
-    assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)  # ten times round, to rounding
+    # ten times around, up to rounding
+    assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)
     assert build(schema.Scene, describe(loaded), "again") == loaded
     summary = dict(scene_summary(loaded))
     assert summary["    filter"].startswith("Gaussian, 0.01 left at a wavelength of 0.0004 m: 0.2 m/s at 500 Hz")
     left = texture.values.array
     assert f"{3e-4 * np.ptp(left):.3g} m after the filter" in summary["    height"]
-    # What the summary calls the steepest is above every slope, and of their size.
+    # The steepest slope in the summary is an upper bound of the same magnitude as the measured one.
     places = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 2))
     steepest = max(math.hypot(s.by_u, s.by_v) for s in (sample(texture, u, v) for u, v in places)) * 3e-4
     _, slope, bend = bounds(loaded.object[0])  # type: ignore[arg-type]
@@ -551,4 +559,4 @@ def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch:
 def test_shipped_ribs_are_the_cosine_that_their_file_says() -> None:
     grid = read_grid(FOLDERS[schema.Scene] / "ribs.csv")
     expected = 0.5 + 0.5 * np.cos(2.0 * np.pi * (np.arange(16) + 0.5) / 16.0)
-    np.testing.assert_allclose(grid, expected[None], rtol=0.0, atol=5.1e-7)  # six places
+    np.testing.assert_allclose(grid, expected[None], rtol=0.0, atol=5.1e-7)  # six digits

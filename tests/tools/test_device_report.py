@@ -1,4 +1,4 @@
-"""`doctor --device-report`: what is in a report, what is not, and how it ends."""
+"""`doctor --device-report`: contents of a report, omitted data, and its endings."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ Here = Callable[..., str]
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    """The home of a user whose name must not be found in a report."""
+    """Return the home of a user whose name must not appear in a report."""
     folder = tmp_path / USER
     folder.mkdir()
     return folder
 
 
 def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[str]:
-    """The verb as that user, from his home."""
+    """Run the verb as that user, from the home folder."""
     return subprocess.run(
         [*COMMAND, "--device-report", *words],
         stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, cwd=home, env=environment(home), **popen,
@@ -63,7 +63,8 @@ def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[st
 
 @pytest.fixture
 def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
-    """The verb as that user in this process; what it printed, once it has ended well."""
+    """Return a function that runs the verb in this process as that user, checks its exit code and returns its
+    output."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -81,7 +82,7 @@ def environment(home: Path) -> dict[str, str]:
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
-    """A report whose keys are those of every report, and which does not say whose it is."""
+    """Return a report after checking its keys and that it does not identify the user or the machine."""
     text = file.read_text(encoding="utf-8")
     found: dict[str, Any] = json.loads(text)
     assert found.keys() == KEYS
@@ -96,7 +97,7 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
 
 
 def rig_file(home: Path, name: str, *more: str) -> str:
-    """A shipped rig in that home, with more keys in its [device] table."""
+    """Copy a shipped rig to the home, with additional keys in its [device] table."""
     text = (ROOT / "config" / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     path = home / f"my-{name}.toml"
     path.write_text(text.replace("[device]\n", "\n".join(["[device]", *more, ""])), encoding="utf-8")
@@ -104,7 +105,7 @@ def rig_file(home: Path, name: str, *more: str) -> str:
 
 
 def test_a_recording_is_reported(here: Here, home: Path) -> None:
-    """From a file in the user's home: device, times, counters, the machine; complete, and nothing to ask."""
+    """A recording in the user's home gives a complete report without questions: device, times, counters and machine."""
     (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
     rig = home / "mine.toml"
     rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
@@ -122,8 +123,9 @@ def test_a_recording_is_reported(here: Here, home: Path) -> None:
     assert "attach it to an issue" in output and "noise along x, y, z" in output
 
 
-def test_a_push_of_the_simulated_device_goes_its_way(here: Here, home: Path) -> None:
-    """A hand that stays is pushed along +x, +y, +z; the handle was nowhere further than that; --json is the report."""
+def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, home: Path) -> None:
+    """A hand at rest is pushed along +x, +y, +z; the range of motion is that of the pushes; --json prints the
+    report."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
     words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
@@ -133,7 +135,7 @@ def test_a_push_of_the_simulated_device_goes_its_way(here: Here, home: Path) -> 
     assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
     assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
     assert all(1.5 < push["largest_n"] <= 2.0 for push in found["pushes"])
-    # 2 N against a hand of 1000 N/m are 2 mm, and at 3 Hz its mass lets it overshoot a little.
+    # 2 N displace a hand of 1000 N/m by 2 mm; at 3 Hz its mass overshoots slightly.
     for low, high, at in zip(
         found["range"]["position_min_m"], found["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
     ):
@@ -141,7 +143,8 @@ def test_a_push_of_the_simulated_device_goes_its_way(here: Here, home: Path) -> 
 
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    """The stand-in's omega: serial number shortened wherever it stands, the library's file name, TIMEGUARD counted."""
+    """An omega on the stub: serial numbers are shortened, the library is given by file name, TIMEGUARD returns are
+    counted."""
     rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
     done = run(home, "--rig", rig, "--seconds", "0.3")
     assert done.returncode == 0, done.stderr
@@ -160,12 +163,12 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
-    """An emulated arm: its ids, its report descriptor, its counters; unplugged, the fault is in the report, which is
-    written all the same, and the exit code is that of the fault."""
+    """An emulated arm is reported with its ids, report descriptor and counters. After unplugging, the report contains
+    the fault and the exit code is that of the fault."""
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
     rig = Path(rig_file(home, "woodenhaptics-2019"))
-    # what answers for the device is a process like any other: it must not wait for the exchange's thread
+    # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
     done, saw = beside(case, *COMMAND, *words)
@@ -194,7 +197,7 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
 def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
-    """A Falcon behind libusb and a puck behind its node: in full, with their ids, what was measured, and counters."""
+    """A Falcon behind libusb and a puck behind its node give complete reports with ids, measurements and counters."""
     file = home / "report.json"
     if driver == "falcon":
         rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
@@ -212,7 +215,7 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 
 def test_a_puck_is_not_pushed() -> None:
-    """A device without motors is refused a push, by its name."""
+    """A push of a device without motors raises ConfigError with its name."""
     rig = load_rig("spacemouse")
     left, right = socket.socketpair()
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
@@ -221,7 +224,7 @@ def test_a_puck_is_not_pushed() -> None:
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
-    """Without the maker's library there is a report that says so, without the home that was looked in; exit code 4."""
+    """Without the maker's library the report contains the fault without the searched home; exit code 4."""
     done = run(home, "--rig", "omega-3", "--seconds", "0.3")
     assert done.returncode == 4
     found = checked(home / "softfinger-forcedimension-report.json", home)
@@ -234,9 +237,9 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
-def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str, home: Path) -> None:
-    """Interrupted while it measures, or while it pushes: what was measured before is in it, it says that it was cut
-    short, and the last force is zero."""
+def test_an_interrupted_report_is_written(number: signal.Signals, part: str, home: Path) -> None:
+    """Interrupted during the exchange or a push, the report has the measurements so far and `ended`, and the last force
+    is zero."""
     rig = home / "kept.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(
@@ -246,7 +249,7 @@ def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith(f"recording {part}"):  # said half a second after the part has begun
+        if line.startswith(f"recording {part}"):  # printed half a second after the part started
             break
     process.send_signal(number)
     output, _ = process.communicate(timeout=60)
@@ -262,9 +265,9 @@ def test_a_report_that_is_cut_short_is_written(number: signal.Signals, part: str
     assert not force[-1].any()
 
 
-def test_somebody_at_a_terminal_is_asked(home: Path) -> None:
-    """On a terminal each motion is asked for and recorded after Enter, and the report says what came of it; a puck
-    led by nobody does not move."""
+def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
+    """On a terminal each motion is requested, recorded after Enter and compared; the simulated device does not
+    rotate."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
     main, side = pty.openpty()
@@ -284,7 +287,7 @@ def test_somebody_at_a_terminal_is_asked(home: Path) -> None:
     assert process.returncode == 0, output
     found = checked(home / "softfinger-simulated-report.json", home)
     assert found["guided"]
-    assert len(asked) == 6  # rest, three ways, a turn, buttons
+    assert len(asked) == 6  # rest, three directions, a rotation, buttons
     assert [move["expected"] for move in found["moves"]] == ["+x", "+y", "+z", "+z"]
     assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in found["moves"])
     assert found["moves"][3]["kind"] == "rotation" and found["moves"][3]["seen"] == "no motion"
@@ -309,7 +312,7 @@ def test_bad_words_give_one_clear_error(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A force or file that will not do is refused with its limit, and no report is written."""
+    """An invalid force, duration or file is refused with its limit, and no report is written."""
     monkeypatch.chdir(home)
     assert main(["doctor", "--device-report", *words]) == 2
     errors = capsys.readouterr().err
