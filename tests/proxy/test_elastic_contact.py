@@ -15,7 +15,7 @@ from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of
 from softfinger.proxy.elastic.volume import boundary
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.elastic import step
-from softfinger.proxy.kernels.elastic.spots import respond, spot_on
+from softfinger.proxy.kernels.elastic.spots import respond_alone, respond_to_other, spot_on
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.numerics import mat3
 from softfinger.proxy.scene import build_scene
@@ -59,7 +59,7 @@ def compliance_at(engine: Engine, facet: int, point: Any) -> Any:
     """Return the compliance (3, 3) m/N at a point of a facet."""
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     spot = spot_on(elastic, body, float(facet), tuple(point), (0.0, 0.0, 1.0))
-    return np.array(respond(elastic, spot, spot).compliance)
+    return np.array(respond_alone(elastic, spot).compliance)
 
 
 def facet_below(engine: Engine, x: float, y: float) -> int:
@@ -113,7 +113,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(folde
     direct = np.zeros(nodal.shape)
     direct[solid.free] = spsolve(solid.matrix, nodal[solid.free])
     for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
-        found = mat3.times(respond(kernel.elastic, spot, spot).compliance, tuple(force))
+        found = mat3.times(respond_alone(kernel.elastic, spot).compliance, tuple(force))
         assert found == pytest.approx(
             load.T @ moved / thing.elastic.youngs_pa, rel=1e-8, abs=1e-8 * max(map(abs, found))
         )
@@ -177,7 +177,7 @@ def test_two_fingers_feel_each_other_through_the_body(folder: Path) -> None:
         spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
         for point in (held, beside)
     )
-    there, back = (np.array(respond(elastic, *pair).compliance) for pair in ((one, two), (two, one)))
+    there, back = (np.array(response.compliance) for response in respond_to_other(elastic, one, two))
     assert there == pytest.approx(back.T, abs=1e-10 * abs(there).max())
 
 

@@ -14,7 +14,15 @@ from collections.abc import Callable
 from math import pi
 from typing import Any
 
-from softfinger.proxy.kernels.elastic.spots import ZERO, Spot, bending_under, contact_spot, respond, spot_of
+from softfinger.proxy.kernels.elastic.spots import (
+    ZERO,
+    Spot,
+    bending_under,
+    contact_spot,
+    respond_alone,
+    respond_to_other,
+    spot_of,
+)
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -168,7 +176,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         goal, matrix, rise, bent = rest, mat3.IDENTITY, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, before, after, contact, dt)
-            given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
+            given, bent = respond_alone(elastic, spot), bending_under(elastic, spot)
             goal = vec3.add_scaled(rest, gain, mat3.times(given.compliance, spot.load))
             moves = mat3.plus(mat3.plus(mat3.product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
             matrix, rise = (
@@ -191,8 +199,8 @@ def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any
     short    displacements (3,) m that are wanted less those without the loads, as functions of the loads, of each
     returns  corrections (3,) m, and forces (3,) N of the slope of the surface
     """
-    r11, r12 = respond(elastic, one, one), respond(elastic, one, two)
-    r21, r22 = respond(elastic, two, one), respond(elastic, two, two)
+    r11, r22 = respond_alone(elastic, one), respond_alone(elastic, two)
+    r12, r21 = respond_to_other(elastic, one, two)
     goal_one = vec3.add(mat3.times(r11.compliance, one.load), mat3.times(r12.compliance, two.load))
     goal_two = vec3.add(mat3.times(r21.compliance, one.load), mat3.times(r22.compliance, two.load))
     lack_one, lack_two = vec3.add_scaled(short[0], gain, goal_one), vec3.add_scaled(short[1], gain, goal_two)
