@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -221,3 +222,37 @@ def test_a_damped_surface_yields_with_its_time_constant(folder: Path) -> None:
     assert (np.diff(forces) < 1e-9).all()
     assert forces[0] > end + 0.05
     assert forces[-1] == pytest.approx(end, rel=1e-3)
+
+
+def test_the_displacement_follows_the_load_with_the_time_constant_of_each_finger(folder: Path) -> None:
+    """(1 + T / dt) u_k - T / dt u_k-1 = C f_k: at rest u = C f, of two fingers with different loads."""
+    ratio, poses = 20.0, [np.tile(at(x, 0.0, depth), (400, 1)) for x, depth in ((-0.006, 0.001), (0.006, 0.0004))]
+    records = Engine(scene(folder / "pad.obj", fingers=2, damping_s=ratio * 1e-3)).run(
+        dict(zip("ab", poses, strict=True))
+    )
+    single = Engine(scene(folder / "pad.obj", damping_s=ratio * 1e-3)).run(poses[0])
+    still = Engine(scene(folder / "pad.obj", fingers=2)).run(dict(zip("ab", poses, strict=True)))
+    for name in "ab":
+        assert records[name]["force"][-1] == pytest.approx(still[name]["force"][-1], abs=1e-4)
+    alone = Engine(scene(folder / "pad.obj")).run(poses[0])
+    assert single["force"][-1] == pytest.approx(alone["force"][-1], abs=1e-4)
+    moved, force = single["contact.displacement"][:, 2], single["force"][:, 2]
+    compliances = ((1.0 + ratio) * moved[1:40] - ratio * moved[:39]) / force[1:40]
+    # The contact moves sideways with the surface, to where the compliance is a little different.
+    assert compliances == pytest.approx(moved[-1] / force[-1], rel=0.02)
+
+
+def test_forces_and_displacements_turn_with_the_object(folder: Path) -> None:
+    turned = np.array([0.5, 0.5, 0.5, 0.5])  # x to y, y to z, z to x
+    straight = scene(folder / "pad.obj", friction=True, fingers=2)
+    upright = msgspec.structs.replace(straight.object[0], orientation_wxyz=tuple(turned.tolist()))
+    tracks = {"a": path(80), "b": path(80) + np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.0, 0.0])}
+    rolled = {
+        name: np.concatenate([track[:, [2, 0, 1]], np.tile(turned, (80, 1))], axis=1) for name, track in tracks.items()
+    }
+    expected = Engine(straight).run(tracks)
+    found = Engine(msgspec.structs.replace(straight, object=(upright,))).run(rolled)
+    for name in tracks:
+        for field, tolerance in (("force", 1e-7), ("contact.displacement", 1e-10), ("contact.point", 1e-10)):
+            assert found[name][field] == pytest.approx(expected[name][field][:, [2, 0, 1]], abs=tolerance)
+        assert abs(expected[name]["contact.displacement"][:, 2]).max() > 1e-4
