@@ -173,6 +173,8 @@ def test_two_fingers_feel_each_other_through_the_body(folder: Path) -> None:
     single = Engine(scene(folder / "pad.obj")).run(np.tile(held, (5, 1)))["force"][4]
     assert alone == pytest.approx(single, abs=2e-8)  # each is solved to 1e-11 m, and the spring has 1000 N/m
     assert together[2] < alone[2] - 0.005
+    single = Engine(scene(folder / "pad.obj")).run(np.tile(beside, (5, 1)))["force"][4]
+    assert records["b"]["force"][9][2] < single[2] - 0.005
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     one, two = (
         spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
