@@ -212,6 +212,29 @@ def test_the_work_across_facets_is_the_change_of_the_energy_of_springs_and_body(
     assert np.cumsum(done) == pytest.approx(energies[0] - energies[1:], abs=1e-9)
 
 
+def test_the_forces_of_two_fingers_are_the_gradient_of_the_common_energy(folder: Path) -> None:
+    """Without friction, with central differences of 1 um."""
+    engine, step_m = Engine(scene(folder / "pad.obj", fingers=2)), 1e-6
+    places = {"a": np.array(at(-0.0035, 0.001, 0.0015)), "b": np.array(at(0.0045, 0.002, 0.001))}
+
+    def rendered(moved: str = "a", shift: Any = (0.0, 0.0, 0.0)) -> tuple[float, Any]:
+        """Return energy, and forces by finger, with one finger shifted."""
+        tracks = {name: np.tile(place, (4, 1)) for name, place in places.items()}
+        tracks[moved][:, :3] += shift
+        records, energy = engine.run(tracks), 0.0
+        for found in records.values():
+            load = -found["contact.normal_force"][-1] * found["contact.normal"][-1]
+            energy += 0.5 * STIFFNESS * found["contact.penetration"][-1] ** 2
+            energy += 0.5 * load @ found["contact.displacement"][-1]
+        return energy, {name: records[name]["force"][-1] for name in places}
+
+    _, forces = rendered()
+    for name in places:
+        for axis, shift in enumerate(step_m * np.eye(3)):
+            slope = (rendered(name, shift)[0] - rendered(name, -shift)[0]) / (2.0 * step_m)
+            assert forces[name][axis] == pytest.approx(-slope, abs=1e-5)
+
+
 def trapezoid(start: Any, end: Any) -> float:
     """Return the work between two steps of the cycle above."""
     return float(0.5 * (start[1] + end[1]) @ (end[0] - start[0]))
@@ -224,6 +247,8 @@ def test_a_damped_surface_yields_with_its_time_constant(folder: Path) -> None:
     assert (np.diff(forces) < 1e-9).all()
     assert forces[0] > end + 0.05
     assert forces[-1] == pytest.approx(end, rel=1e-3)
+    lifted = np.tile(at(0.0, 0.0, -0.02), (10, 1))
+    assert slow.run(np.concatenate([lifted, poses[:1]]))["force"][-1, 2] < forces[0] - 0.05  # it has not come back
 
 
 def test_the_displacement_follows_the_load_with_the_time_constant_of_each_finger(folder: Path) -> None:
