@@ -104,7 +104,7 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
 
     count = loads[0].shape[1]
     together = hstack(loads).tocsc()  # component by component
-    found, bending = np.empty((3 * count, 3 * count)), np.empty((2, 3 * count))
+    blocks, bending = np.empty((count, count, 3, 3)), np.empty((2, 3 * count))
     back, gradient = together.T.tocsr(), _surface_gradient(solid)
     # Loads that begin in the same fronts are solved together, so that the others are skipped.
     first = np.minimum.reduceat(solid.front[together.indices], together.indptr[:-1])
@@ -112,7 +112,8 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
 
     def solve(part: NDArray[np.int64]) -> None:
         moved = solid.solve(together[:, part].toarray())
-        found[:, part] = back @ moved
+        axis, patch = np.divmod(part, count)
+        blocks.transpose(2, 0, 3, 1)[:, :, axis, patch] = (back @ moved).reshape(3, count, len(part))
         bending[:, part] = _largest_parts(gradient, moved)
 
     solved = 0
@@ -120,9 +121,10 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
         for part, _ in zip(parts, threads.map(solve, parts), strict=True):
             solved += len(part)
             done(solved)
-    found += found.T.copy()
-    found *= 0.5
-    blocks = found.reshape(3, count, 3, count).transpose(1, 3, 0, 2)
+    for patch in range(count):
+        later = blocks[patch, patch:]
+        later[:] = 0.5 * (later + blocks[patch:, patch].transpose(0, 2, 1))
+        blocks[patch:, patch] = later.transpose(0, 2, 1)
     return Solution(blocks, bending.reshape(2, 3, count).transpose(2, 1, 0))
 
 

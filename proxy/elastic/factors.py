@@ -1,12 +1,17 @@
 """Cholesky factorisation of a stiffness matrix, for thousands of right-hand sides that touch few unknowns each.
 
 The unknowns are ordered by nested dissection of their positions (George, 1973), and eliminated in dense fronts (Duff
-and Reid, 1983). LAPACK does the arithmetic. With SciPy's SuperLU, a body of 1000 nodes took 61 s and 2.2 GB instead of
-27 s and 1.3 GB: it does not use the symmetry. Of CHOLMOD there is no wheel, and that of Pardiso needs MKL.
+and Reid, 1983). LAPACK does the arithmetic. The fronts are stored in a temporary file, so that memory is needed for one
+front per thread; the page cache of the system makes reading cheap. SciPy's SuperLU took 61 s and 2.2 GB for a body of
+1000 nodes, which was 27 s here: it does not use the symmetry. Of CHOLMOD there is no wheel, and that of Pardiso needs
+MKL.
 """
 
 from __future__ import annotations
 
+import os
+import tempfile
+import weakref
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,16 +27,14 @@ LEAF: Final = 192
 class Front(NamedTuple):
     """Columns of the factor L that are eliminated together.
 
-    own     (k,)    unknowns
-    beyond  (m,)    unknowns of later fronts in these columns
-    square  (k, k)  rows `own`, lower triangle
-    below   (k, m)  rows `beyond`, transposed
+    own     (k,)  unknowns
+    beyond  (m,)  unknowns of later fronts in these columns
+    offset        in the file, bytes: (k, k) rows `own`, lower triangle, and (k, m) rows `beyond`, transposed
     """
 
     own: Whole
     beyond: Whole
-    square: Doubles
-    below: Doubles
+    offset: int
 
 
 class Factors:
@@ -48,6 +51,8 @@ class Factors:
     ------
     ValueError
         If the matrix is not positive definite.
+    OSError
+        If the temporary file cannot be written.
     """
 
     def __init__(self, matrix: Any, places: Doubles) -> None:
@@ -58,7 +63,11 @@ class Factors:
         self._position = np.full(len(places), -1)
         self.number: Final = np.full(len(places), -1)
         """Number of the front that eliminates each unknown, in the order of elimination."""
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
         self._eliminate(np.arange(len(places)))
+        self._file.flush()
+        del self._matrix, self._couplings
 
     def solve(self, loads: Doubles) -> None:
         """Replace the right-hand sides (n, k) by the solutions."""
@@ -67,11 +76,27 @@ class Factors:
         for front in self._fronts:
             top = loads[front.own]
             if top.any():  # a load on one patch reaches a small part of the fronts
-                loads[front.own] = top = solve_triangular(front.square, top, lower=True, check_finite=False)
-                loads[front.beyond] -= front.below.T @ top
+                square, below = self._read(front)
+                loads[front.own] = top = solve_triangular(square, top, lower=True, check_finite=False)
+                loads[front.beyond] -= below.T @ top
         for front in reversed(self._fronts):
-            top = loads[front.own] - front.below @ loads[front.beyond]
-            loads[front.own] = solve_triangular(front.square, top, lower=True, trans=1, check_finite=False)
+            square, below = self._read(front)
+            top = loads[front.own] - below @ loads[front.beyond]
+            loads[front.own] = solve_triangular(square, top, lower=True, trans=1, check_finite=False)
+
+    def _write(self, own: Whole, beyond: Whole, square: Doubles, below: Doubles) -> None:
+        """Append a front, in column-major order as LAPACK has it."""
+        self._fronts.append(Front(own, beyond, self._file.tell()))
+        for each in (square, below):
+            self._file.write(np.ascontiguousarray(each.T).data)
+
+    def _read(self, front: Front) -> tuple[Doubles, Doubles]:
+        """Return `square` and `below` of a front."""
+        count, columns = len(front.own), len(front.own) + len(front.beyond)
+        found = np.empty((columns, count))
+        if os.preadv(self._file.fileno(), [found.data], front.offset) != found.nbytes:
+            raise OSError("a temporary file was cut off")
+        return found[:count].T, found[count:].T
 
     def _eliminate(self, part: Whole) -> tuple[Whole, Doubles]:
         """Eliminate the unknowns of a part; return the unknowns that these act on, and the change of their matrix."""
@@ -88,15 +113,17 @@ class Factors:
         matrix = np.zeros((len(unknowns), len(unknowns)))
         at = self._position[rows.col]
         matrix[at[at >= 0], rows.row[at >= 0]] = rows.data[at >= 0]
-        for of_child, change in children:
+        while children:
+            of_child, change = children.pop()
             matrix[np.ix_(self._position[of_child], self._position[of_child])] += change
+            del change
         self._position[unknowns] = -1
         try:
             square = cholesky(matrix[:count, :count], lower=True, check_finite=False)
         except LinAlgError as error:
             raise ValueError("fixed: the body can still move: name a larger region, in each part of it") from error
         below = solve_triangular(square, matrix[count:, :count].T, lower=True, check_finite=False)
-        self._fronts.append(Front(own, beyond, square, below))
+        self._write(own, beyond, square, below)
         return beyond, matrix[count:, count:] - below.T @ below
 
     def _divide(self, part: Whole) -> tuple[list[Whole], Whole]:

@@ -20,6 +20,8 @@ from softfinger.proxy.elastic.volume import Volume
 Doubles = NDArray[np.float64]
 
 LEAST_FIXED: Final = 3
+CHUNK: Final = 1024
+"""Tetrahedra that are assembled together."""
 
 
 class Solid:
@@ -49,9 +51,10 @@ class Solid:
         self.volume: Final = volume
         mesh = skfem.MeshTet(np.ascontiguousarray(volume.vertices.T), np.ascontiguousarray(volume.tetrahedra.T))
         # MeshTet may order the vertices of a tetrahedron, but not the vertices themselves.
-        self.basis: Final[Any] = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementTetP2()), intorder=2)
+        # Of one tetrahedron, since all would have 1 kB of quadrature for each unknown.
+        self.basis: Final[Any] = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementTetP2()), intorder=2, elements=[0])
         self._skfem: Final[Any] = skfem
-        stiffness = linear_elasticity(*lame_parameters(1.0, poisson)).assemble(self.basis)
+        stiffness = self._assemble(linear_elasticity(*lame_parameters(1.0, poisson)))
         places = self.basis.doflocs.T
         component = np.empty(self.basis.N, np.int64)
         for of in (self.basis.nodal_dofs, self.basis.edge_dofs):
@@ -76,6 +79,12 @@ class Solid:
         found[self.free] = moved
         return found
 
+    def _assemble(self, form: Any) -> Any:
+        """Return a form over all tetrahedra."""
+        count = len(self.volume.tetrahedra)
+        parts = (np.arange(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK))
+        return sum(form.assemble(self.basis.with_elements(part)) for part in parts)
+
     def gravity(self, direction: Sequence[float]) -> Doubles:
         """Return the nodal forces (N,) of a body force of `direction` (3,) N/m^3."""
         skfem = self._skfem
@@ -84,7 +93,7 @@ class Solid:
         def weight(v: Any, w: Any) -> Any:
             return sum(component * v[axis] for axis, component in enumerate(direction))
 
-        found: Doubles = weight.assemble(self.basis)
+        found: Doubles = self._assemble(weight)
         return found
 
     def surface(self, order: int = 4) -> Any:

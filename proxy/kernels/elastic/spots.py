@@ -61,18 +61,6 @@ class Response(NamedTuple):
 
 
 @jit
-def block_times(elastic: Elastic, a: int, b: int, v: Vec3) -> Vec3:
-    """Return the displacement (3,) of node a under the load `v` (3,) on node b, times 1 Pa."""
-    at = 9 * (a * int(elastic.number) + b)
-    c = elastic.compliance
-    return (
-        c[at] * v[0] + c[at + 1] * v[1] + c[at + 2] * v[2],
-        c[at + 3] * v[0] + c[at + 4] * v[1] + c[at + 5] * v[2],
-        c[at + 6] * v[0] + c[at + 7] * v[1] + c[at + 8] * v[2],
-    )
-
-
-@jit
 def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
     """Return m plus the block of two nodes times `weight`."""
     at = 9 * (a * int(elastic.number) + b)
@@ -85,22 +73,50 @@ def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
 
 
 @jit
-def respond(elastic: Elastic, one: Spot, two: Spot) -> Response:
-    """Compute the response at `one` to loads at `two`."""
+def node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
+    """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 if it does not give."""
+    found = mat3.ZEROS
+    if node >= 0:
+        for j in range(3):
+            if spot.nodes[j] >= 0:
+                found = add_block(found, elastic, node, spot.nodes[j], elastic.softness * spot.weights[j])
+    return found
+
+
+@jit
+def node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
+    """Return the compliance (3, 3) m/N of each node of `one` under loads at `two`."""
+    a, b, c = one.nodes
+    return node_row(elastic, a, two), node_row(elastic, b, two), node_row(elastic, c, two)
+
+
+@jit
+def respond(one: Spot, two: Spot, rows: Any, back: Any) -> Response:
+    """Compute the response at `one` to loads at `two`.
+
+    rows  of the nodes of `one`
+    back  of the nodes of `two` under loads at `one`: transposed, by reciprocity, the response to loads on these nodes
+    """
     compliance, at, by = mat3.ZEROS, mat3.ZEROS, mat3.ZEROS
     for i in range(3):
-        if one.nodes[i] < 0:
-            continue
-        for j in range(3):
-            if two.nodes[j] < 0:
-                continue
-            moved = block_times(elastic, one.nodes[i], two.nodes[j], two.load)
-            compliance = add_block(
-                compliance, elastic, one.nodes[i], two.nodes[j], elastic.softness * one.weights[i] * two.weights[j]
-            )
-            at = mat3.plus_outer(at, vec3.scale(elastic.softness * two.weights[j], moved), one.slopes[i])
-            by = mat3.plus_outer(by, vec3.scale(elastic.softness * one.weights[i], moved), two.slopes[j])
+        compliance = mat3.plus(compliance, one.weights[i], rows[i])
+        at = mat3.plus_outer(at, mat3.times(rows[i], two.load), one.slopes[i])
+        by = mat3.plus_outer(by, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
     return Response(compliance, at, by)
+
+
+@jit
+def respond_alone(elastic: Elastic, spot: Spot) -> Response:
+    """Compute the response at a spot to its own load."""
+    rows = node_rows(elastic, spot, spot)
+    return respond(spot, spot, rows, rows)
+
+
+@jit
+def respond_to_other(elastic: Elastic, one: Spot, two: Spot) -> tuple[Response, Response]:
+    """Compute the responses at `one` to loads at `two`, and at `two` to loads at `one`."""
+    rows, back = node_rows(elastic, one, two), node_rows(elastic, two, one)
+    return respond(one, two, rows, back), respond(two, one, back, rows)
 
 
 @jit

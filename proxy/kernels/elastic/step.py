@@ -14,7 +14,15 @@ from collections.abc import Callable
 from math import pi
 from typing import Any
 
-from softfinger.proxy.kernels.elastic.spots import ZERO, Spot, bending_under, contact_spot, respond, spot_of
+from softfinger.proxy.kernels.elastic.spots import (
+    ZERO,
+    Spot,
+    bending_under,
+    contact_spot,
+    respond_alone,
+    respond_to_other,
+    spot_of,
+)
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -160,26 +168,25 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = share_in_tick(elastic, dt)
-    rest, slope, bent = vec3.scale(1.0 - gain, last.displacement), ZERO, (0.0, 0.0)
+    rest, bent = vec3.scale(1.0 - gain, last.displacement), (0.0, 0.0)
+    moves, rise = mat3.ZEROS, ZERO
     u = extrapolate(last, state.fingers[0], poses[0])
     before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
-        goal, matrix, rise, bent = rest, mat3.IDENTITY, ZERO, (0.0, 0.0)
+        goal, moves, rise, bent = rest, mat3.ZEROS, ZERO, (0.0, 0.0)
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, before, after, contact, dt)
-            given, bent = respond(elastic, spot, spot), bending_under(elastic, spot)
+            given, bent = respond_alone(elastic, spot), bending_under(elastic, spot)
             goal = vec3.add_scaled(rest, gain, mat3.times(given.compliance, spot.load))
             moves = mat3.plus(mat3.plus(mat3.product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
-            matrix, rise = (
-                mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)),
-                mat3.times(mat3.transpose(given.at), spot.load),
-            )
-        slope = mat3.times(mat3.transpose(matrix), vec3.scale(gain, rise))
-        change = mat3.times(matrix, vec3.sub(goal, u))
+            rise = mat3.times(mat3.transpose(given.at), spot.load)
+        change = mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), vec3.sub(goal, u))
         if left == 0 or vec3.dot(change, change) <= SOLVED**2:
             break
         u = vec3.add(u, change)
+    # With damping, too, it is that of the surface at rest: else slow cycles would make energy.
+    slope = mat3.times(mat3.transpose(mat3.inverse(mat3.plus(mat3.IDENTITY, 1.0, moves))), rise)
     surface = surface_after(scene, finger, last, u, contact, bent, dt)
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
@@ -191,8 +198,8 @@ def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any
     short    displacements (3,) m that are wanted less those without the loads, as functions of the loads, of each
     returns  corrections (3,) m, and forces (3,) N of the slope of the surface
     """
-    r11, r12 = respond(elastic, one, one), respond(elastic, one, two)
-    r21, r22 = respond(elastic, two, one), respond(elastic, two, two)
+    r11, r22 = respond_alone(elastic, one), respond_alone(elastic, two)
+    r12, r21 = respond_to_other(elastic, one, two)
     goal_one = vec3.add(mat3.times(r11.compliance, one.load), mat3.times(r12.compliance, two.load))
     goal_two = vec3.add(mat3.times(r21.compliance, one.load), mat3.times(r22.compliance, two.load))
     lack_one, lack_two = vec3.add_scaled(short[0], gain, goal_one), vec3.add_scaled(short[1], gain, goal_two)
@@ -238,6 +245,8 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
             break
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
+    if gain < 1.0 and body.material.friction is None:  # as for one finger
+        _, _, slope_u, slope_v = correct_both(elastic, x, y, 1.0, short)
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
     bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
