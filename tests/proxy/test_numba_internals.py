@@ -144,17 +144,20 @@ def test_no_collection_scans_the_objects_of_a_compilation() -> None:
         if phase == "start" and found["generation"] == 0:
             scanned.append(len(gc.get_objects(generation=0)))
 
+    threshold = gc.get_threshold()
     gc.unfreeze()  # of the test run
     gc.collect()
+    gc.set_threshold(700, 10, 10)  # as Python begins
     gc.callbacks.append(count)
     try:
         assert kernel(2.0) == 4.0
-        kept = [[each] for each in range(10 * gc.get_threshold()[0])]
+        kept = [[each] for each in range(7000)]
     finally:
         gc.callbacks.remove(count)
+        gc.set_threshold(*threshold)
         gc.freeze()
     assert len(kept) > len(scanned) > 0
-    assert max(scanned) < 5 * gc.get_threshold()[0]
+    assert max(scanned) < 3500
 
 
 def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:

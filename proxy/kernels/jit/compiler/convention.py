@@ -14,7 +14,8 @@ import hashlib
 from typing import Any
 
 from llvmlite import ir as llvm_ir
-from numba.core import cgutils, ir, types
+from numba import types
+from numba.core import cgutils, ir
 from numba.core.callconv import RETCODE_OK, CPUCallConv
 from numba.core.compiler import _LowerResult
 from numba.core.compiler_machinery import LoweringPass, register_pass
