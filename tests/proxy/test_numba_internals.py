@@ -5,6 +5,7 @@ Seen in numba 0.67 and 0.68. With another version these tests say first what has
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from typing import Any
@@ -100,6 +101,63 @@ def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) ->
         engine = cpu_target.target_context.codegen()._engine
         assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
     assert hits == [0, 1]
+
+
+def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
+    """`convention.py`: results, defaults, `*rest` and errors are those of Python, compiled and loaded from a file."""
+
+    def move(pair: Any, factor: float = 2.0, *rest: Any) -> Any:
+        if factor < 0.0:
+            raise ValueError("negative")
+        (x, flag), n = pair
+        return (x * factor + len(rest), not flag), n + 1, rest
+
+    folder = Folder(tmp_path / "kernels")
+    for _ in range(2):
+        kernel: Any = Inlined(move, decorators.INLINED, KernelCache(move, folder, "inlined"), decorators.entry)
+
+        def call(pair: Any, factor: float, kernel: Any = kernel) -> Any:
+            return kernel(pair), kernel(pair, factor, (1.0, 2.0), (3.0, 4.0))
+
+        caller: Any = numba.njit(**decorators.OPTIONS)(call)
+        given = ((1.5, True), 7)
+        assert caller(given, 3.0) == (move(given), move(given, 3.0, (1.0, 2.0), (3.0, 4.0)))
+        with pytest.raises(ValueError, match="negative"):
+            caller(given, -1.0)
+        for made in kernel.dispatcher.overloads.values():
+            function = made.library.get_function(made.fndesc.llvm_func_name)
+            kinds = [str(each.type) for each in function.arguments]
+            assert sum(each.startswith("{ {") for each in kinds) == 1  # the pair, as one argument
+
+
+def test_no_collection_scans_the_objects_of_a_compilation() -> None:
+    """numba makes tens of thousands of objects for a small kernel; a collection of new objects finds few."""
+
+    @decorators.entry
+    def double(x: float) -> float:
+        return x + x
+
+    kernel: Any = double
+    scanned: list[int] = []
+
+    def count(phase: str, found: dict[str, int]) -> None:
+        if phase == "start" and found["generation"] == 0:
+            scanned.append(len(gc.get_objects(generation=0)))
+
+    threshold = gc.get_threshold()
+    gc.unfreeze()  # of the test run
+    gc.collect()
+    gc.set_threshold(700, 10, 10)  # as Python begins
+    gc.callbacks.append(count)
+    try:
+        assert kernel(2.0) == 4.0
+        kept = [[each] for each in range(7000)]
+    finally:
+        gc.callbacks.remove(count)
+        gc.set_threshold(*threshold)
+        gc.freeze()
+    assert len(kept) > len(scanned) > 0
+    assert max(scanned) < 3500
 
 
 def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:

@@ -91,7 +91,7 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     """
     if any_mesh(objects):
         way = vec3.sub(position, start)
-        if vec3.dot(way, way) >= (2.0 * radius) ** 2:
+        if vec3.dot(way, way) >= 4.0 * radius * radius:
             return False
     gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
     return gap >= radius * (1.0 - INSIDE)

@@ -1,4 +1,4 @@
-"""Undocumented parts of numba and llvmlite, all used in this file only.
+"""Undocumented parts of numba and llvmlite, all used in this file and in `convention.py` only.
 
 Their purposes, and the consequences without them:
 
@@ -18,6 +18,9 @@ CPUDispatcher, types.Dispatcher
                          from Python. Without: numba jumps to address 0.
 _optimize_functions, _optimize_final_module, _codegen
                          Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
+NativeLowering, CPUCallConv, ArgPacker, Lower, _defns and others in `convention.py`
+                         A tuple is one argument of such a kernel. Without: LLVM gets three times as much code, and a
+                         scene compiles for 1.1 times as long.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
 JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
                          Such a kernel has no machine code, and skips passes without effect. Without: a scene compiles
@@ -33,8 +36,8 @@ CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
 types.Callable, resolve_value_type, lower_constant
                          A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
-SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. They are in one
-long file because it has to be read completely before an upgrade of numba.
+SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read both files
+completely before an upgrade of numba.
 """
 
 from __future__ import annotations
@@ -61,11 +64,12 @@ from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.core.typed_passes import AnnotateTypes, NopythonRewrites
+from numba.core.typed_passes import AnnotateTypes, NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineClosureLikes
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
+from softfinger.proxy.kernels.jit.compiler.convention import InlinedLowering, insert_inlined
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
@@ -234,7 +238,11 @@ class InlinedCompiler(CompilerBase):  # type: ignore[misc]
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         has_functions = any(isinstance(each, CodeType) for each in self.state.func_id.code.co_consts)
         idle = IDLE if has_functions else (*IDLE, InlineClosureLikes)
-        passes.passes = [each for each in passes.passes if each[0] not in idle]
+        passes.passes = [
+            (InlinedLowering if each is NativeLowering else each, text)
+            for each, text in passes.passes
+            if each not in idle
+        ]
         passes.finalize()
         return [passes]
 
@@ -256,7 +264,7 @@ class InlinedDispatcher(CPUDispatcher):  # type: ignore[misc]
                 return known.entry_point
             if (compiled := self._cache.load_overload(sig, self.targetctx)) is not None:
                 self._cache_hits[sig] += 1
-                self.targetctx.insert_user_function(compiled.entry_point, compiled.fndesc, [compiled.library])
+                insert_inlined(self.targetctx, compiled.entry_point, compiled.fndesc, compiled.library)
                 self.add_overload(compiled)
                 return compiled.entry_point
             self._cache_misses[sig] += 1
