@@ -29,12 +29,14 @@ from helpers.faulty_device import FaultyDevice, Options
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.programs import Program
+from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers import registry
+from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
@@ -658,10 +660,10 @@ def test_asyncio_client(rig):
 
 @pytest.fixture
 def slow_compiler(monkeypatch, tmp_path):
-    """A compiler that says that it began, and takes for ever."""
+    """A compiler that says that it began and compiles a kernel, and takes for ever."""
     program = tmp_path / "slow.py"
     program.write_text(
-        "import os, sys, time\nsys.stdin.readline()\n"
+        "import os, sys, time\nsys.stdin.readline()\nprint('compiling kernel 3', flush=True)\n"
         f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
     )
     popen = subprocess.Popen
@@ -680,36 +682,32 @@ def alive(pid: int) -> bool:
 
 def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
     """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
-    daemon's end."""
+    daemon's end. The terminal of `ctl` shows the progress of a mesh, and that of the compiler."""
+    words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
         running(rig()) as (daemon, control, kept),
-        Control(daemon.commands_endpoint) as first,
+        on_terminal([*words, daemon.commands_endpoint]) as (asking, pieces),
+        ThreadPoolExecutor() as pool,
         Control(daemon.commands_endpoint) as second,
     ):
-        ends = []
-
-        def ask(who: Control) -> None:
-            try:
-                ends.append(who.set_scene("sphere"))
-            except (CommandRefused, NoAnswer) as error:
-                ends.append(error)
-
-        threads = [threading.Thread(target=ask, args=(who,)) for who in (first, second)]
-        threads[0].start()
-        assert eventually(lambda: len(slow_compiler()) == 1)
+        assert any("set_scene: compiling kernel 3" in piece for piece in pieces)
+        with preparation.display("building the mesh of ball", 4) as done:
+            done(1)
+            assert any("set_scene: building the mesh of ball 25%" in piece for piece in pieces)
         control.timeout_s = 5.0
         assert control.heartbeat().timeout_ms == 0
         assert control.disarm().armed is False
         assert eventually(lambda: kept.force_n == 0.0)
-        threads[1].start()
-        assert eventually(lambda: len(ends) == 1) and str(ends[0]).startswith("superseded: ")
+        answer = pool.submit(second.set_scene, "sphere")
+        assert any("superseded: " in piece for piece in pieces)
+        assert asking.wait(60) == 12
         assert eventually(lambda: len(slow_compiler()) == 2 and sum(map(alive, slow_compiler())) == 1)
         control.stop()
         assert daemon.wait(60.0)
         daemon.close()
         assert not any(map(alive, slow_compiler()))
-        threads[1].join(60.0)
-        assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
+        with pytest.raises(CommandRefused):
+            answer.result(60.0)
 
 
 def test_an_answer_finds_its_client_after_the_commands_process_was_killed(rig, slow_compiler):
