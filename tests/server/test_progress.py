@@ -95,6 +95,21 @@ def test_interrupted_run_leaves_a_clean_line() -> None:
     assert re.fullmatch(r"stopped after \d+ ticks; force is zero", screen.lines[-2])
 
 
+@pytest.mark.exhaustive  # it has to last longer than a moment, on two processors
+def test_stability_shows_its_share() -> None:
+    """The share of its cases that are done grows, in one line."""
+    screen, shares = Screen(80), []
+    words = ["stability", "--map", "all", "--compare", "--points", "40"]
+    with on_terminal([sys.executable, "-m", "softfinger.server.cli", *words]) as (process, pieces):
+        for piece in pieces:
+            screen.feed(piece)
+            shares += [
+                int(found[1]) for line in screen.lines if (found := re.search(r"finding limits .* (\d+)%", line))
+            ]
+        assert process.wait(30) == 0
+    assert len(set(shares)) > 2 and shares == sorted(shares)
+
+
 class Looking(Folder):
     """A folder of kept kernels that notes what a user would read while one is loaded."""
 
