@@ -60,7 +60,7 @@ def progress(
 ) -> Iterator[Callable[[int], None]]:
     """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`.
 
-    While `detail` returns a text, it is shown in place of the share; one thread at a time calls it.
+    While `detail` returns a text, that text replaces the share. One thread at a time calls `detail`.
     """
     if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None

@@ -111,8 +111,10 @@ class SceneChanges(Worker):
     def _display(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
         """Report the progress of a mesh or an elastic body."""
         log.info("%s", what)
-        yield lambda number: self._report(progress_text(what, number, total))
-        self._report("")
+        try:
+            yield lambda number: self._report(progress_text(what, number, total))
+        finally:
+            self._report("")
 
     def _next_change(self) -> Change | None:
         with self._changed:

@@ -560,7 +560,7 @@ def test_what_is_no_request_is_no_sign_of_life():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
+    doing = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     other = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     given = [(b"\xc1", False), (None, False), (other, False), (good, True), (good, False)]
