@@ -16,6 +16,7 @@ from softfinger.config.arrays.grids import Grid, read_grid
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
+from softfinger.proxy.kernels.shapes import heightmap  # noqa: F401 - its kernels
 
 RIM: Final = 4
 """Coefficients beyond each side of the map: one for zero curvature at the rim, and three copies of it."""

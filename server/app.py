@@ -320,7 +320,7 @@ class Daemon:
         if self.commands_endpoint is not None:
             interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
-                self.publisher.reply, self._event, self.stop, self.fail, self.recordings,
+                self.publisher.reply, self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
             )  # fmt: skip
             optional_services.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:

@@ -131,6 +131,7 @@ def run_verb(words: list[str]) -> int:
         format="%(message)s" if sys.stderr.isatty() else "%(levelname)s %(message)s",
         handlers=[to_stderr()],
     )
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it reports its font cache
     progress.set_enabled(not args.quiet)
     preparation.display = progress.progress
     run = importlib.import_module(VERBS[args.verb].module).run

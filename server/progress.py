@@ -49,23 +49,35 @@ def on_terminal() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
+def compile_detail() -> str:
+    """Return the progress of a compilation in this process; empty if there is none."""
+    return str(COMPILE_PROGRESS)
+
+
 @contextmanager
-def progress(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`."""
+def progress(
+    what: str, total: int | None = None, detail: Callable[[], str] = compile_detail
+) -> Iterator[Callable[[int], None]]:
+    """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`.
+
+    While `detail` returns a text, that text replaces the share. One thread at a time calls `detail`.
+    """
     if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
     try:
-        with _bar(what, total) if on_terminal() else _lines(what, total) as done:
+        with _bar(what, total, detail) if on_terminal() else _lines(what, total, detail) as done:
             yield done
     finally:
         _display_lock.release()
 
 
-def progress_text(what: str, count: int = 0, total: int | None = None) -> str:
+def progress_text(
+    what: str, count: int = 0, total: int | None = None, detail: Callable[[], str] = compile_detail
+) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
-    if compilation := str(COMPILE_PROGRESS):
-        return f"{what}: {compilation}"
+    if text := detail():
+        return f"{what}: {text}"
     return f"{what} {count / total:.0%}" if total else what
 
 
@@ -104,15 +116,15 @@ def counter() -> Iterator[Callable[[str], None] | None]:
         yield None
         return
     with _display_lock:
-        display = _display(bar=False)
+        display = _display(False, compile_detail)
         task = display.add_task("")
         with display:
             yield lambda text: display.update(task, description=text)
 
 
 @contextmanager
-def _bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    display = _display(bar=total is not None)
+def _bar(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[int], None]]:
+    display = _display(total is not None, detail)
     task = display.add_task(what, total=total)
     timer = threading.Timer(QUIET_S, display.start)
     timer.daemon = True
@@ -125,7 +137,7 @@ def _bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
         display.stop()
 
 
-def _display(bar: bool) -> Progress:
+def _display(bar: bool, detail: Callable[[], str]) -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
@@ -138,16 +150,16 @@ def _display(bar: bool) -> Progress:
             return False
 
     class What(TextColumn):
-        """Column evaluated ten times a second, so it shows the current kernel compilation."""
+        """Column evaluated ten times a second, so it shows the current detail."""
 
         def render(self, task: Task) -> Text:
-            return Text(progress_text(task.description), no_wrap=True, overflow="ellipsis")
+            return Text(progress_text(task.description, detail=detail), no_wrap=True, overflow="ellipsis")
 
     class Share(TaskProgressColumn):
-        """Percentage that is empty during a compilation, when the operation has not started yet."""
+        """Percentage that is empty while there is a detail: the operation waits for a compilation."""
 
         def render(self, task: Task) -> Text:
-            return Text() if str(COMPILE_PROGRESS) else super().render(task)
+            return Text() if detail() else super().render(task)
 
     text = Column(no_wrap=True, overflow="ellipsis")
     columns: list[ProgressColumn] = [
@@ -162,7 +174,7 @@ def _display(bar: bool) -> Progress:
 
 
 @contextmanager
-def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[int], None]]:
     start_s, finished, count = time.monotonic(), threading.Event(), 0
 
     def done(number: int) -> None:
@@ -172,7 +184,7 @@ def _lines(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            text = progress_text(what, count, total)
+            text = progress_text(what, count, total, detail)
             print(f"{text} ... {time.monotonic() - start_s:.0f} s", file=sys.stderr, flush=True)
             wait = PLAIN_PERIOD_S
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections.abc import Callable
 from math import pi, sin
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
@@ -298,22 +299,25 @@ class Exchange:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
-    def record(self, seconds: float, push: Push = NO_PUSH) -> Array:
+    def record(self, seconds: float, push: Push = NO_PUSH, what: str = "the exchange with the device") -> Array:
         """Return rows (n, ROW_SIZE) of `seconds` at the rig's rate; fewer if the device has ended.
 
-        Raises SafetyStop if the exchange hangs.
+        `what` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """
-        return self._record(_Part(Span(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz))))
+        part = _Part(Span(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
+        with progress(f"recording {what}", len(part.rows)) as done:
+            return self._record(part, done)
 
     def burst(self) -> Array:
         """Return rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""
-        return self._record(_Part(Span(0, BURST_NS, 0), NO_PUSH, BURST_ROWS))
+        return self._record(_Part(Span(0, BURST_NS, 0), NO_PUSH, BURST_ROWS), lambda number: None)
 
     def failure(self) -> Exception | None:
         """Return the error of a device that failed; None while it runs, and at the end of a recording."""
         return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
 
-    def _record(self, part: _Part) -> Array:
+    def _record(self, part: _Part, done: Callable[[int], None]) -> Array:
+        first = int(self._words[_TICKS])
         self._parts.put(part)
         self._words[_NEXT] = 1
         watchdog = Watchdog()
@@ -321,6 +325,7 @@ class Exchange:
             if self._over.is_set():
                 break
             ticks = int(self._words[_TICKS])
+            done(ticks - first)
             if idle_s := watchdog.stalled_s(ticks, self._armed):
                 stalled = SafetyStop(
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "

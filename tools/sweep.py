@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
+from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.server.progress import progress
 from softfinger.tools.sweep_results import open_rows
 

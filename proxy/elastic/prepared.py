@@ -19,7 +19,7 @@ from softfinger.proxy.elastic.solid import Solid, region_holds
 from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, read_volume
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
+from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.meshes import kept
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes

@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf import read_mesh
 from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.decorators import SOURCE_HASH
+from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.meshes import kept
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes

@@ -27,8 +27,8 @@ DAMPING_MAX_NS_PER_M: Final = 20.0
 """Default of the passivity controller's largest damping: at 1 kHz it is stable for devices down to 20 g."""
 
 KERNELS: Final = {"": 250, "heightmap": 120, "mesh": 200, "several": 100, "world": 100}
-"""Kernels that the loop of a scene compiles with an empty cache, and those that parts of a scene add. Counted for
-`paper-plane` (239), `heightmap` (316), `bend-a-strip` (434), `ball-in-a-bowl` (417) and `lift-a-box` (422)."""
+"""Estimated kernels that the loop of a scene compiles with an empty cache, and those that parts of a scene add: rounded
+up for `paper-plane` (239), `heightmap` (316), `bend-a-strip` (434), `ball-in-a-bowl` (417) and `lift-a-box` (422)."""
 
 FORCE_DOF: Final = 3
 """Degrees of freedom of a device that displays only forces."""
@@ -53,12 +53,12 @@ def make_tuning(
     guards = guards or (guard_limits(guard),) * len(scene.fingers)
     made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
     made_tools = made_tools or (None,) * len(scene.fingers)
-    COMPILE_PROGRESS.expect(kernels_at_most(scene))
+    COMPILE_PROGRESS.expect(kernel_estimate(scene))
     return Tuning(build_scene(scene), guards, _passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers))
 
 
-def kernels_at_most(scene: schema.Scene) -> int:
-    """Return the largest number of kernels that the loop of a scene may compile, for a progress message."""
+def kernel_estimate(scene: schema.Scene) -> int:
+    """Return about how many kernels the loop of a scene compiles with an empty cache, for a progress message."""
     has = {
         "": True,
         "heightmap": any(isinstance(obj, schema.Heightmap) for obj in scene.object),

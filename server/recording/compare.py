@@ -11,7 +11,7 @@ Replay and comparison are in one file because both depend on the same parts of a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import accumulate, pairwise
 from typing import Any, Final, NamedTuple
 
@@ -40,7 +40,7 @@ from softfinger.server.loop.guard import (
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import tick_many
-from softfinger.server.progress import CHUNK
+from softfinger.server.progress import CHUNK, progress
 from softfinger.server.recording.run import Run
 
 Array = NDArray[np.float64]
@@ -128,7 +128,15 @@ class Replayed(NamedTuple):
 
 
 def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
-    """Compute every tick of a run with today's step and guard; raises ConfigError if the scene has other fingers."""
+    """Compute every tick of a run with today's step and guard, and report the progress.
+
+    Raises ConfigError if the scene has other fingers.
+    """
+    with progress("replaying", len(run.first["tick"])) as done:
+        return _replay(run, scene, rig, done)
+
+
+def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int], None]) -> Replayed:
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(
@@ -146,7 +154,8 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     ramp = round(rig.commands.ramp_s * run.rate_hz)
     for part in _split_run(run, scene, ticks, ramp):
         block = slice(part.start, part.stop)
-        _simulate(run, part, make_tuning(part.scene, rig.guard, devices), poses[block], (columns[block], bodies))
+        tuning = make_tuning(part.scene, rig.guard, devices)
+        _simulate(run, part, tuning, poses[block], (columns[block], bodies), done)
         start = part.start
         if ticks[start] > 0:
             modes, guards = (columns[block, :, _SLICES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
@@ -178,8 +187,10 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     )
 
 
-def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, out: tuple[Array, Array]) -> None:
-    """Simulate the poses (n, fingers, 7) of a part from an empty state.
+def _simulate(
+    run: Run, part: _Part, tuning: Tuning, poses: Array, out: tuple[Array, Array], done: Callable[[int], None]
+) -> None:
+    """Simulate the poses (n, fingers, 7) of a part from an empty state; call `done` with the ticks of the run so far.
 
     Writes the columns (n, fingers, ...) and the poses of bodies (`Replayed`) into `out`.
     """
@@ -201,6 +212,7 @@ def _simulate(run: Run, part: _Part, tuning: Tuning, poses: Array, out: tuple[Ar
         tick_many(scene_and_guard, carried, poses[block], dts[block], period, first_tick + start, rows)
         check_bodies(tuning.scene)
         columns[block] = rows[:, :, _COLUMNS]
+        done(part.start + end)
         if tuning.scene.bodies is not None:
             owner = tuning.scene.bodies.block.owner
             if tuple(owner.names) == run.bodies.names:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
+from softfinger.server.progress import progress
 from softfinger.server.recording.layout import Layout, Part
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
@@ -123,7 +125,7 @@ class _Channel:
 
 
 def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
-    """Yield the contents of a recording in file order, followed by an End.
+    """Yield the contents of a recording in file order, followed by an End; report the progress.
 
     Raises
     ------
@@ -132,7 +134,11 @@ def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | E
     """
     try:
         with open_input(path) as file:
-            yield from _contents(Path(path), file)
+            size = os.fstat(file.fileno()).st_size
+            with progress(f"reading {Path(path).name}", size) as done:
+                for part in _contents(Path(path), file):
+                    done(file.tell())
+                    yield part
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
 

@@ -73,6 +73,7 @@ class DaemonInterface(NamedTuple):
     stop        ends the run in order
     fail        ends the run with an error
     recordings  service that records
+    report      publishes the progress of a scene in preparation; empty: there is none
     """
 
     replace: Callable[[schema.Scene, str], int]
@@ -84,6 +85,7 @@ class DaemonInterface(NamedTuple):
     stop: Callable[[], None]
     fail: Callable[[HapticError], None]
     recordings: Recordings
+    report: Callable[[str], None]
 
 
 class Commands:
@@ -102,7 +104,7 @@ class Commands:
         self._latest: NDArray[np.float64] | None = None
         self._led_fingers: Final = set[int]()
         """Indices of the fingers with hands moved by a program."""
-        self._scenes = SceneChanges(daemon.replace)
+        self._scenes = SceneChanges(daemon.replace, daemon.report)
         self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes, bool] | None]()
         self._pending_counts: Final = Counter[bytes]()
         """Number of requests of each client in `_queue` or being answered; protected by `_counts_lock`."""

@@ -6,7 +6,6 @@ cache, and the daemon loads the result. `commands.py` requests the changes.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
@@ -15,7 +14,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import IO, Final, NamedTuple
 
 from softfinger.config import schema
@@ -23,18 +23,21 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
+from softfinger.proxy import progress as preparation
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S
+from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, progress_text
 from softfinger.server.services.base import Worker
 
 log: Final = logging.getLogger(__name__)
 
 NICE: Final = 10
 """Niceness of the compiler, below the priority of the daemon."""
+REPORT_PERIOD_S: Final = 1.0
+"""Time between two reports of the compiler, that of `health`, which publishes them."""
 
 
 class Superseded(HapticError):
@@ -62,11 +65,12 @@ class SceneChanges(Worker):
     """Service that applies the latest requested scene; an earlier one is cancelled while it is being compiled.
 
     replace  renders a scene under a name, and returns its first tick
+    report   publishes the progress of the scene in preparation; empty: there is none
     """
 
-    def __init__(self, replace: Callable[[schema.Scene, str], int]) -> None:
+    def __init__(self, replace: Callable[[schema.Scene, str], int], report: Callable[[str], None]) -> None:
         super().__init__("scenes")
-        self._replace = replace
+        self._replace, self._report = replace, report
         self._changed = threading.Condition()
         self._next: Change | None = None
         self._compiler: subprocess.Popen[str] | None = None
@@ -88,6 +92,7 @@ class SceneChanges(Worker):
         super().stop()
 
     def work(self) -> None:
+        before, preparation.display = preparation.display, self._display
         while (change := self._next_change()) is not None:
             try:
                 scene = change.read()
@@ -95,10 +100,21 @@ class SceneChanges(Worker):
                 outcome: int | Exception = self._replace(scene, change.name)
             except Exception as error:
                 outcome = error
+            self._report("")
             change.done(outcome)
+        preparation.display = before
 
     def failed(self, error: Exception) -> None:
         """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
+
+    @contextmanager
+    def _display(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Report the progress of a mesh or an elastic body."""
+        log.info("%s", what)
+        try:
+            yield lambda number: self._report(progress_text(what, number, total))
+        finally:
+            self._report("")
 
     def _next_change(self) -> Change | None:
         with self._changed:
@@ -133,19 +149,23 @@ class SceneChanges(Worker):
             )
         try:
             assert compiler.stdin is not None and compiler.stdout is not None
-            with contextlib.suppress(BrokenPipeError):
+            with suppress(BrokenPipeError):
                 # Not closed yet: the compiler exits when its standard input ends, as when the daemon dies.
                 compiler.stdin.write(json.dumps(describe(scene)) + "\n")
                 compiler.stdin.flush()
             with compiler.stdout as output:
+                log_at_s = 0.0
                 for line in output:
-                    log.info("scene %s: %s", name, line.rstrip())
+                    self._report(line.rstrip())
+                    if time.monotonic() >= log_at_s:
+                        log.info("scene %s: %s", name, line.rstrip())
+                        log_at_s = time.monotonic() + PLAIN_PERIOD_S
             code = compiler.wait()
         finally:
             with self._changed:
                 self._compiler = None
                 is_superseded = self._next is not None or self.closing.is_set()
-            with contextlib.suppress(BrokenPipeError):
+            with suppress(BrokenPipeError):
                 compiler.stdin.close()  # type: ignore[union-attr]
         if is_superseded:
             raise _superseded()
@@ -194,7 +214,7 @@ def _report() -> None:
         time.sleep(wait)
         if kernel := str(COMPILE_PROGRESS):
             print(kernel, flush=True)
-        wait = PLAIN_PERIOD_S
+        wait = REPORT_PERIOD_S
 
 
 def _exit_with_daemon() -> None:

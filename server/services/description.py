@@ -11,7 +11,8 @@ import llvmlite.binding as llvm
 import msgspec
 
 from softfinger.config.load import describe
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT, SOURCE_HASH
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.scene import explain
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.services.rendering import Rendering

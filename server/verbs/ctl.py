@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -16,8 +18,10 @@ from softfinger.server.arguments import parse_parameter
 from softfinger.server.gateway.addresses import BUSY_S, find_addresses
 from softfinger.server.progress import progress
 from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import Control
+from softfinger.server.wire.protocol import HEALTH, ProtocolError
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,12 +33,13 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):
         # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
-    compiles = ", which may have to compile the scene: its log counts the kernels" if args.method == "set_scene" else ""
-    wait_display = progress(f"{args.method}: waiting for the daemon{compiles}")
     lock = keys.keys_from_options(args)
     within_s = BUSY_S if args.timeout is None else args.timeout
     addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
-    with Control(addresses.command_endpoint(), args.timeout, lock) as daemon, wait_display:
+    with (
+        Control(addresses.command_endpoint(), args.timeout, lock) as daemon,
+        progress(args.method, detail=_daemon_progress(addresses.telemetry, lock)),
+    ):
         result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))
@@ -42,3 +47,22 @@ def run(args: argparse.Namespace) -> int:
         for key, value in result.items():
             print(f"{key}: {json.dumps(value)}")
     return 0
+
+
+def _daemon_progress(endpoint: str, lock: keys.ClientKeys | None) -> Callable[[], str]:
+    """Return a function that returns the progress of the scene that the daemon prepares.
+
+    It subscribes when it is first called: the display of a short command never calls it.
+    """
+    samples: Subscription | None = None
+    text = waiting = "waiting for the daemon"
+
+    def latest() -> str:
+        nonlocal samples, text
+        samples = samples or subscribe(endpoint, (HEALTH,), keys=lock)
+        with suppress(ProtocolError):  # a daemon of an earlier version does not send its progress
+            while (sample := samples.receive(0.0)) is not None:
+                text = sample.data.preparing or waiting
+        return text
+
+    return latest

@@ -142,6 +142,7 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
     """Receive messages and show the board every `period_s`, until `--once` or `--duration` is satisfied."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
+    first = math.inf  # time of the first message: the daemon may start later
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
     lock = keys.keys_from_options(args)
@@ -153,10 +154,12 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
             if sample is not None:
                 board.update(sample)
             now = time.monotonic()
+            if board.messages:
+                first = min(first, now)
             if not board.messages and now >= min(end, started + args.timeout):
                 raise NoTelemetry(no_telemetry_text(endpoint, min(args.timeout, args.duration or math.inf)))
             if args.once:
-                if board.messages and (now >= min(end, started + _ONCE_WAIT_S) or (board.fingers and board.health)):
+                if board.messages and (now >= min(end, first + _ONCE_WAIT_S) or (board.fingers and board.health)):
                     show(board)
                     return
             elif now >= next_show or now >= end:

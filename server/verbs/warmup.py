@@ -29,7 +29,8 @@ RATE_HZ: Final = 1000.0
 def run(args: argparse.Namespace) -> int:
     if args.prune:
         prune()
-    for name in args.scenes or shipped(schema.Scene):
+    names = args.scenes or shipped(schema.Scene)
+    for number, name in enumerate(names, 1):
         try:
             scene = load_scene(name)
         except ConfigError as error:  # a package that the scene needs is not installed
@@ -38,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"{name}: left out: {error}")
             continue
         start_s = time.monotonic()
-        with report_compilation(f"kernels for {name}"):
+        with report_compilation(f"scene {number} of {len(names)}, {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
             compiled(tuning.scene, start_state(tuning.scene))

@@ -124,7 +124,7 @@ def _plot(
         series,
         title=title,
         scales=scales,
-        axes=({"show": has_time}, {"show": True, "size": AXIS_WIDTH, "space": LABEL_SPACE}),
+        axes=({"show": has_time, "size": TIME_HEIGHT}, {"show": True, "size": AXIS_WIDTH, "space": LABEL_SPACE}),
         legend={"show": False},
         padding=PADDING,
         height=HEIGHT + TIME_HEIGHT * has_time,

@@ -188,6 +188,13 @@ HEALTH_KEYS: Final = (
         "times the processes of telemetry and commands were started again, since the server started",
     ),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
+    Key(
+        "preparing",
+        "str",
+        "",
+        "",
+        "progress of the scene that `set_scene` prepares, such as `compiling kernel 12`; or empty",
+    ),
 )
 
 STATE_KEYS: Final = (

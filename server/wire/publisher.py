@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closeable
 from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
@@ -90,7 +91,7 @@ class Publisher(Closeable):
         self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
         self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
         self._health = [Health() for _ in fingers]
-        self._closed, self._state = False, ""
+        self._closed, self._state, self._preparing = False, "", ""
         is_standalone = isinstance(endpoints, str)
         self._endpoints: Final = bind_telemetry(endpoints) if isinstance(endpoints, str) else endpoints
         self.endpoint: Final = self._endpoints.telemetry
@@ -213,6 +214,13 @@ class Publisher(Closeable):
             if not self._closed:
                 self._link.send(Kind.STATE_INFO, body=msgspec.msgpack.encode(state_info))
 
+    def set_preparing(self, text: str) -> None:
+        """Set the progress of a scene in preparation, which `health` contains from now on.
+
+        If it is empty, `health` contains that of a compilation in this process.
+        """
+        self._preparing = text
+
     def publish(self, records: Records, drops: int = 0) -> None:
         """Send records without a servo, shape (n, fingers x RECORD_SIZE), and the messages that follow from them."""
         with self._lock:
@@ -245,6 +253,7 @@ class Publisher(Closeable):
                 health["refused"] = figures.refused
                 health["restarts"] = self.restarts
                 health["state"] = self._state
+                health["preparing"] = self._preparing or str(COMPILE_PROGRESS)
                 self._send(HEALTH, health)
             if any(link.failed for link in self._links) or self.tap.failed:
                 raise RuntimeError("a process of the endpoints, or the thread that forwards, has ended")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -96,6 +97,11 @@ class Session:
     def click(self, label: str) -> None:
         """Press a button once it is there."""
         self.page.get_by_role("button", name=label, exact=True).click()
+
+    def middle(self, label: str) -> float:
+        """Where the middle of a button is, pixels from the left of the window; nan while it is not to be seen."""
+        box = self.page.get_by_role("button", name=label, exact=True).bounding_box()
+        return math.nan if box is None else float(box["x"] + 0.5 * box["width"])
 
     def waits(self, *texts: str) -> bool:
         """Whether all these texts come to be read."""

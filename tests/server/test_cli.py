@@ -19,6 +19,7 @@ from helpers.called import called
 from softfinger.proxy.record import columns
 from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.recording.results import read_results
+from softfinger.tools.bench.options import KINDS
 
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 FREE = ["--endpoint", "tcp://127.0.0.1:*"]
@@ -127,7 +128,8 @@ def test_completion_lists_shipped_names(tmp_path):
 HELP = """
 import contextlib, io, sys
 from softfinger.server.cli import VERBS, run_verb
-for words in [["--help"], *([verb, "--help"] for verb in VERBS)]:
+from softfinger.tools.bench.options import KINDS
+for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kind, "--help"] for kind in KINDS)]:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
         run_verb(words)
     print(*words, {"numpy", "numba", "scipy", "rich", "zmq"} & set(sys.modules))
@@ -135,9 +137,11 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS)]:
 
 
 def test_help_imports_no_compiler():
-    """Help of all verbs is printed without importing numpy, numba, scipy, rich or zmq."""
+    """The list of verbs and the options of every verb and measurement are shown without numpy, numba and what else they
+    run with."""
     done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=300, check=True)
-    assert done.stdout.splitlines() == ["--help set()", *(f"{verb} --help set()" for verb in VERBS)]
+    words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
+    assert done.stdout.splitlines() == [f"{each}--help set()" for each in words]
 
 
 def test_run_for_a_duration_logs_plain_lines():

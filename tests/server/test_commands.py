@@ -29,12 +29,14 @@ from helpers.faulty_device import FaultyDevice, Options
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.programs import Program
+from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers import registry
+from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
@@ -555,7 +557,7 @@ def test_what_is_no_request_is_no_sign_of_life():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    doing = SimpleNamespace(replace=None, event=lambda *words, **fields: None)
+    doing = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     other = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     given = [(b"\xc1", False), (None, False), (other, False), (good, True), (good, False)]
@@ -654,10 +656,10 @@ def test_asyncio_client(rig):
 
 @pytest.fixture
 def slow_compiler(monkeypatch, tmp_path):
-    """Compiler that reports its start and never finishes."""
+    """A compiler that says that it began and compiles a kernel, and takes for ever."""
     program = tmp_path / "slow.py"
     program.write_text(
-        "import os, sys, time\nsys.stdin.readline()\n"
+        "import os, sys, time\nsys.stdin.readline()\nprint('compiling kernel 3', flush=True)\n"
         f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
     )
     popen = subprocess.Popen
@@ -674,37 +676,34 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_a_compilation_does_not_block_other_requests(rig, slow_compiler):
-    """Heartbeat and disarm are answered during a compilation, which ends with a later scene or with the daemon."""
+def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
+    """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
+    daemon's end. The terminal of `ctl` shows the progress of a mesh, and that of the compiler."""
+    words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
         running(rig()) as (daemon, control, kept),
-        Control(daemon.commands_endpoint) as first,
+        on_terminal([*words, daemon.commands_endpoint]) as (asking, pieces),
+        ThreadPoolExecutor() as pool,
         Control(daemon.commands_endpoint) as second,
     ):
-        ends = []
-
-        def ask(who: Control) -> None:
-            try:
-                ends.append(who.set_scene("sphere"))
-            except (CommandRefused, NoAnswer) as error:
-                ends.append(error)
-
-        threads = [threading.Thread(target=ask, args=(who,)) for who in (first, second)]
-        threads[0].start()
-        assert eventually(lambda: len(slow_compiler()) == 1)
+        assert any("set_scene: compiling kernel 3" in piece for piece in pieces)
+        with preparation.display("building the mesh of ball", 4) as done:
+            done(1)
+            assert any("set_scene: building the mesh of ball 25%" in piece for piece in pieces)
         control.timeout_s = 5.0
         assert control.heartbeat().timeout_ms == 0
         assert control.disarm().armed is False
         assert eventually(lambda: kept.force_n == 0.0)
-        threads[1].start()
-        assert eventually(lambda: len(ends) == 1) and str(ends[0]).startswith("superseded: ")
+        answer = pool.submit(second.set_scene, "sphere")
+        assert any("superseded: " in piece for piece in pieces)
+        assert asking.wait(60) == 12
         assert eventually(lambda: len(slow_compiler()) == 2 and sum(map(alive, slow_compiler())) == 1)
         control.stop()
         assert daemon.wait(60.0)
         daemon.close()
         assert not any(map(alive, slow_compiler()))
-        threads[1].join(60.0)
-        assert len(ends) == 2 and isinstance(ends[1], CommandRefused)
+        with pytest.raises(CommandRefused):
+            answer.result(60.0)
 
 
 def test_a_client_gets_its_answer_after_a_kill_of_the_commands_process(rig, slow_compiler):

@@ -61,7 +61,7 @@ def commands(folder: Path) -> Iterator[str]:
     rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene))
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
-        doing = cast(Any, SimpleNamespace(replace=None, serve=publisher.serve, reply=publisher.reply))
+        doing = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
         service = Commands(str(doors.commands), rendering, doing, "meshes")
         service.start()
         yield service.endpoint

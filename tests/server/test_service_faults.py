@@ -82,7 +82,11 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # missed immediately
     rendering = SimpleNamespace(rig=rig, force=Failing())
     doing = SimpleNamespace(
-        replace=print, serve=served.append, fail=ended.append, event=lambda *words, **more: told.append((words, more))
+        replace=print,
+        report=print,
+        serve=served.append,
+        fail=ended.append,
+        event=lambda *words, **more: told.append((words, more)),
     )
     commands = Commands("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
     commands.start()

@@ -12,6 +12,7 @@ Source: Salvietti, Malvezzi, Prattichizzo (2013), section 3.1.
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import stopwatch
+from softfinger.server.progress import progress
 from softfinger.tools.accuracy.cases import METHODS, RADIUS_M, Array
 from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
@@ -49,15 +51,16 @@ MOTIONS: Final = ("contact_frame", "world")
 
 def experiment(tolerance: float) -> list[dict[str, Any]]:
     """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
-    rows = []
-    for motion in MOTIONS:
-        exact = exact_path(motion)
-        for name in (*METHODS, "classical"):
+    rows = list[dict[str, Any]]()
+    names, exact_by_motion = (*METHODS, "classical"), {motion: exact_path(motion) for motion in MOTIONS}
+    with progress("the paper's experiment", len(MOTIONS) * len(names)) as done:
+        for motion, name in product(MOTIONS, names):
             at_phi = motion == "contact_frame" and name == "euler_zxz"
             path = classical_path(motion) if name == "classical" else method_path(name, motion, tolerance)
-            largest = 1e3 * np.abs(path - exact).max(axis=0)
+            largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
             heading = "phi" if at_phi else "own"
             rows.append({"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()})
+            done(len(rows))
     return rows
 
 
@@ -126,17 +129,19 @@ def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
     dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
     taken: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}
-    for _ in range(ROUNDS):
-        for name, make in METHODS.items():
-            taken[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
-        for name, turns, dt, share in (
-            ("classical", dq, STEP_S, MAX_STEP_SHARE),
-            ("free", dq, STEP_S, 1.0),
-            ("ahead", halves, STEPS * STEP_S / 2.0, 2.0 * MAX_STEP_SHARE),
-        ):
-            _, time, counts[name] = time_classical(turns, dt, share, 0.0, blocks)
-            taken[name].append(time / STEPS)
-        taken["reference"].append(reference_ns())
+    with progress("timing the methods", ROUNDS) as done:
+        for number in range(ROUNDS):
+            for name, make in METHODS.items():
+                taken[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
+            for name, turns, dt, share in (
+                ("classical", dq, STEP_S, MAX_STEP_SHARE),
+                ("free", dq, STEP_S, 1.0),
+                ("ahead", halves, STEPS * STEP_S / 2.0, 2.0 * MAX_STEP_SHARE),
+            ):
+                _, time, counts[name] = time_classical(turns, dt, share, 0.0, blocks)
+                taken[name].append(time / STEPS)
+            taken["reference"].append(reference_ns())
+            done(number + 1)
     ns = {name: float(np.median(values)) for name, values in taken.items()}
     return {
         "classical_ns_per_step": ns["classical"],

@@ -18,7 +18,6 @@ import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import reason_unsavable
-from softfinger.server.progress import progress
 from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import RADIUS_M, Sweep, cases, has_method, longest_step
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
@@ -56,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
     sweep, drift_cases = plan(args)
     if args.figures is not None:
         prepare_figures(args.figures)
-    with progress("the paper's experiment"):
-        paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
+    paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
     # One thread, so that nothing runs concurrently with the timing.
     where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
     trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)

@@ -32,7 +32,6 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
 from softfinger.tools.measure import show
-from softfinger.tools.options import add_output_options
 
 TICKS: Final = 10_000
 """Ticks in a block."""
@@ -87,16 +86,6 @@ def time_ticks(
             short_ns[block, part] = now_ns(timespec) - begun
         cpu_ns[block] = thread_cpu_ns(timespec) - cpu_begun
     return strongest
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--scene", default="frictionless-plane", help="scene with its first surface at z = 0 (%(default)s)"
-    )
-    parser.add_argument(
-        "--blocks", type=int, default=1000, help=f"blocks of {TICKS} ticks, in {ROUNDS} turns (default: %(default)s)"
-    )
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -29,7 +29,6 @@ from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.tools.bench.telemetry import await_messages
 from softfinger.tools.measure import Array, show
-from softfinger.tools.options import add_output_options
 
 DEPTH_M: Final = 0.001
 FORCE_N: Final = 2.0
@@ -114,13 +113,6 @@ class Listener:
         while not self.felt():
             if time.monotonic() > until:
                 raise ConfigError(f"no unchanged force was returned within {TURN_S:g} s: is the machine overloaded?")
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="set_params a second (%(default)s)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long, and how long without (%(default)s)")
-    parser.add_argument("--swaps", type=int, default=100, help="how often set_scene (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,7 +13,6 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.progress import progress
 from softfinger.tools.exchange import (
     EMPTY_READ,
     EMPTY_WRITE,
@@ -26,13 +25,6 @@ from softfinger.tools.exchange import (
 )
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, show
-from softfinger.tools.options import add_output_options
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=5.0, help="at the rig's rate (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,9 +34,8 @@ def run(args: argparse.Namespace) -> int:
     rate = rig.servo.rate_hz
     compile_exchange()
     with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed_guard(rig)) as exchange:
-        with progress("measuring the exchange with the device"):
-            rows = exchange.record(args.seconds)
-            burst = exchange.burst()
+        rows = exchange.record(args.seconds)
+        burst = exchange.burst()
         failure = exchange.failure()
         if failure is not None:
             raise failure

@@ -31,28 +31,12 @@ from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.bench.geoms import GEOMS_MAX, scene_of_geoms
+from softfinger.tools.bench.geoms import scene_of_geoms
 from softfinger.tools.measure import Array, microseconds, quantiles, show
-from softfinger.tools.options import add_output_options
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
 FIGURES: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=15.0, help="for each of the loops (default: %(default)s)")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
-    what.add_argument(
-        "--geoms",
-        type=int,
-        metavar="N",
-        help=f"instead so many bodies on a floor, one geom each, up to {GEOMS_MAX}, and two fingers",
-    )
-    parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -26,7 +26,6 @@ from softfinger.server.offline.cost import time_steps
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.measure import Array, quantiles, show
-from softfinger.tools.options import add_output_options
 
 RADIUS_M: Final = 0.05
 """Radius of the ball."""
@@ -37,23 +36,6 @@ SPEED_M: Final = 1e-4
 BLOCK: Final = 1000
 CHECKED: Final = 20
 """Points at which the distance is compared with a search over all triangles."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--levels",
-        type=int,
-        nargs="+",
-        default=[4, 6, 7],
-        metavar="N",
-        help="balls of 20 x 4^N triangles, N from 1 to 9: 4 has 5 120, 7 has 327 680, 9 has 5.2 million (%(default)s)",
-    )
-    parser.add_argument(
-        "--fingertip", type=float, nargs="+", default=[0.01], metavar="M", help="radii, m (%(default)s)"
-    )
-    parser.add_argument("--ticks", type=int, default=20_000, help="back to back (default: %(default)s)")
-    parser.add_argument("--paced", type=int, default=2_000, help="ticks a millisecond apart (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

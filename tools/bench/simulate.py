@@ -20,23 +20,9 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.recording.results import SUFFIXES, csv_lines
 from softfinger.tools.measure import Array, show
-from softfinger.tools.options import add_output_options
 
 RATE_HZ: Final = 1000.0
 TICKS_MIN: Final = 1000
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scene", default="paper-plane", help="scene of one finger (default: %(default)s)")
-    parser.add_argument(
-        "--poses", default="press-roll-spin-drag", metavar="P", help="recording, again and again (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--ticks", type=int, default=600_000, help="length, at 1 kHz; a file of 600000 has up to 0.9 GB (%(default)s)"
-    )
-    parser.add_argument("--rounds", type=int, default=5, help="turns of each format (default: %(default)s)")
-    parser.add_argument("--folder", type=Path, help="where the files are for the moment (the system's for such)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -37,7 +37,6 @@ from softfinger.tools.bench.loop import compile_reference, run_reference
 from softfinger.tools.bench.telemetry import await_messages, source
 from softfinger.tools.bench.view import viewer
 from softfinger.tools.measure import Array, show
-from softfinger.tools.options import add_output_options
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -91,12 +90,6 @@ class Soaked(NamedTuple):
     missed: int
     missed_c: int | None
     lost: int
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--minutes", type=float, default=10.0, metavar="N", help="how long (default: %(default)s)")
-    parser.add_argument("--realtime", default="auto", help="auto, require or off (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -20,7 +20,6 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
 from softfinger.tools.measure import show
-from softfinger.tools.options import add_output_options
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
@@ -47,22 +46,6 @@ def reference_ns() -> float:
     watch, count = stopwatch(50), 100
     time_reference(0.5, count, watch)
     return float(np.median(watch.ns)) / count
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scene", nargs="*", default=["paper-plane"], help="scene files or names (%(default)s)")
-    parser.add_argument("--all", action="store_true", help="every shipped scene")
-    parser.add_argument(
-        "--features",
-        nargs="*",
-        metavar="PATTERN",
-        help="also what every feature of the scene format adds to a scene without it, or those whose names match, such "
-        "as 'torsion*'; each compiles a scene or two, 2 to 5 s, so all of them take some three minutes the first time",
-    )
-    parser.add_argument(
-        "--blocks", type=int, default=2000, help=f"blocks of {BLOCK} steps, in {ROUNDS} turns (default: %(default)s)"
-    )
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -35,7 +35,6 @@ from softfinger.server.publishing.setup import StateInfo, Ticks
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, microseconds, quantiles, show
-from softfinger.tools.options import add_output_options
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
@@ -86,21 +85,6 @@ class Source(NamedTuple):
     process: subprocess.Popen[Any]
     endpoint: str
     keys: tuple[str, ...] = ()
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--subscribers", type=int, default=8, help="processes that subscribe (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each (default: %(default)s)")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (%(default)s)")
-    parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument(
-        "--busy", action="store_true", help="also with a busy Python thread, in the daemon and next to the C loop"
-    )
-    parser.add_argument("--forward", action="store_true", help="also through `softfinger forward`")
-    parser.add_argument("--keys", action="store_true", help="with --forward: by CURVE keys")
-    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version; the daemons run in turn")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

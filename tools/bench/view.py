@@ -28,7 +28,6 @@ from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.telemetry import await_messages, processor_s, source
 from softfinger.tools.measure import Array, microseconds, quantiles, show
-from softfinger.tools.options import add_output_options
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
@@ -76,14 +75,6 @@ class Turn(NamedTuple):
     ticks: Array
     load: float
     frames: list[float]
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--viewers", type=int, default=10, metavar="N", help="viewers at once (default: %(default)s)")
-    parser.add_argument("--browsers", type=int, default=0, metavar="N", help="pages at once in Chromium (%(default)s)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long to measure each (default: %(default)s)")
-    parser.add_argument("--rig", default="simulated", help="rig file or name (default: %(default)s)")
-    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

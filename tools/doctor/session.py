@@ -9,9 +9,8 @@ import numpy as np
 
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.kinematics.subspace import MotionSubspace
-from softfinger.server.progress import progress
 from softfinger.tools.doctor import motions
-from softfinger.tools.exchange import FORCE_CYCLES, ROW_SIZE, Exchange, Push
+from softfinger.tools.exchange import FORCE_CYCLES, NO_PUSH, ROW_SIZE, Exchange, Push
 from softfinger.tools.exchange_figures import burst_figures, figures
 from softfinger.tools.measure import Array
 
@@ -145,8 +144,7 @@ class Session:
         return [k for k in range(3) if float(np.linalg.norm(self._part(k))) > LEAST_PART]
 
     def _record(self, what: str, seconds: float, push: Push | None = None) -> Array:
-        with progress(f"recording {what}"):
-            rows = self._exchange.record(seconds) if push is None else self._exchange.record(seconds, push)
+        rows = self._exchange.record(seconds, push or NO_PUSH, what)
         self._rows.append(rows)
         self._report["range"] = motions.reach(np.concatenate(self._rows))
         return rows

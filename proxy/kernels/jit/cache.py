@@ -34,6 +34,10 @@ KERNEL_FOLDERS: Final = ("drivers", "proxy", "server/loop", "server/offline", "s
 """Folders with kernels and the constants that they read, except those of `tools`: a hash of their sources is part of
 the name of the cache folder."""
 
+_NAMED: Final = tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS)
+_OWN_FILE: Final = f"{_PROGRAM}config{os.sep}package.py"
+"""Excluded from hashes: a wheel has it at another path, but shares cached kernels with a clone of the same version."""
+
 log: Final = logging.getLogger(__name__)
 
 
@@ -233,14 +237,14 @@ def sources_of(file: str) -> str | None:
 
 @cache
 def _sources(file: str, *version: int) -> str:
-    path = Path(file)
-    top = path.parent
+    own = _digest(file).hex()
+    if file.startswith(_NAMED):
+        return own
+    top = Path(file).parent
     if not file.startswith(_PROGRAM):
         while (top.parent / "__init__.py").is_file():
             top = top.parent
-    named = file.startswith(tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS))
-    own = hashlib.sha256(path.read_bytes()).hexdigest()
-    return own + (_package(top) if not named and (top / "__init__.py").is_file() else "")
+    return own + (_package(top) if (top / "__init__.py").is_file() else "")
 
 
 @cache
@@ -249,3 +253,20 @@ def _package(top: Path) -> str:
     for file in sorted(top.rglob("*.py")):
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def hash_of_sources(folders: Iterable[str]) -> str:
+    """Return a hash over every source file of these folders of the program, in the order of their paths."""
+    paths = sorted(
+        f"{parent}{os.sep}{name}"
+        for top in folders
+        for parent, _, names in os.walk(_PROGRAM + top)
+        for name in names
+        if name.endswith(".py")
+    )
+    return hashlib.sha256(b"".join(_digest(path) for path in paths if path != _OWN_FILE)).hexdigest()
+
+
+def _digest(path: str) -> bytes:
+    with open(path, "rb", buffering=0) as file:
+        return hashlib.sha256(file.readall()).digest()

@@ -16,7 +16,7 @@ import gc
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -24,7 +24,7 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import event
 
-from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder
+from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, Folder, hash_of_sources
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     FOR_KERNELS,
     WITHOUT_ALLOCATOR,
@@ -41,11 +41,6 @@ PLAIN: Final = bool(numba.config.DISABLE_JIT)
 """numba's switch, the environment variable NUMBA_DISABLE_JIT=1: kernels are plain Python functions, for a debugger, a
 profiler or a coverage measurement. `Engine` then works with the same bits; functions that need machine code do not."""
 
-_PACKAGE: Final = Path(__file__).resolve().parents[3]
-_SOURCE_FOLDERS: Final = ("config", "drivers", "proxy", "server", "tools")
-_OWN_FILE: Final = "config/package.py"
-"""Excluded from hashes: a wheel has it at another path, but shares cached kernels with a clone of the same version."""
-
 
 def _cache_root() -> Path | None:
     """Return the root of all cache folders; None if the user's home folder is unknown."""
@@ -58,42 +53,11 @@ def _cache_root() -> Path | None:
         return None
 
 
-def _read_sources() -> dict[str, bytes]:
-    """Return the digest of every source file by its path in the package, sorted."""
-    root = f"{_PACKAGE}{os.sep}"
-    paths = [
-        f"{parent}{os.sep}{name}"
-        for top in _SOURCE_FOLDERS
-        for parent, _, names in os.walk(root + top)
-        for name in names
-        if name.endswith(".py")
-    ]
-    paths = sorted(path.removeprefix(root) for path in paths)
-    return {path: _digest(root + path) for path in paths if path != _OWN_FILE}
-
-
-def _digest(path: str) -> bytes:
-    with open(path, "rb", buffering=0) as file:
-        return hashlib.sha256(file.readall()).digest()
-
-
-_SOURCES: Final = _read_sources()
-
-
-def _source_hash(folders: Iterable[str]) -> str:
-    within = tuple(f"{folder}{os.sep}" for folder in folders)
-    return hashlib.sha256(b"".join(each for path, each in _SOURCES.items() if path.startswith(within))).hexdigest()
-
-
-SOURCE_HASH: Final = _source_hash(_SOURCE_FOLDERS)
-"""Identity of this version of the program: a hash over every source file as it was at import."""
-
-
 def _fingerprint() -> str:
     made = numba.config
     cpu = made.CPU_NAME or llvm.get_host_cpu_name()
     settings = made.OPT, made.BOUNDSCHECK, made.LOOP_VECTORIZE, made.SLP_VECTORIZE
-    kernels = _source_hash(KERNEL_FOLDERS)
+    kernels = hash_of_sources(KERNEL_FOLDERS)
     return hashlib.sha256(f"{numba.__version__} {sys.version} {cpu} {settings} {kernels}".encode()).hexdigest()[:16]
 
 

@@ -1,10 +1,11 @@
 """Geometry of the shapes: a file for each family of simple shapes, a folder for each shape that needs a search.
 
 A new shape is added in this folder only: importing its module registers it. `protocol` lists the functions that a
-shape implements; another package can implement them for its shapes, too.
+shape implements; another package can implement them for its shapes, too. What builds a mesh or a height map
+(`proxy/meshes/tree.py`, `proxy/heightmaps.py`) imports its folder: most scenes have neither.
 """
 
-from softfinger.proxy.kernels.shapes import ellipsoid, heightmap, mesh, minkowski, plane, round, sharp, torus
+from softfinger.proxy.kernels.shapes import ellipsoid, minkowski, plane, round, sharp, torus
 from softfinger.proxy.kernels.shapes.protocol import (
     BUDGET_OF_A_ROLL,
     NO_HIT,
@@ -38,9 +39,7 @@ __all__ = [
     "curvature",
     "ellipsoid",
     "follows",
-    "heightmap",
     "is_hollow",
-    "mesh",
     "minkowski",
     "plane",
     "rest_on",

@@ -26,11 +26,17 @@ def through_chromium() -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Run consent, a survey, instructions and two blocks of two trials with a break and a survey between them. Buttons
-    and keys answer. Colour, image and noise are those of the condition. The page of a watcher shows the same texts
-    without buttons. The folder contains all files."""
+    """Consent, a survey, instructions, two blocks of two trials with a break and a survey between them, the end.
+
+    Answers are given by button and by key. Colour, image and noise are those of the condition. A second page, of a
+    watcher, shows the same and has nothing to answer with. The folder has everything. The prompt is in the middle of a
+    window of any width.
+    """
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
+        for width in (390, 2560, 840):
+            run.page.set_viewport_size({"width": width, "height": 520})
+            assert eventually(lambda: abs(run.middle("I agree") - width / 2) < 10.0), width  # noqa: B023 - called at once
         run.click("I agree")
         assert run.waits("About you: question 1 of 2", "Which hand?")
         run.write("your answer", "the <b>left</b> one")

@@ -14,20 +14,24 @@ class CompileProgress:
     """Kernels that this process compiles and loads."""
 
     def __init__(self) -> None:
-        self._compiled = self._depth = self._at_most = 0
+        self._compiled = self._depth = self._estimate = 0
         self._loading = False
         self.on_first: Callable[[], None] | None = None
         """Callback at the start of the next compilation; loading does not call it."""
 
-    def expect(self, at_most: int) -> None:
-        """Count from 1 again, towards the number of kernels that a scene compiles with an empty cache."""
-        self._compiled, self._at_most = 0, at_most
+    def expect(self, estimate: int) -> None:
+        """Count from 1 again; with an empty cache a scene compiles about `estimate` kernels."""
+        self._compiled, self._estimate = 0, estimate
 
     def __str__(self) -> str:
-        """Return `compiling kernel 2 of at most 240`, `loading cached kernels`, or an empty string."""
+        """Return `compiling kernel 2 (about 240 with an empty cache)`, `loading cached kernels`, or an empty string.
+
+        The estimate is left out once it is exceeded.
+        """
         if self._depth:  # its callees may be loaded at the same time
             number = self._compiled + 1
-            return f"compiling kernel {number}" + (f" of at most {self._at_most}" if number <= self._at_most else "")
+            estimate = f" (about {self._estimate} with an empty cache)" if number <= self._estimate else ""
+            return f"compiling kernel {number}{estimate}"
         return "loading cached kernels" if self._loading else ""
 
     def begin(self) -> None:
