@@ -43,7 +43,7 @@ class FarEnd(NamedTuple):
     """Device, and the forces it received.
 
     device    open and armed
-        received  after closing, the forces in order (n, 4): time, s of the monotonic clock, NaN if row k is that of tick k;
+        received  after closing, the forces in order (n, 4): monotonic time, s, NaN if row k is that of tick k;
                   and the force, in N, or in A or N m of the motors if the device receives these
         handover  ticks until a force reaches the motors
         most      limit of the guard, in the unit of `received`
