@@ -125,6 +125,15 @@ def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
     assert [each.LEGS for each in made.values()] == [7, 7, 3]
 
 
+def test_marks_of_helpers_are_named_in_the_files_that_use_them() -> None:
+    """Collection skips files without the name of the selected mark in their text (tests/conftest.py)."""
+    tests = {path: path.read_text("utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    for helper in (ROOT / "tests" / "helpers").glob("*.py"):
+        marks = set(re.findall(r"pytest\.mark\.(plain|real_time|system)\b", helper.read_text("utf-8")))
+        users = {path: text for path, text in tests.items() if f"helpers.{helper.stem} import" in text}
+        assert [name(path) for path, text in users.items() if any(mark not in text for mark in marks)] == []
+
+
 def test_the_index_lists_every_page() -> None:
     """docs/index.md leads to each page of docs/."""
     index = ROOT / "docs" / "index.md"

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call
+from helpers.plain_by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call
 
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import delta, exchange, packets

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
+from helpers.plain_by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import exchange

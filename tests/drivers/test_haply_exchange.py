@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
+from helpers.plain_by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 from helpers.hid_devices import described
+from helpers.plain_by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange

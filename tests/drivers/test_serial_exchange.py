@@ -7,7 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import ABOUT_Z, BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose, matrix, turned
+from helpers.plain_by_call import (
+    ABOUT_Z,
+    BY_CALL,
+    MS,
+    START_NS,
+    File,
+    GuardedBlock,
+    by_call,
+    check_pose,
+    matrix,
+    turned,
+)
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.by_call import BY_CALL, MS, by_call
 from helpers.described_boards import rig_options
+from helpers.plain_by_call import BY_CALL, MS, by_call
 from test_serial_exchange import Board, frame
 
 from softfinger.drivers import board_exchange

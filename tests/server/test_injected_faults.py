@@ -179,7 +179,7 @@ EVERYWHERE = {
     "slow read": "ticks that are missed",
     "hang": "a loop that stalls",
     "held for long": "a device that takes no force",
-    "disconnect": "a device that is lost, silent, or breaks its protocol",
+    "disconnect": "a device that is lost or breaks its protocol",
     "force off": "a device that removes its force",
 }
 """Faults injected into every driver, and their rows of the fault model."""
