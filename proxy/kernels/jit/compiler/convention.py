@@ -11,6 +11,7 @@ left in machine code, so here a tuple is one argument.
 from __future__ import annotations
 
 import hashlib
+import re
 from typing import Any
 
 from llvmlite import ir as llvm_ir
@@ -134,10 +135,13 @@ class _InlinedLower(Lower):  # type: ignore[misc]
 
 
 def _short_name(name: str, kinds: Any, *, abi_tags: Any = (), uid: Any = None) -> str:
-    """Return a symbol of a kernel: numba's consists of the names of all types, in hundreds of characters."""
-    prefix = "_ZN08NumbaEnv" if name.startswith(".NumbaEnv") else "_ZN10softfinger"
+    """Return a symbol of a kernel: its mangled name and a hash.
+
+    In place of the hash, numba's symbol has the names of all types, in hundreds of characters.
+    """
+    parts = [re.sub(r"\W", "_", part) for part in name.split(".")]
     unique = hashlib.sha256(repr((name, kinds, uid)).encode()).hexdigest()[:32]
-    return f"{prefix}_{name.rpartition('.')[2]}_{unique}"
+    return f"_ZN{''.join(f'{len(part)}{part}' for part in parts)}_{unique}"
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
