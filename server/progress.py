@@ -49,14 +49,14 @@ def on_terminal() -> bool:
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def compile_detail() -> str:
+def describe_compilation() -> str:
     """Return the progress of a compilation in this process; empty if there is none."""
     return str(COMPILE_PROGRESS)
 
 
 @contextmanager
 def progress(
-    what: str, total: int | None = None, detail: Callable[[], str] = compile_detail
+    what: str, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> Iterator[Callable[[int], None]]:
     """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`.
 
@@ -73,7 +73,7 @@ def progress(
 
 
 def progress_text(
-    what: str, count: int = 0, total: int | None = None, detail: Callable[[], str] = compile_detail
+    what: str, count: int = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
     if text := detail():
@@ -116,7 +116,7 @@ def counter() -> Iterator[Callable[[str], None] | None]:
         yield None
         return
     with _display_lock:
-        display = _display(False, compile_detail)
+        display = _display(False, describe_compilation)
         task = display.add_task("")
         with display:
             yield lambda text: display.update(task, description=text)

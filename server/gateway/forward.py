@@ -92,7 +92,7 @@ class Forward:
         self._files.callback(peers.close)
 
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
-        """Forward until the function `ended` returns True."""
+        """Forward until `ended` returns True; call `show` with the counts once a second."""
         bound_resources()
         due = 0.0
         while not ended():

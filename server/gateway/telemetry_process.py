@@ -38,15 +38,15 @@ class TelemetryProcess:
         self._command: Final = [sys.executable, "-m", "softfinger.server.cli", "forward", *words]
         self._process = self._start()
         self.exit_code = 0
-        """Exit code if the options are wrong or the endpoint is in use; the process has printed the error."""
+        """Exit code after such an error, which the process has printed: wrong options, or an endpoint in use."""
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._started_s = time.monotonic()
         # In a session of its own: Ctrl-C reaches the gateway, which then closes the standard input of this process.
         return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
-    def has_failed(self) -> bool:
-        """Return True if the process cannot start; start it again if it has ended for another reason."""
+    def keep_running(self) -> bool:
+        """Start the process again if it has ended. Return False after an error that a new start would repeat."""
         code = self._process.poll()
         if code in (ConfigError.exit_code, AddressInUse.exit_code):
             self.exit_code = code
@@ -54,7 +54,7 @@ class TelemetryProcess:
             log.warning("the process that forwards telemetry has ended (code %d) and is started again", code)
             self._process.communicate()
             self._process = self._start()
-        return self.exit_code != 0
+        return self.exit_code == 0
 
     def end(self) -> dict[str, Any]:
         """End the process, and return its statistics, if it has printed any; may be called repeatedly."""

@@ -53,11 +53,11 @@ def make_tuning(
     guards = guards or (guard_limits(guard),) * len(scene.fingers)
     made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
     made_tools = made_tools or (None,) * len(scene.fingers)
-    COMPILE_PROGRESS.expect(kernel_estimate(scene))
+    COMPILE_PROGRESS.expect(estimate_kernels(scene))
     return Tuning(build_scene(scene), guards, _passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers))
 
 
-def kernel_estimate(scene: schema.Scene) -> int:
+def estimate_kernels(scene: schema.Scene) -> int:
     """Return about how many kernels the loop of a scene compiles with an empty cache, for a progress message."""
     has = {
         "": True,

@@ -130,6 +130,18 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
             assert sum(each.startswith("{ {") for each in kinds) == 1  # the pair, as one argument
 
 
+def test_a_value_or_none_is_no_result_of_an_inlined_kernel() -> None:
+    """Its caller would take the code for None for an error."""
+    kernel: Any = decorators.jit(lambda x: x if x > 0.0 else None)
+
+    @decorators.entry
+    def call(x: float) -> bool:
+        return kernel(x) is None
+
+    with pytest.raises(numba.TypingError, match="return a flag and a value"):
+        call(1.0)
+
+
 def test_no_collection_scans_the_objects_of_a_compilation() -> None:
     """numba makes tens of thousands of objects for a small kernel; a collection of new objects finds few."""
 

@@ -73,7 +73,7 @@ def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
 
 
 @jit
-def node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
+def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
     """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 if it does not give."""
     found = mat3.ZEROS
     if node >= 0:
@@ -84,10 +84,10 @@ def node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
 
 
 @jit
-def node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
+def compute_node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
     """Return the compliance (3, 3) m/N of each node of `one` under loads at `two`."""
     a, b, c = one.nodes
-    return node_row(elastic, a, two), node_row(elastic, b, two), node_row(elastic, c, two)
+    return compute_node_row(elastic, a, two), compute_node_row(elastic, b, two), compute_node_row(elastic, c, two)
 
 
 @jit
@@ -108,14 +108,14 @@ def respond(one: Spot, two: Spot, rows: Any, back: Any) -> Response:
 @jit
 def respond_alone(elastic: Elastic, spot: Spot) -> Response:
     """Compute the response at a spot to its own load."""
-    rows = node_rows(elastic, spot, spot)
+    rows = compute_node_rows(elastic, spot, spot)
     return respond(spot, spot, rows, rows)
 
 
 @jit
 def respond_to_other(elastic: Elastic, one: Spot, two: Spot) -> tuple[Response, Response]:
     """Compute the responses at `one` to loads at `two`, and at `two` to loads at `one`."""
-    rows, back = node_rows(elastic, one, two), node_rows(elastic, two, one)
+    rows, back = compute_node_rows(elastic, one, two), compute_node_rows(elastic, two, one)
     return respond(one, two, rows, back), respond(two, one, back, rows)
 
 

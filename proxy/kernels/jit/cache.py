@@ -34,7 +34,7 @@ KERNEL_FOLDERS: Final = ("drivers", "proxy", "server/loop", "server/offline", "s
 """Folders with kernels and the constants that they read, except those of `tools`: a hash of their sources is part of
 the name of the cache folder."""
 
-_NAMED: Final = tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS)
+_KERNEL_PATHS: Final = tuple(f"{_PROGRAM}{folder}{os.sep}" for folder in KERNEL_FOLDERS)
 _OWN_FILE: Final = f"{_PROGRAM}config{os.sep}package.py"
 """Excluded from hashes: a wheel has it at another path, but shares cached kernels with a clone of the same version."""
 
@@ -238,7 +238,7 @@ def sources_of(file: str) -> str | None:
 @cache
 def _sources(file: str, *version: int) -> str:
     own = _digest(file).hex()
-    if file.startswith(_NAMED):
+    if file.startswith(_KERNEL_PATHS):
         return own
     top = Path(file).parent
     if not file.startswith(_PROGRAM):

@@ -48,8 +48,8 @@ def run(args: argparse.Namespace) -> int:
         with signals.stop_on_signal(stop.set), counter() as show:
             if telemetry is None:
                 forward.run(stop.is_set, show)
-            else:  # which shows its own counts
-                forward.run(lambda: stop.is_set() or telemetry.has_failed())
+            else:  # the other process shows counts
+                forward.run(lambda: stop.is_set() or not telemetry.keep_running())
         found = (telemetry.end() if telemetry is not None else {}) | forward.statistics()
     if telemetry is not None and telemetry.exit_code:
         return telemetry.exit_code

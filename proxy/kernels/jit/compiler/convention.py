@@ -21,6 +21,7 @@ from numba.core.callconv import RETCODE_OK, CPUCallConv
 from numba.core.compiler import _LowerResult
 from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.datamodel import ArgPacker
+from numba.core.errors import NumbaTypeError
 from numba.core.funcdesc import PythonFunctionDescriptor
 from numba.core.lowering import Lower
 
@@ -85,10 +86,10 @@ def declare(context: Any, module: Any, described: Any) -> Any:
     return function
 
 
-def _call_of(described: Any, library: Any) -> Any:
+def _make_call(described: Any, library: Any) -> Any:
     """Return the generator of calls of a kernel, for numba's table of implementations.
 
-    A kernel that fails ends its caller with the same error: kernels contain neither `try` nor optional results.
+    A kernel that fails ends its caller with the same error, since no kernel contains `try`.
     """
 
     def call(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -111,7 +112,7 @@ def _call_of(described: Any, library: Any) -> Any:
 
 def insert_inlined(context: Any, entry_point: Any, described: Any, library: Any) -> None:
     """Add a kernel to numba's table of implementations."""
-    context._defns[entry_point].append(_call_of(described, library), described.argtypes)
+    context._defns[entry_point].append(_make_call(described, library), described.argtypes)
 
 
 class _InlinedLower(Lower):  # type: ignore[misc]
@@ -134,7 +135,7 @@ class _InlinedLower(Lower):  # type: ignore[misc]
             super().lower_inst(inst)
 
 
-def _short_name(name: str, kinds: Any, *, abi_tags: Any = (), uid: Any = None) -> str:
+def _make_symbol(name: str, kinds: Any, *, abi_tags: Any = (), uid: Any = None) -> str:
     """Return a symbol of a kernel: its mangled name and a hash.
 
     In place of the hash, numba's symbol has the names of all types, in hundreds of characters.
@@ -155,12 +156,14 @@ class InlinedLowering(LoweringPass):  # type: ignore[misc]
 
     def run_pass(self, state: Any) -> bool:
         context, library = state.targetctx, state.library
+        if isinstance(state.return_type, types.Optional):
+            raise NumbaTypeError(f"{state.func_id.func_qualname} returns a value or None: return a flag and a value")
         described = PythonFunctionDescriptor.from_specialized_function(
             state.func_ir,
             state.typemap,
             state.return_type,
             state.calltypes,
-            mangler=_short_name,
+            mangler=_make_symbol,
             inline=True,
             noalias=False,
             abi_tags=(),

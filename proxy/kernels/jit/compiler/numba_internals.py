@@ -18,7 +18,8 @@ CPUDispatcher, types.Dispatcher
                          from Python. Without: numba jumps to address 0.
 _optimize_functions, _optimize_final_module, _codegen
                          Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
-NativeLowering, CPUCallConv, ArgPacker, Lower, _defns and others in `convention.py`
+NativeLowering, register_pass, LoweringPass, _LowerResult, Lower, CPUCallConv, ArgPacker, PythonFunctionDescriptor,
+get_or_insert_function, get_executable, _defns, StarArgTuple, StarArgUniTuple (all in `convention.py`)
                          A tuple is one argument of such a kernel. Without: LLVM gets three times as much code, and a
                          scene compiles for 1.1 times as long.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
