@@ -10,38 +10,6 @@ from typing import Final
 from softfinger.tools.bench.geoms import GEOMS_MAX
 from softfinger.tools.options import add_output_options
 
-KINDS: Final = {
-    "step": "cost of the contact step, back to back",
-    "closed-loop": "ticks per second with a simulated device, offline",
-    "simulate": "how fast `simulate` is, from its start to the file",
-    "loop": "lateness and execution time of the servo loop, compared with a C loop",
-    "device": "time of an exchange with a device, compared with an empty one",
-    "commands": "effect of commands on a pressing hand: torn sets, steps, memory",
-    "mesh": "cost of a tick on a mesh, by its size",
-    "view": "cost of pages for the servo, and their frame rate",
-    "soak": "a long run with all services: growth of memory, missed ticks, lost records",
-    "telemetry": "time from tick to subscriber, and lost records",
-}
-"""Measurements, each in a module of this name."""
-
-
-def configure_bench(parser: argparse.ArgumentParser) -> None:
-    kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
-    for name, text in KINDS.items():
-        description = f"softfinger bench {name}: {text}."
-        configure = globals()[f"configure_{_module(name)}"]
-        kinds.add_parser(name, help=text, description=description, configure=configure)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run the chosen measurement and return its exit code."""
-    code: int = importlib.import_module(f"softfinger.tools.bench.{_module(args.kind)}").run(args)
-    return code
-
-
-def _module(kind: str) -> str:
-    return kind.replace("-", "_")
-
 
 def configure_step(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", nargs="*", default=["paper-plane"], help="scene files or names (%(default)s)")
@@ -150,3 +118,32 @@ def configure_telemetry(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
     parser.add_argument("--beside", metavar="PYTHON", help="interpreter of another version; the daemons run in turn")
     add_output_options(parser)
+
+
+KINDS: Final = {
+    "step": ("cost of the contact step, back to back", configure_step),
+    "closed-loop": ("ticks per second with a simulated device, offline", configure_closed_loop),
+    "simulate": ("how fast `simulate` is, from its start to the file", configure_simulate),
+    "loop": ("lateness and execution time of the servo loop, compared with a C loop", configure_loop),
+    "device": ("time of an exchange with a device, compared with an empty one", configure_device),
+    "commands": ("effect of commands on a pressing hand: torn sets, steps, memory", configure_commands),
+    "mesh": ("cost of a tick on a mesh, by its size", configure_mesh),
+    "view": ("cost of pages for the servo, and their frame rate", configure_view),
+    "soak": ("a long run with all services: growth of memory, missed ticks, lost records", configure_soak),
+    "telemetry": ("time from tick to subscriber, and lost records", configure_telemetry),
+}
+"""Description and options of each measurement, which is `run` in the module of this name."""
+
+
+def configure_bench(parser: argparse.ArgumentParser) -> None:
+    kinds = parser.add_subparsers(dest="kind", metavar="KIND", required=True)
+    for name, (text, configure) in KINDS.items():
+        description = f"softfinger bench {name}: {text}."
+        kinds.add_parser(name, help=text, description=description, configure=configure)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen measurement and return its exit code."""
+    module = importlib.import_module(f"softfinger.tools.bench.{args.kind.replace('-', '_')}")
+    code: int = module.run(args)
+    return code
