@@ -43,6 +43,8 @@ class Board(Handle):
         self.wakes = 0
         self.sent: list[tuple[int, ...]] = []
         """Numbers of every frame of the host."""
+        self.sent_at: list[float] = []
+        """Times (s) of these frames."""
         self.faults: list[bytes] = []
         """Lines that were neither a frame nor a single newline."""
 
@@ -60,6 +62,7 @@ class Board(Handle):
             self.faults.append(line)
         else:
             numbers = tuple(int(word) for word in words)
+            self.sent_at.append(time.monotonic())
             self.sent.append(numbers)
             self.force = (numbers[0] / 1e3, numbers[1] / 1e3, numbers[2] / 1e3)
             self.move(self.force)
