@@ -25,7 +25,10 @@ class Parser(argparse.ArgumentParser):
         self._configure = configure
         # SUPPRESS: a default of the verb's parser would overwrite the value parsed before the verb.
         verbosity = self.add_mutually_exclusive_group()
-        for flags, help in ((("-v", "--verbose"), "log more"), (("-q", "--quiet"), "log only warnings and errors")):
+        for flags, help in (
+            (("-v", "--verbose"), "log debug messages"),
+            (("-q", "--quiet"), "log only warnings and errors"),
+        ):
             verbosity.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -74,14 +77,16 @@ class Parser(argparse.ArgumentParser):
 def add_endpoint_option(parser: argparse.ArgumentParser) -> None:
     """Add `--endpoint` of a client of a daemon."""
     parser.add_argument(
-        "--endpoint", default=DEFAULT_ENDPOINT, help="of the daemon: its telemetry or its commands (%(default)s)"
+        "--endpoint",
+        default=DEFAULT_ENDPOINT,
+        help="telemetry or commands endpoint of the daemon (default: %(default)s)",
     )
 
 
 def add_key_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for the keys of a client and of its server."""
-    parser.add_argument("--keys", metavar="FILE", help="your secret key, if the server requires one")
-    parser.add_argument("--server-key", metavar="FILE", help="the server's public key")
+    parser.add_argument("--keys", metavar="FILE", help="secret key of this client, if the server requires one")
+    parser.add_argument("--server-key", metavar="FILE", help="public key of the server")
 
 
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
@@ -120,7 +125,7 @@ def check_distinct(flag: str, written: str | Path, read: Iterable[str | Path]) -
 
     for each in read:
         if is_same_file(each, written):
-            raise ConfigError(f"{flag} {written}: is {each}, which is read: name another file")
+            raise ConfigError(f"{flag} {written}: is the input file {each}: choose another output file")
 
 
 def default_rig(scene: str, fallback: str) -> str:
@@ -136,7 +141,7 @@ def duration(text: str) -> float:
     """Parse a duration in seconds from a command line argument."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
-        raise argparse.ArgumentTypeError(f"{text}: a duration is more than 0 s and less than 1e9 s")
+        raise argparse.ArgumentTypeError(f"{text}: the duration must be above 0 s and below 1e9 s")
     return seconds
 
 
@@ -146,7 +151,7 @@ def parse_parameter(word: str) -> tuple[str, Any]:
     if not equals or not key:
         from softfinger.config.words import shown
 
-        raise ConfigError(f"{shown(word)} is no parameter: write key=value")
+        raise ConfigError(f"{shown(word)} is not a parameter: write key=value")
     return key, _parse_value(text)
 
 

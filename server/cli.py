@@ -1,10 +1,9 @@
 """Command line: one program with verbs; the options and the module of a verb are imported when it is used.
 
-Exit codes: 0 done or stopped in order, 1 a defect in this program, 2 a bad command line or configuration,
-3 a recording that cannot be used, 4 a device, 5 real-time settings refused, 6 a safety stop, 7 an address
-in use, 8 a message that breaks the protocol, 9 no telemetry or no answer arrived, 10 `doctor` found something bad,
-11 the system has no files, memory or disk left, 12 the daemon refused a command, 13 a replay gives other forces than
-were recorded, 128 and the number of a signal that ended it: 130 Ctrl-C, 143 SIGTERM.
+Exit codes: 0 success or normal stop, 1 internal error, 2 invalid command line or configuration, 3 unusable recording,
+4 device error, 5 real-time settings refused, 6 safety stop, 7 address in use, 8 malformed message, 9 no telemetry or no
+answer, 10 `doctor` found a problem, 11 out of file descriptors, memory or disk space, 12 command refused by the daemon,
+13 replayed forces differ from the recorded ones, 128 + N ended by signal N (130 Ctrl-C, 143 SIGTERM).
 """
 
 from __future__ import annotations
@@ -43,42 +42,48 @@ class Verb(NamedTuple):
 
 
 VERBS: Final = {
-    "run": Verb("softfinger.server.verbs.run", "the daemon: device, contact, telemetry"),
-    "simulate": Verb("softfinger.server.verbs.simulate", "the same step offline, over recorded poses"),
-    "monitor": Verb("softfinger.server.verbs.monitor", "live dashboard of a running daemon"),
-    "view": Verb("softfinger.server.verbs.view", "a page in the browser: the picture, and a mouse for a hand"),
-    "record": Verb("softfinger.server.verbs.record", "a running daemon into a file: everything, or the poses"),
-    "info": Verb("softfinger.server.recording.verbs.info", "content of a recording"),
-    "export": Verb("softfinger.server.recording.verbs.export", "a recording as CSV, Parquet or npz"),
-    "import": Verb("softfinger.server.recording.verbs.tables", "poses of another program, from any table of numbers"),
-    "replay": Verb("softfinger.server.recording.verbs.replay", "a recording as a test: its poses through today's code"),
-    "ctl": Verb("softfinger.server.verbs.ctl", "command a running daemon: parameters, scene, force, marks"),
+    "run": Verb("softfinger.server.verbs.run", "run the daemon: read a device, render contact, publish telemetry"),
+    "simulate": Verb(
+        "softfinger.server.verbs.simulate", "run the contact step offline on recorded poses or a simulated device"
+    ),
+    "monitor": Verb("softfinger.server.verbs.monitor", "show a live dashboard of a running daemon"),
+    "view": Verb(
+        "softfinger.server.verbs.view", "open a browser page of a daemon or a recording; the mouse can move the hand"
+    ),
+    "record": Verb("softfinger.server.verbs.record", "record a running daemon to a file: all telemetry, or only poses"),
+    "info": Verb("softfinger.server.recording.verbs.info", "summarise a recording"),
+    "export": Verb("softfinger.server.recording.verbs.export", "convert a recording to CSV, Parquet or npz"),
+    "import": Verb("softfinger.server.recording.verbs.tables", "convert a table of poses from another program"),
+    "replay": Verb("softfinger.server.recording.verbs.replay", "recompute the forces of a recording and compare them"),
+    "ctl": Verb("softfinger.server.verbs.ctl", "send a command to a running daemon: parameters, scene, force, marks"),
     "forward": Verb(
-        "softfinger.server.gateway.verbs.forward", "telemetry to other machines, by key, and to more subscribers"
+        "softfinger.server.gateway.verbs.forward", "forward telemetry and commands to other machines, with encryption"
     ),
-    "bridge": Verb("softfinger.server.bridges.verb", "a daemon or a recording in Foxglove or Rerun"),
-    "keys": Verb("softfinger.server.gateway.verbs.keys", "CURVE keys, by which daemon and clients know each other"),
-    "devices": Verb("softfinger.tools.devices", "attached devices, and why one cannot be opened"),
-    "doctor": Verb("softfinger.tools.doctor.verb", "is this machine good enough; a report of an attached device"),
-    "report": Verb("softfinger.tools.report", "archive for an issue: black boxes, log, doctor, rig, scene"),
-    "scenes": Verb("softfinger.server.verbs.shipped", "the scenes that are shipped, a line each"),
-    "rigs": Verb("softfinger.server.verbs.shipped", "the rigs that are shipped, a line each"),
-    "recordings": Verb("softfinger.server.verbs.shipped", "the recordings that are shipped, a line each"),
-    "faults": Verb("softfinger.server.verbs.shipped", "the faults that are shipped for `run --inject`, a line each"),
-    "experiments": Verb("softfinger.server.verbs.shipped", "the experiments that are shipped, a line each"),
+    "bridge": Verb("softfinger.server.bridges.verb", "show a daemon or a recording in Foxglove or Rerun"),
+    "keys": Verb("softfinger.server.gateway.verbs.keys", "create CURVE key pairs for daemons and clients"),
+    "devices": Verb("softfinger.tools.devices", "list attached devices and the reasons why one cannot be opened"),
+    "doctor": Verb("softfinger.tools.doctor.verb", "check this machine, or write a report on an attached device"),
+    "report": Verb("softfinger.tools.report", "write an archive for a bug report"),
+    "scenes": Verb("softfinger.server.verbs.shipped", "list the shipped scenes"),
+    "rigs": Verb("softfinger.server.verbs.shipped", "list the shipped rigs"),
+    "recordings": Verb("softfinger.server.verbs.shipped", "list the shipped recordings"),
+    "faults": Verb("softfinger.server.verbs.shipped", "list the shipped faults for `run --inject`"),
+    "experiments": Verb("softfinger.server.verbs.shipped", "list the shipped experiments"),
     "materials": Verb(
-        "softfinger.server.verbs.materials", "the materials and fingertips that are shipped, with sources"
+        "softfinger.server.verbs.materials", "list the shipped materials and fingertips with their sources"
     ),
-    "experiment": Verb("softfinger.server.experiment.verb", "an experiment: trials, answers, a folder of results"),
-    "figure": Verb("softfinger.server.experiment.figure_verb", "an experiment's folder as figures and numbers"),
-    "check": Verb("softfinger.server.verbs.check", "validate rig and scene files"),
-    "schema": Verb("softfinger.server.verbs.schema", "JSON Schema of rigs and scenes, schema of the telemetry"),
-    "install": Verb("softfinger.server.install.verb", "udev rules, limits, service, man page, completion; and back"),
-    "warmup": Verb("softfinger.server.verbs.warmup", "compile the kernels ahead"),
-    "accuracy": Verb("softfinger.tools.accuracy.verb", "measure: rolling methods, speed against accuracy"),
-    "stability": Verb("softfinger.tools.stability.verb", "measure: the stiffest stable wall, in closed loop"),
-    "calibrate": Verb("softfinger.tools.calibrate", "measure: a Falcon's motor counts per N m, with a known weight"),
-    "bench": Verb("softfinger.tools.bench.options", "measure: cost per step, wake-up lateness, telemetry latency"),
+    "experiment": Verb("softfinger.server.experiment.verb", "run an experiment: trials, answers, a folder of results"),
+    "figure": Verb("softfinger.server.experiment.figure_verb", "fit and plot the results of an experiment"),
+    "check": Verb("softfinger.server.verbs.check", "validate scene, rig and experiment files"),
+    "schema": Verb("softfinger.server.verbs.schema", "print the JSON Schema of the file formats and of telemetry"),
+    "install": Verb(
+        "softfinger.server.install.verb", "install or remove udev rules, limits, service, man page and completion"
+    ),
+    "warmup": Verb("softfinger.server.verbs.warmup", "compile the kernels in advance"),
+    "accuracy": Verb("softfinger.tools.accuracy.verb", "measure the accuracy and speed of the rolling methods"),
+    "stability": Verb("softfinger.tools.stability.verb", "measure the stiffest stable wall in closed loop"),
+    "calibrate": Verb("softfinger.tools.calibrate", "calibrate a Falcon's motor counts per N m with a known weight"),
+    "bench": Verb("softfinger.tools.bench.options", "measure cost per step, wake-up lateness and telemetry latency"),
 }
 """All verbs. Verbs of `tools` are named, not imported: the server does not depend on the tools."""
 
@@ -238,7 +243,7 @@ def make_parser() -> Parser:
     add_completion(parser)
     commands = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in VERBS.items():
-        description = f"softfinger {name}: {verb.help}."
+        description = f"{verb.help[0].upper()}{verb.help[1:]}."
         commands.add_parser(name, help=verb.help, description=description, configure=partial(add_options, name))
     return parser
 

@@ -19,54 +19,54 @@ REPORT: Final = "softfinger-report.tar.gz"
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
     """Add `--json` and `--plot`, which every measurement has."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE.png", help="draw the result, as .png or .svg (needs the [plots] extra)"
-    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="plot the result (.png, .svg; extra plots)")
 
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     """Add `--scheduler` and `--results`, which every command of many cases has."""
     group = parser.add_argument_group("computation and storage")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, or 'local' for processes here")
     group.add_argument(
-        "--results", type=Path, metavar="FILE.mcap", help="stores finished cases; a second run continues"
+        "--scheduler", metavar="ADDRESS", help="address of a dask scheduler, or 'local' for local processes"
+    )
+    group.add_argument(
+        "--results", type=Path, metavar="FILE.mcap", help="file for finished cases; a second run continues there"
     )
 
 
 def configure_devices(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "List attached devices, the driver of each, why one cannot be opened, and the command that corrects it. "
-        "Nothing is opened, so a device in use is not disturbed, unless --ask is given."
+        "List attached devices with their driver. For a device that cannot be opened, show the reason and the command "
+        "that fixes it. Devices are opened only with --ask or --probe."
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--ask", action="store_true", help="open each free device, and read its data")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--ask", action="store_true", help="open each free device and read its data")
     parser.add_argument(
         "--rig",
-        help="rig with the library or firmware file for the devices of its driver; with --ask its maker's library "
-        "or service is queried also if USB lists none of them",
+        help="rig that names the library or firmware file of its driver; with --ask, the vendor's library or service "
+        "is queried even if no device is listed on USB",
     )
     parser.add_argument(
         "--probe",
         nargs="?",
         const="",
         metavar="FILE",
-        help="open the rig's device (default: the first that is attached) for ten seconds with zero force; show rate, "
-        "range, noise, buttons and axes, and write a device report (softfinger-DRIVER-report.json)",
+        help="open the rig's device (default: the first attached one) for ten seconds at zero force; show rate, range, "
+        "noise, buttons and axes, and write a report (default: softfinger-DRIVER-report.json)",
     )
     parser.add_argument(
         "--push",
         action="store_true",
-        help=f"with --probe: then push with {PUSH_N:g} N along each axis and back, and ask what was felt. THE HANDLE "
-        "MOVES: hold it lightly",
+        help=f"with --probe: then apply {PUSH_N:g} N in both directions of each axis and ask for the felt direction. "
+        "THE HANDLE MOVES: hold it lightly",
     )
 
 
 def configure_report(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Write an archive for an issue: versions, doctor, rig and scene, and the newest files of the black box with "
-        "their log. Names of the user and the machine, folders and serial numbers are taken out. Look at it before you "
-        "send it."
+        "Write an archive for a bug report: versions, output of doctor, rig, scene, and the latest black box files "
+        "with their log. Names of the user and the machine, folders and serial numbers are removed. Check the "
+        "archive before you send it."
     )
     parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
     parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
@@ -78,11 +78,20 @@ def configure_report(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of black boxes, latest first (default: %(default)s)",
     )
-    parser.add_argument("--seconds", type=float, default=1.0, help="of each loop of doctor (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=1.0, help="duration of each measurement of doctor (default: %(default)s)"
+    )
 
 
 def configure_calibrate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", default="falcon", metavar="FILE", help="rig of a Falcon, or the name of a shipped one")
-    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="of the weight, 0.02 to 0.4")
-    parser.add_argument("--hang", type=float, default=60.0, metavar="S", help="time to hang the weight (60)")
+    parser.add_argument(
+        "--rig",
+        default="falcon",
+        metavar="FILE",
+        help="rig file of a Falcon, or the name of a shipped one (default: %(default)s)",
+    )
+    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="mass of the weight, 0.02 to 0.4")
+    parser.add_argument(
+        "--hang", type=float, default=60.0, metavar="S", help="time to attach the weight (default: %(default)s)"
+    )
     add_output_options(parser)

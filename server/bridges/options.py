@@ -13,22 +13,34 @@ FOXGLOVE_PORT: Final = 8765
 
 def configure_bridge(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun; "
-        "ends with the server, or with Ctrl-C."
+        "Show a running daemon in Foxglove or Rerun (extras foxglove and rerun), or a recording in Rerun. Exits when "
+        "the daemon ends, or on Ctrl-C."
     )
-    parser.add_argument("viewer", choices=["foxglove", "rerun"], help="which")
-    parser.add_argument("recording", nargs="?", metavar="FILE", help="a recording for Rerun, in place of a daemon")
+    parser.add_argument("viewer", choices=["foxglove", "rerun"], help="program to show it in")
+    parser.add_argument(
+        "recording", nargs="?", metavar="FILE", help="recording to show in Rerun; default: a running daemon"
+    )
     add_endpoint_option(parser)
     parser.add_argument(
-        "--commands", metavar="URL", help="endpoint of the daemon's description (default: next to that of telemetry)"
+        "--commands",
+        metavar="URL",
+        help="commands endpoint of the daemon, which describes the scene (default: derived from --endpoint)",
     )
     add_key_options(parser)
     parser.add_argument(
-        "--port", type=int, default=FOXGLOVE_PORT, help="of the server for Foxglove, on this machine only (%(default)s)"
+        "--port", type=int, default=FOXGLOVE_PORT, help="local port for Foxglove (default: %(default)s)"
     )
-    parser.add_argument("--save", metavar="RRD", help="Rerun: into a file, without a viewer")
+    parser.add_argument("--save", metavar="RRD", help="Rerun: write a file, without a viewer")
     parser.add_argument(
-        "--connect", metavar="URL", help="Rerun: to a viewer that runs, as rerun+http://HOST:9876/proxy"
+        "--connect", metavar="URL", help="Rerun: connect to a running viewer, such as rerun+http://HOST:9876/proxy"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="leave after S seconds of ticks (default: stay)")
-    parser.add_argument("--timeout", type=float, metavar="S", default=3.0, help="end after S seconds of silence")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="exit after S seconds of ticks (default: run until Ctrl-C)"
+    )
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        metavar="S",
+        default=3.0,
+        help="exit if no telemetry arrives for S seconds (default: %(default)s)",
+    )

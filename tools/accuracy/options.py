@@ -36,41 +36,61 @@ REPORT: Final = "accuracy.txt"
 
 
 def configure_accuracy(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--surface", nargs="+", choices=SURFACES, metavar="S", help=f"of {', '.join(SURFACES)} (all)")
-    parser.add_argument("--method", nargs="+", choices=METHODS, metavar="M", help=f"of {', '.join(METHODS)} (all)")
-    parser.add_argument("--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"of {', '.join(MOTIONS)} (both)")
-    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (4 to 8000)")
+    parser.add_argument(
+        "--surface", nargs="+", choices=SURFACES, metavar="S", help=f"surfaces: {', '.join(SURFACES)} (default: all)"
+    )
+    parser.add_argument(
+        "--method",
+        nargs="+",
+        choices=METHODS,
+        metavar="M",
+        help=f"rolling methods: {', '.join(METHODS)} (default: all)",
+    )
+    parser.add_argument(
+        "--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"motions: {', '.join(MOTIONS)} (default: both)"
+    )
+    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (default: 4 to 8000)")
     parser.add_argument(
         "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
-        help="rotation rates; the first with every servo rate, the rest at 1 kHz (%(default)s)",
+        help="rotation rates; the first at every servo rate, the others at 1 kHz (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
-        help="radius of the fingertip over that of the surface, in addition to those of the surfaces, at 1 kHz "
-        "(%(default)s)",
+        help="additional ratios of the fingertip's radius to the surface's radius, at 1 kHz (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
-        help="spin over roll; the first with every servo rate, the rest at 1 kHz (%(default)s)",
+        help="ratios of spin to roll; the first at every servo rate, the others at 1 kHz (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--error-below", nargs="+", type=float, metavar="M", default=TARGETS_M, help="errors to recommend for, m"
+        "--error-below",
+        nargs="+",
+        type=float,
+        metavar="M",
+        default=TARGETS_M,
+        help="errors (m) to recommend methods for (default: %(default)s)",
     )
-    parser.add_argument("--tolerance", type=float, default=1e-9, help="of montana_rk45 (default: %(default)s)")
-    parser.add_argument("--drift-steps", type=int, metavar="N", help=f"steps of the drift test ({DRIFT_STEPS})")
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-9, help="tolerance of montana_rk45 (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"
+    )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
-        "--meshes", action="store_true", help="instead: how meshes of a ball, a cylinder and a torus come near to them"
+        "--meshes",
+        action="store_true",
+        help="compare meshes of a ball, a cylinder and a torus with the exact shapes instead",
     )
     instead.add_argument(
-        "--heightmap", action="store_true", help="instead: hills as a height map and as a mesh of the same pixels"
+        "--heightmap", action="store_true", help="compare a height map with a mesh of the same pixels instead"
     )
-    parser.add_argument("--quick", action="store_true", help="four servo rates, nothing else swept, short drift test")
+    parser.add_argument("--quick", action="store_true", help="four servo rates, no other sweep, short drift test")
     add_sweep_options(parser)
     add_output_options(parser)
     parser.add_argument(
         "--figures",
         type=Path,
         metavar="DIR",
-        help=f"write accuracy-*.svg and {REPORT} there",
+        help=f"folder for accuracy-*.svg and {REPORT}",
     )

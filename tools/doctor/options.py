@@ -9,13 +9,13 @@ from softfinger.tools.options import add_output_options
 
 def configure_doctor(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Check whether this machine is good enough: hardware, permissions, timing of the servo loop. Exit code 0 if "
-        "nothing is bad. With --device-report: a file on the device of a rig, to be attached to an issue."
+        "Check whether this machine can run the daemon: hardware, permissions, timing of the servo loop. Exit code 0 "
+        "if no problem is found. With --device-report, write a report on the device of a rig for a bug report."
     )
     parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
     parser.add_argument("--scene", default="paper-plane", help="scene whose step is timed (default: %(default)s)")
     parser.add_argument(
-        "--seconds", type=float, default=3.0, help="of each loop, or of each part of a report (default: %(default)s)"
+        "--seconds", type=float, default=3.0, help="duration of each measurement (default: %(default)s)"
     )
     add_output_options(parser)
     parser.add_argument(
@@ -23,14 +23,14 @@ def configure_doctor(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
         metavar="FILE",
-        help="open the rig's device and write a report on it to a JSON file (softfinger-DRIVER-report.json). "
-        "Only zero force is sent. In a terminal, prompts ask for movements of the handle",
+        help="open the rig's device and write a JSON report (default: softfinger-DRIVER-report.json). Only zero "
+        "force is sent. Prompts in the terminal request movements of the handle",
     )
     parser.add_argument(
         "--with-force",
         type=float,
         metavar="N",
-        help="also push: a slow sine of at most N newtons along x, y, z in turn, faded in and out, never above what "
-        "rig and device allow. THE HANDLE MOVES: hold it lightly, and take 1 first",
+        help="also apply a force: a slow sine of at most N newtons along x, y and z in turn, within the limits of "
+        "rig and device. THE HANDLE MOVES: hold it lightly, and start with 1",
     )
-    parser.add_argument("--no-prompts", action="store_true", help="ask for nothing, also on a terminal")
+    parser.add_argument("--no-prompts", action="store_true", help="do not prompt, even in a terminal")

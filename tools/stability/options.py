@@ -41,16 +41,17 @@ class CaseOptions(msgspec.Struct, frozen=True, kw_only=True):
         float, Meta(ge=0.0, le=limits.DAMPING_NS_PER_M.high, description="damping of the wall")
     ] = 0.0
     rate_hz: Annotated[float, Meta(ge=50.0, le=50e3, description="ticks per second")] = 1000.0
-    delay_ticks: Annotated[int, Meta(ge=0, le=16, description="ticks from sensing to the force that answers")] = 0
-    hand_mass_kg: Annotated[float, Meta(ge=0.0, le=100.0, description="mass of the hand, gripping the handle")] = 0.0
+    delay_ticks: Annotated[int, Meta(ge=0, le=16, description="ticks from measurement to force")] = 0
+    hand_mass_kg: Annotated[float, Meta(ge=0.0, le=100.0, description="mass of the gripping hand")] = 0.0
     hand_damping_ns_per_m: Annotated[float, Meta(ge=0.0, le=1e3, description="damping of the hand")] = 0.0
     hand_stiffness_n_per_m: Annotated[float, Meta(ge=0.0, le=1e5, description="stiffness of the hand")] = 0.0
     friction_n: Annotated[float, Meta(ge=0.0, le=10.0, description="Coulomb friction of the mechanism")] = 0.0
     resolution_m: Annotated[
-        float, Meta(ge=0.0, le=limits.RESOLUTION_M.high, description="step of the encoders, 0 for none")
+        float, Meta(ge=0.0, le=limits.RESOLUTION_M.high, description="resolution of the encoders, 0 for none")
     ] = 0.0
     velocity_time_constant_s: Annotated[
-        float, Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="of the velocity filter, 0 for none")
+        float,
+        Meta(ge=0.0, le=limits.TIME_CONSTANT_S.high, description="time constant of the velocity filter, 0 for none"),
     ] = 0.0
     passivity_damping_ns_per_m: Annotated[
         float,
@@ -70,24 +71,30 @@ def configure_stability(parser: argparse.ArgumentParser) -> None:
         default = getattr(CaseOptions(), key)
         text = f"{meta.description} (default: {default:g})"
         group.add_argument(f"--{flag}", type=kind, default=default, metavar=unit(key).upper() or "N", help=text)
-    group = parser.add_argument_group("what is asked")
+    group = parser.add_argument_group("measurement")
     kinds = group.add_mutually_exclusive_group()
-    kinds.add_argument("--map", choices=[*MAPS, "all"], help="limit against wall damping, rate or delay")
-    kinds.add_argument("--extremes", action="store_true", help="the tick at the ends of all its inputs, and garbage")
     kinds.add_argument(
-        "--bodies", action="store_true", help="bodies of a [world] that fingers drag, balance and hold: 1 g to 1 kg"
+        "--map", choices=[*MAPS, "all"], help="stiffness limit as a function of wall damping, rate or delay"
     )
-    kinds.add_argument("--cases", type=int, metavar="N", help="random closed-loop runs instead, and how fast they go")
-    group.add_argument("--compare", action="store_true", help="maps: also with hand, friction, encoder, filter")
+    kinds.add_argument(
+        "--extremes", action="store_true", help="run the tick at the extremes of all inputs and on random bytes"
+    )
+    kinds.add_argument("--bodies", action="store_true", help="drag, balance and hold bodies of a [world], 1 g to 1 kg")
+    kinds.add_argument("--cases", type=int, metavar="N", help="run N random closed-loop cases and measure their speed")
+    group.add_argument(
+        "--compare", action="store_true", help="with --map: also with hand, friction, encoder and filter"
+    )
     group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
-    group.add_argument("--ticks", type=int, default=1000, metavar="M", help="of each random run (default: %(default)s)")
-    group.add_argument("--seed", type=int, default=0, help="of the random runs and garbage (default: %(default)s)")
+    group.add_argument(
+        "--ticks", type=int, default=1000, metavar="M", help="ticks of each random case (default: %(default)s)"
+    )
+    group.add_argument("--seed", type=int, default=0, help="seed of the random cases and bytes (default: %(default)s)")
     group.add_argument(
         "--garbage",
         type=int,
         default=GARBAGE_TICKS,
         metavar="M",
-        help="ticks of garbage a scene (default: %(default)s)",
+        help="ticks of random bytes per scene (default: %(default)s)",
     )
     add_sweep_options(parser)
     add_output_options(parser)
