@@ -1,4 +1,4 @@
-"""How often a thread calls malloc: by a shim in front of the C library's."""
+"""Count the malloc calls of a thread with a shim in front of the C library's functions."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ void *realloc(void *p, size_t n) { count++; return __libc_realloc(p, n); }
 
 
 def counted(folder: Path, code: str, *words: str) -> str:
-    """What a Python program prints that may ask `allocations()` of the process, which is the calling thread's count."""
+    """Run a Python program and return its output; `allocations()` of the process counts the calls of the calling
+    thread."""
     source, library = folder / "shim.c", folder / "shim.so"
     source.write_text(SHIM)
     subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
     return subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=folder,
-        env=os.environ | {"LD_PRELOAD": "./shim.so"},  # a list with blanks between, and the folder's name may have one
+        env=os.environ | {"LD_PRELOAD": "./shim.so"},  # a list separated by spaces, which the folder's name may contain
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip

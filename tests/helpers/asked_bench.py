@@ -1,4 +1,4 @@
-"""A bench whose device stands in another process, which is asked over the socket that the environment names."""
+"""Bench whose device runs in another process, reached through the socket named in the environment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SOCKET: Final = "SOFTFINGER_TESTBED"
 
 
 class AskedBench(Bench):
-    """An emulated device beside this process; a line is a question, and is answered with one of JSON."""
+    """An emulated device in another process. Requests are lines; answers are lines of JSON."""
 
     patience_s: ClassVar[float] = 10.0
 

@@ -1,4 +1,4 @@
-"""Runs that hand their records on in blocks, put together for a test."""
+"""Join records that a run delivers in blocks."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ Array = NDArray[np.float64]
 
 
 def whole(blocks: Iterable[Array]) -> Array:
-    """Records (n, RECORD_SIZE) of the only finger, from blocks (m, 1, RECORD_SIZE)."""
+    """Return the records (n, RECORD_SIZE) of the only finger from blocks (m, 1, RECORD_SIZE)."""
     return np.concatenate(list(blocks))[:, 0]

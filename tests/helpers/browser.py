@@ -1,4 +1,4 @@
-"""A real browser without a screen: Debian's Chromium with WebGL in software, driven by playwright."""
+"""Headless Chromium (Debian's, WebGL in software), driven by playwright."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from softfinger.tools.bench.view import ARGUMENTS, viewer
 
 WAIT_S = 180.0
-"""A generous bound: a page drawn in software, on a machine that does much else and stands still at times."""
+"""Generous limit: the page is rendered in software, on a machine that may be busy or pause."""
 SIZE = (840, 520)
-"""Of the window, pixels: small, since each is painted by a processor."""
+"""Size of the window in pixels. Small, since the CPU renders each pixel."""
 
 
 CAMERA = """() => {
@@ -28,11 +28,11 @@ CAMERA = """() => {
     page.camera.updateMatrixWorld();
     return [world.matrixWorld, page.camera.matrixWorldInverse, page.camera.projectionMatrix].map(each => each.elements);
 }"""
-"""Matrices, column by column: the page's world, the camera's view of that, and its picture."""
+"""Matrices, column by column: pose of the page's world, view of the camera, projection."""
 
 
 def why_none() -> str:
-    """Why there is no browser here; empty where there is one."""
+    """Return the reason why no browser is available, or an empty text."""
     if shutil.which("chromium") is None:
         return "no Chromium: make browser (Debian's package chromium)"
     try:
@@ -43,7 +43,7 @@ def why_none() -> str:
 
 
 def answered(address: str) -> int:
-    """The status of a page's answer, once anything answers there."""
+    """Wait until a server answers at the address; return the HTTP status."""
     while True:
         try:
             with urlopen(address, timeout=60.0) as answer:
@@ -53,7 +53,7 @@ def answered(address: str) -> int:
 
 
 def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
-    """What `true` returns once it is true, or in the end."""
+    """Wait until `true` returns a true value, at most WAIT_S; return its last value."""
     until = time.monotonic() + WAIT_S
     while not (found := true()) and time.monotonic() < until:
         time.sleep(every_s)
@@ -61,7 +61,7 @@ def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
 
 
 def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
-    """Pixels of each colour that has a meaning: red and blue of the modes, orange of the torsional moment."""
+    """Count the pixels of each colour with a meaning: red and blue of the modes, orange of the torsional moment."""
     r, g, b = picture[..., 0], picture[..., 1], picture[..., 2]
     return {
         "red": int(((r - g > 70) & (abs(g - b) < 40)).sum()),
@@ -77,7 +77,7 @@ class Screen:
         self.page = page
 
     def picture(self) -> NDArray[np.int64]:
-        """Colours (height, width, 3) of the picture, without what stands beside it."""
+        """Return the colours (height, width, 3) of the canvas."""
         from PIL import Image
 
         box = self.page.locator("canvas").first.bounding_box()
@@ -86,14 +86,14 @@ class Screen:
         return np.array(image.crop((x, y, x + w, y + h))).astype(np.int64)
 
     def at(self, point: tuple[float, float, float]) -> tuple[float, float]:
-        """Where a point of the page's world is on the screen, as the page's own camera sees it now."""
+        """Return the screen position of a point of the page's world, as seen by the page's camera now."""
         box = self.page.locator("canvas").first.bounding_box()
         world, view, projection = (np.reshape(each, (4, 4)).T for each in self.page.evaluate(CAMERA))
         x, y, _, w = projection @ view @ world @ (*point, 1.0)
         return box["x"] + 0.5 * box["width"] * (1.0 + x / w), box["y"] + 0.5 * box["height"] * (1.0 - y / w)
 
     def drag(self, start: tuple[float, float], way: tuple[float, float], key: str | None = None) -> None:
-        """Take hold there and go so far, in steps, with a key held or none."""
+        """Drag the mouse from `start` by `way` pixels in steps, optionally with a key pressed."""
         mouse, keyboard = self.page.mouse, self.page.keyboard
         if key is not None:
             keyboard.down(key)
@@ -107,7 +107,7 @@ class Screen:
             keyboard.up(key)
 
     def touch(self, start: tuple[float, float], way: tuple[float, float]) -> None:
-        """Put a finger there, go so far with it, in steps, and take it away: events of a touch screen."""
+        """Drag one finger from `start` by `way` pixels in steps, with events of a touch screen."""
         session = self.page.context.new_cdp_session(self.page)
         for share in np.linspace(0.0, 1.0, 11):
             at = {"x": start[0] + share * way[0], "y": start[1] + share * way[1]}
@@ -117,13 +117,13 @@ class Screen:
         session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
     def choose(self, label: str, value: str) -> None:
-        """Take a value of a dropdown."""
+        """Choose a value of a dropdown."""
         field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[1]")
         field.click(timeout=1e3 * WAIT_S)
         self.page.get_by_role("option", name=value, exact=True).click(timeout=1e3 * WAIT_S)
 
     def fill(self, label: str, value: str) -> None:
-        """Write a number into the field beside a slider."""
+        """Write a number into the field of a slider."""
         field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[@type='text'][1]")
         field.fill(value, timeout=1e3 * WAIT_S)
         field.press("Enter")
@@ -132,13 +132,13 @@ class Screen:
         self.page.get_by_role("tab", name=name).click(timeout=1e3 * WAIT_S)
 
     def shows(self, text: str) -> bool:
-        """Whether a text is to be read."""
+        """Return whether the page contains a text."""
         return bool(self.page.get_by_text(text).count())
 
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """An empty page of a new browser."""
+    """Open an empty page in a new browser."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as tool:
@@ -154,15 +154,15 @@ def browser() -> Iterator[Any]:
 
 
 def shown(page: Any, address: str) -> Screen:
-    """A page of a browser, once the picture of what is served there has its place."""
+    """Open an address and wait until its canvas exists."""
     page.goto(address)
     page.locator("canvas").first.wait_for()
-    page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # it lies over the picture
+    page.add_style_tag(content=".mantine-Notifications-root { display: none }")  # notifications cover the canvas
     return Screen(page)
 
 
 @contextmanager
 def served(*words: str) -> Iterator[Screen]:
-    """`softfinger view` with these words in a process of its own, in a browser."""
+    """Run `softfinger view` with these arguments in a process, and open its page."""
     with viewer(*words) as (_, address), browser() as page:
         yield shown(page, address)

@@ -1,4 +1,4 @@
-"""Stand-ins for makers' libraries, in C: compiled by the test, and steered by names."""
+"""Stand-ins for vendor libraries in C: compiled by the test, controlled by named variables."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ NO_COMPILER = "the stand-in for the maker's library is C, and there is no compil
 
 
 def compile_stub(source: Path, path: Path, *flags: str) -> Path:
-    """A C file as a shared library at `path`."""
+    """Compile a C file to a shared library at `path`."""
     always = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
     subprocess.run([str(COMPILER), *always, *flags, "-o", str(path), str(source), "-lm"], check=True)
     return path
 
 
 class CStub:
-    """A library as tests steer it: `stub["fail_read"] = 0`, `stub["frames"]`."""
+    """Access to the variables of a stub library: `stub["fail_read"] = 0`, `stub["frames"]`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._library = ctypes.CDLL(str(path))  # the very library that the driver loads: one file, one state
+        self._library = ctypes.CDLL(str(path))  # the same file that the driver loads, so both share its state
         self._library.stub_get.restype = ctypes.c_double
         self._library.stub_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
 

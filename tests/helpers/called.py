@@ -1,4 +1,4 @@
-"""A verb of the command line in this process, for what no process of its own has to show."""
+"""Run verbs of the command line in this process, for tests that need no separate process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from softfinger.server import cli
 
 
 class Done(NamedTuple):
-    """How a verb ended, and what it wrote but for its log."""
+    """Exit code and output of a verb, without its log."""
 
     returncode: int
     stdout: str

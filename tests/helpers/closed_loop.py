@@ -1,6 +1,6 @@
-"""A device's closed loop through the whole daemon: every tick off the wire, beside the engine on the same poses.
+"""Run a device's closed loop through the whole daemon, and compare each tick with the engine on the same poses.
 
-python closed_loop.py RIG SCENE TICKS FILE.npy      what a test beside an emulated bus runs as a program of its own
+python closed_loop.py RIG SCENE TICKS FILE.npy      for tests with an emulated bus, which need a separate process
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ COMPILE_S = 300.0
 
 
 def records_of_daemon(rig: Rig, scene: Scene, ticks: int) -> Array:
-    """Records (ticks, RECORD_SIZE) that a subscriber got of a daemon that ran to its last tick; none may be missing."""
+    """Run a daemon to its last tick; return the received records (ticks, RECORD_SIZE), of which none may be missing."""
     with Daemon(rig, scene, ticks) as daemon:
         endpoint = daemon.publisher.endpoint
         with subscribe(endpoint, ("contact", "event"), timeout_s=COMPILE_S) as subscription:
-            while subscription.receive(0.02) is None:  # a subscription takes effect a while after it was made
+            while subscription.receive(0.02) is None:  # a subscription takes effect some time after it was made
                 daemon.publisher.event("test", "joined")
             daemon.start()
             assert daemon.wait(COMPILE_S)
@@ -50,9 +50,9 @@ def _contacts(subscription: Subscription) -> Iterator[Any]:
 
 
 def assert_engine_agrees(records: Array, scene: Scene, rate_hz: float) -> int:
-    """Modes in every tick, and forces wherever the guard left them alone, are the engine's on the same poses.
+    """Check the mode of every tick and the forces that the guard did not change against the engine.
 
-    returns  in how many of these ticks there was contact
+    returns  number of these ticks that had contact
     """
     engine = Engine(scene, rate_hz)
     position, orientation, force = AT.probe_position, AT.probe_orientation, AT.force
@@ -60,10 +60,10 @@ def assert_engine_agrees(records: Array, scene: Scene, rate_hz: float) -> int:
     for row in records:
         step = engine.step(row[position : position + 3], row[orientation : orientation + 4], float(row[AT.dt]))
         assert step.mode == row[AT.contact_mode]
-        # A write that was withheld or held says what the hand feels instead, and the guard goes on from there.
+        # If a write was withheld or repeated, the record has the force at the device, from which the guard continues.
         if row[AT.servo_guard] == 0 and row[AT.servo_device] not in (WITHHELD, HELD):
-            # the same arithmetic, compiled into the loop and into the engine; the record's orientation has been
-            # normalised once more
+            # The loop and the engine compile the same arithmetic, but the record's orientation has been normalised once
+            # more.
             np.testing.assert_allclose(row[force : force + 3], step.force, rtol=0, atol=1e-9)
             compared += step.mode != 0
     return compared

@@ -1,4 +1,4 @@
-"""What the compiler made of a kernel: read from its LLVM modules."""
+"""Read the LLVM module of a compiled kernel."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ NUMBERS = {"fadd", "fsub", "fmul", "fdiv", "fneg", "fcmp", "frem"}
 class Compiled(NamedTuple):
     """A step after optimisation.
 
-    kernels     our kernels that were compiled into it, as module.name
-    body        its text, without what names nothing but itself: mangled names, version counters, metadata
-    operations  how often each instruction stands in it
-    calls       how often it calls what, the compiler's own helpers for memory aside
+    kernels     our kernels compiled into it, as module.name
+    body        its text without mangled names, version counters and metadata
+    operations  count of each instruction
+    calls       count of each called function, except the compiler's memory helpers
     """
 
     kernels: set[str]
@@ -35,12 +35,12 @@ class Compiled(NamedTuple):
 
     @property
     def arithmetic(self) -> int:
-        """Instructions on numbers, and calls of functions of numbers."""
+        """Count the arithmetic instructions and the calls of functions."""
         return sum(count for name, count in self.operations.items() if name in NUMBERS) + sum(self.calls.values())
 
 
 def functions(ir: str) -> dict[str, str]:
-    """Bodies of the functions an LLVM module defines, without the wrappers numba puts around the kernel for Python."""
+    """Return the bodies of the functions of an LLVM module, without numba's wrappers for Python."""
     found = {}
     for match in re.finditer(r'^define [^\n]*?@"?([^"(\s]+)"?\(.*?^}', ir, re.MULTILINE | re.DOTALL):
         if not match[1].startswith(("_ZN7cpython", "cfunc.")):
@@ -49,12 +49,12 @@ def functions(ir: str) -> dict[str, str]:
 
 
 def called_in(body: str) -> Counter[str]:
-    """Names of the functions that a body calls."""
+    """Count the functions called in a body."""
     return Counter(re.findall(r'call [^@\n]*@"?([^"(\s]+)"?\(', body))
 
 
 def tick(scene, values, start, state_values, position, orientation, dt, out):
-    """One step with everything in flat arrays, as the servo has it."""
+    """Run one step with everything in flat arrays, as the servo does."""
     pose = model.Pose(position, orientation)
     state, contacts = step(unpack(scene, values), unpack(start, state_values), (pose,), dt)
     pack(state_values, state)
@@ -62,7 +62,7 @@ def tick(scene, values, start, state_values, position, orientation, dt, out):
 
 
 def compile_step(scene: model.Scene) -> Compiled:
-    """The step of a scene, compiled anew by a dispatcher without a cache."""
+    """Compile the step of a scene with a dispatcher that has no cache."""
     start, some = start_state(scene), np.zeros(1)
     upright = start.fingers[0].probe.orientation
     arguments = (scene, flatten(scene), start, flatten(start), model.ZERO, upright, 0.001, some)
@@ -73,7 +73,7 @@ def compile_step(scene: model.Scene) -> Compiled:
 
 
 def read(ir: str) -> Compiled:
-    """What stands in the module of one step; everything it needs is inlined into one function."""
+    """Read the module of one step, whose callees are all inlined into one function."""
     ((name, body),) = functions(ir).items()
     body = plain(body, name)
     operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
@@ -83,19 +83,20 @@ def read(ir: str) -> Compiled:
 
 
 def plain(body: str, name: str) -> str:
-    """A body without what depends on how many functions were compiled before it: names of values and blocks become
-    numbers in the order of their appearance, mangled names, metadata and comments go."""
+    """Return a body without anything that depends on earlier compilations: values and blocks are numbered in order of
+    appearance; mangled names, metadata and comments are removed."""
     body = body.replace(name, "kernel")
     body = re.sub(r" *;.*$", "", body, flags=re.MULTILINE)  # comments
     body = re.sub(r"(, )?![\w.]+( ![\w.]+)?", "", body)  # metadata
     body = re.sub(r" #\d+", "", body)  # attribute groups
-    body = re.sub(r'^("[^"]*"|[\w.$-]+):$', r"%\1:", body, flags=re.MULTILINE)  # labels are called with a percent sign
+    # label definitions have no percent sign, references have one
+    body = re.sub(r'^("[^"]*"|[\w.$-]+):$', r"%\1:", body, flags=re.MULTILINE)
     numbers: dict[str, str] = {}
     return re.sub(r'%("[^"]*"|[\w.$-]+)', lambda m: numbers.setdefault(m[1], f"%{len(numbers)}"), body)
 
 
 def kernels_in(ir: str) -> set[str]:
-    """Kernels of ours with an environment in the module: every function that was compiled has one."""
+    """Return our kernels that have an environment in the module, as every compiled function has."""
     found = set()
     for mangled in re.findall(r'^@"?_ZN08NumbaEnv(\S+)', ir, re.MULTILINE):
         parts, rest = [], mangled

@@ -1,8 +1,8 @@
-"""What ticks ask of height maps, counted: `python -m helpers.counted_asks` in tests/, the scenes on standard input.
+"""Count the reads of height maps per tick: `python -m helpers.counted_asks` in tests/, with the scenes on standard
+input.
 
-For a process with NUMBA_DISABLE_JIT=1: kernels are plain Python there, so a function that reads a map can count its
-calls. In: [[method of rolling, objects, points (n, 3)], ...]; out, for each scene: the reads of each tick, and its
-proxies.
+Requires NUMBA_DISABLE_JIT=1: kernels are then plain Python, so a function that reads a map can count its calls. Input:
+[[rolling method, objects, points (n, 3)], ...]. Output, per scene: the reads of each tick and the proxies.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 QUESTION: Final = 2 * (5 + 2 * 48) + 4 * 24 + 9
-"""What one may ask beyond its budget: the cell that is being looked at, the tiles on the way out and round a foot."""
+"""Reads of one query beyond its budget: the current cell, and the tiles on the way out and around one foot."""
 ALONE: Final = 600 + 2 * 300 + 1000 + 1152 + 5 * QUESTION
-"""A roll, whether there is room at two ends, a first touch, and coming to rest."""
+"""Reads for a roll, for the check of room at two ends, for a first touch and for coming to rest."""
 IN_COMPANY: Final = ALONE + 1536 // 4 + 3 * QUESTION
-"""Of a tick: what a map may ask alone, then a quarter of the budget of several if others are in the way, what the last
-question asks beyond it, and one foot where it began and one where it ended."""
+"""Reads of one map in a tick with other objects: those without other objects, a quarter of the shared budget, the last
+query's excess, and one foot each at start and end."""
 
 
 def poses_at(points: ArrayLike) -> Array:
-    """Poses (n, 7) of a hand that turns at `points` (n, 3) m, up to a third of a radian a tick."""
+    """Return poses (n, 7) at `points` (n, 3) m, turning by up to a third of a radian per tick."""
     from helpers.touching import posed, spun
 
     places = np.asarray(points, float)

@@ -1,7 +1,7 @@
-"""CPU seconds of each test, as a file that tests/run.py turns into a table.
+"""Write the CPU seconds of each test to a file, from which tests/run.py makes a table.
 
-CPU seconds do not depend on what else the machine does, so they can be compared between runs. Three parts are counted:
-the test's own process, the share of it that numba compiled for, and the programs that the test started and waited for.
+CPU seconds do not depend on other processes, so they can be compared between runs. Three parts are counted: the test's
+process, numba's compilation in it, and the programs that the test started and waited for.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PROPERTY: Final = "cpu_seconds"
 
 
 class CpuSeconds(NamedTuple):
-    """CPU time in seconds: of this process, of that while numba compiles, and of ended child processes."""
+    """CPU time in seconds: of this process, of its compilations, and of ended child processes."""
 
     process: float
     compile: float
@@ -31,7 +31,7 @@ class CpuSeconds(NamedTuple):
 
 
 class CompileTimer(event.Listener):  # type: ignore[misc]
-    """CPU time that this process compiled for. A kernel compiled within another one counts once."""
+    """CPU time of compilations in this process. A kernel compiled within another one counts once."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -71,7 +71,7 @@ class CpuReport:
         report = yield
         if report.when == "teardown" and item.nodeid in self._start:
             seconds = self._read() - self._start.pop(item.nodeid)
-            report.user_properties.append((PROPERTY, tuple(seconds)))  # execnet sends no named tuple
+            report.user_properties.append((PROPERTY, tuple(seconds)))  # execnet cannot send named tuples
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

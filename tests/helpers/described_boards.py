@@ -1,4 +1,4 @@
-"""Boards that a rig describes, for the tests: a Haply 2DIY and a Hapkit, each behind a pseudo terminal."""
+"""A Haply 2DIY and a Hapkit, each on a pseudo terminal, for tests of boards described by a rig."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from softfinger.drivers.serial.device import Options, SerialDevice, open_device
 from softfinger.server.driver_contract import Servo
 
 PATIENT = {"quiet_s": 0.1, "timeout_s": 0.5}
-"""A thread of a busy machine may answer late."""
+"""Time limits for a busy machine, on which a thread may answer late."""
 REST = (150.0, 30.0)
 """Angles (degrees) of a 2DIY's links in the middle of its workspace."""
 TO_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 """Axes of the shipped 2DIY rig: towards the user is down."""
 ALONG = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
-"""Which way the handle of a Hapkit that is mounted `ASLANT` moves in the world."""
+"""Direction in the world in which the handle of a Hapkit mounted `ASLANT` moves."""
 ASLANT = {"position_m": [0.0, 0.0, 0.03], "orientation_wxyz": [np.cos(np.pi / 8), 0.0, -np.sin(np.pi / 8), 0.0]}
 
 
 def rig_options(rig: str, **changes: Any) -> Options:
-    """The [device] table of a shipped rig with keys changed."""
+    """Return the [device] table of a shipped rig with changed keys."""
     return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 
@@ -35,7 +35,7 @@ def opened(rig: str, path: str, **changes: Any) -> SerialDevice:
 
 
 def fresh(servo: Servo) -> list[float]:
-    """The next new sample."""
+    """Return the next new sample."""
     until = time.monotonic() + 10.0
     while True:
         status, sample = servo.read()
@@ -47,7 +47,7 @@ def fresh(servo: Servo) -> list[float]:
 
 
 def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = 5.0) -> Any:
-    """A value as soon as it is as wanted, or what it is after so long."""
+    """Wait until a value is as wanted, at most `within_s`; return its last value."""
     until = time.monotonic() + within_s
     while not wanted(value()) and time.monotonic() < until:
         time.sleep(0.0005)
@@ -55,12 +55,12 @@ def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: f
 
 
 def force_of(board: Firmware) -> np.ndarray:
-    """The force (3,) N on the hand in the world that a 2DIY's torques make now."""
+    """Return the force (3,) N on the hand in the world, from the present torques of a 2DIY."""
     return force_at(board.angles, board.torques)
 
 
 def force_at(angles: Sequence[float], torques: Sequence[float]) -> np.ndarray:
-    """The same of torques (N m, ports 1 and 2) at angles (degrees): J^-T tau, J by differences of its place."""
+    """Return the force (3,) N of torques (N m, ports 1 and 2) at angles (degrees): J^-T tau, with J by differences."""
     h = 1e-4  # degrees
     one, two = angles
     columns = [

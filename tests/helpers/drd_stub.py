@@ -1,4 +1,4 @@
-"""The stand-in for Force Dimension's library, compiled by the test, and USB devices for pyusb to find."""
+"""Stand-in for Force Dimension's library, compiled by the test, and USB devices for pyusb."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
 LOGGED = 1 << 14
-"""Of the stand-in's log."""
+"""Length of the stand-in's log."""
 
 
 class Stub(CStub):
-    """Force Dimension's library."""
+    """Stand-in for Force Dimension's library."""
 
     def force(self) -> tuple[float, float, float]:
-        """Force of the motors now, in the library's frame (x towards the user, y right, z up)."""
+        """Return the present force of the motors in the library's frame (x towards the user, y right, z up)."""
         out = (ctypes.c_double * 3)()
         self._library.stub_force(out)
         return out[0], out[1], out[2]
 
     def log(self) -> NDArray[np.float64]:
-        """What the motors were given so far (n, 4): s of the monotonic clock, N in the library's frame."""
+        """Return the forces of the motors so far (n, 4): time (s, monotonic clock) and force (N, library's frame)."""
         out = np.zeros((LOGGED, 4))
         return out[: self._library.stub_log(out.ctypes.data_as(ctypes.c_void_p), LOGGED)]
 
     def busy(self) -> bool:
-        """Whether a thread is in an exchange just now."""
+        """Return whether a thread is in an exchange."""
         return bool(self._library.stub_busy())
 
     def norm(self) -> float:
@@ -53,7 +53,7 @@ class Stub(CStub):
 
 @pytest.fixture(scope="session")
 def stub_library() -> Iterator[Path]:
-    """The library, in a folder that any user may enter."""
+    """Compile the stand-in in a folder that any user may enter."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="drd-") as folder:
@@ -63,7 +63,7 @@ def stub_library() -> Iterator[Path]:
 
 @pytest.fixture
 def stub(stub_library: Path) -> Iterator[Stub]:
-    """One omega.3 at the stub's settings, the hand still at 20 mm height."""
+    """An omega.3 with the stub's default settings and a resting hand at 20 mm height."""
     stub = Stub(stub_library)
     stub.reset()
     yield stub
@@ -71,7 +71,7 @@ def stub(stub_library: Path) -> Iterator[Stub]:
 
 
 class UsbBus(usb.backend.IBackend):
-    """A bus for pyusb with devices of Force Dimension on it, each given by its product number."""
+    """USB bus for pyusb with devices of Force Dimension, each given by its product number."""
 
     def __init__(self, *products: int) -> None:
         self.products = products
@@ -93,8 +93,8 @@ class UsbBus(usb.backend.IBackend):
 
 @contextmanager
 def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
-    """pyusb finds these products; their nodes are under `nodes` with that mode. Unless `privileged`, this process may
-    no more than any user."""
+    """Let pyusb find these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a user
+    without privileges."""
     get_backend, root = usb.backend.libusb1.get_backend, fd_usb.NODES
     usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
     if nodes is not None:
@@ -106,7 +106,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
             node.chmod(mode)
     drop = os.geteuid() == 0 and not privileged
     if drop:
-        os.seteuid(65534)  # nobody: root may open everything
+        os.seteuid(65534)  # user nobody: root may open everything
     try:
         yield
     finally:
@@ -116,7 +116,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
 
 
 class StubBench(Bench):
-    """An omega behind the stand-in."""
+    """Bench with an omega on the stand-in."""
 
     def __init__(self, stub: Stub) -> None:
         self.stub = stub
@@ -134,7 +134,7 @@ class StubBench(Bench):
         return device
 
     def open_unarmed(self, **options: Any) -> Any:
-        # The watchdog counts real time, and a test between two exchanges takes what this machine gives it.
+        # The watchdog counts real time, and a busy machine may delay the next exchange of a test.
         chosen = {"library_file": str(self.stub.path), "watchdog_s": 0.0, **options}
         return forcedimension.open_device(forcedimension.Options(**chosen), RATE_HZ)
 

@@ -1,4 +1,4 @@
-"""Messages of ticks encoded in Python, key by key from the record's table: what the publisher's must equal."""
+"""Python encoder of tick messages, key by key from the record's table: the reference for the publisher's messages."""
 
 import numpy as np
 
@@ -19,15 +19,15 @@ def _contact_map(values, every):
 
 
 def contact_map(record, every=1):
-    """Message map of one record, shape (RECORD_SIZE,)."""
+    """Return the message map of one record (RECORD_SIZE,)."""
     usable = record.copy()
-    # a nan or inf where an integer belongs (a device's buttons): 0
+    # a nan or inf in an integer field (buttons of a device) becomes 0
     usable[_INT_COLUMNS] = np.nan_to_num(record[_INT_COLUMNS], nan=0.0, posinf=0.0, neginf=0.0)
     return _contact_map(usable.tolist(), every)
 
 
 def state_map(record, scene, epoch_s=0.0):
-    """The message of topic `state` of one record."""
+    """Return the message of topic `state` for one record."""
     row = record.tolist()
     return {
         "timestamp": row[AT.timestamp] - epoch_s,

@@ -1,4 +1,4 @@
-"""How many random cases a test takes: few in `make test`, many in `make test-all`."""
+"""Number of random cases of a test: few in `make test`, many in `make test-all`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Callable
 from hypothesis import settings
 
 Cases = Callable[[int, int], int]
-"""The fixture `cases` of conftest.py: cases(few, many) is how many."""
+"""Type of the fixture `cases` of conftest.py: cases(few, many) returns the number."""
 
 FULL = settings.get_current_profile_name() == "full"
-"""Whether pytest was given --hypothesis-profile=full."""
+"""True if pytest was started with --hypothesis-profile=full."""
 
 
 def examples(few: int, many: int = 10_000) -> settings:
-    """Settings of a Hypothesis test that takes so many cases; what else conftest.py says of all of them."""
+    """Return the Hypothesis settings for this number of cases; conftest.py has the common settings."""
     return settings(max_examples=many if FULL else few)

@@ -1,4 +1,4 @@
-"""A whole experiment through the participant's page: a session with a daemon and a page, in a real browser."""
+"""Run a whole experiment through the participant's page: daemon, page and a real browser."""
 
 from __future__ import annotations
 
@@ -89,22 +89,22 @@ RATING = (
 
 
 class Session:
-    """A session that runs, and the participant's page of it in the browser."""
+    """A running session and its participant's page in the browser."""
 
     def __init__(self, page: Any, folder: Path, process: subprocess.Popen[str]) -> None:
         self.page, self.folder, self.process = page, folder, process
 
     def click(self, label: str) -> None:
-        """Press a button once it is there."""
+        """Wait for a button and press it."""
         self.page.get_by_role("button", name=label, exact=True).click()
 
     def middle(self, label: str) -> float:
-        """Where the middle of a button is, pixels from the left of the window; nan while it is not to be seen."""
+        """Return the horizontal centre of a button in pixels from the left of the window; nan while it is hidden."""
         box = self.page.get_by_role("button", name=label, exact=True).bounding_box()
         return math.nan if box is None else float(box["x"] + 0.5 * box["width"])
 
     def waits(self, *texts: str) -> bool:
-        """Whether all these texts come to be read."""
+        """Wait for all these texts; return whether they appeared."""
         return bool(eventually(lambda: all(self.page.get_by_text(text).count() for text in texts)))
 
     def write(self, label: str, text: str) -> None:

@@ -1,6 +1,6 @@
-"""The driver contract over a Falcon, and what only it does.
+"""Driver contract for a Falcon, and tests of its own behaviour.
 
-Run beside the emulated device by test_falcon_emulated.py, not by itself.
+Started with an emulated device by test_falcon_emulated.py, not directly.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Se
 
 
 class Emulated(AskedBench):
-    """The device of the testbed beside this program, through libusb."""
+    """Bench with the emulated device of the testbed, through libusb."""
 
-    # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before it is asked.
+    # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before the reading.
     force_step_n: ClassVar[float] = 0.01
 
     def open(self) -> Falcon:
-        # A tick of the emulation waits for two other programs: silences are longer than on a bus.
+        # A tick of the emulation waits for two other programs: it has longer silences than a bus.
         given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
         device = open_device(build(Options, given, "falcon [device]"), RATE_HZ)
         device.arm()
@@ -38,33 +38,33 @@ def bench() -> Bench:
 
 
 class TestContract(DriverContract):
-    """The contract over the emulated device."""
+    """The contract with the emulated device."""
 
 
 def test_position_is_where_the_knob_is(bench: Emulated) -> None:
-    """The sample is the emulated knob's place in the world, to half an encoder count on each leg."""
+    """The sample is the position of the emulated knob in the world, within half an encoder count at each leg."""
     with bench.open() as device:
         servo = Servo(device)
-        while device.counts()["replies"] < 30:  # a slow bus takes many ticks for as many milliseconds of the knob
+        while device.counts()["replies"] < 30:  # on a slow bus, a few milliseconds of the knob take many ticks
             assert servo.read()[0] in (OK, STALE, WITHHELD)
             servo.write(0.6, -0.4, 0.5, 0.0, 0.0, 0.0)
-        time.sleep(0.05)  # after a pause the reply is one of now, asked for with a zero
+        time.sleep(0.05)  # after a pause the driver sends a zero to request a current reply
         status, sample = servo.read()
         assert status == WITHHELD
-        # half a count is 0.3 mrad at a leg, at most 1/15 m to a radian there; three legs
+        # half a count is 0.3 mrad at a leg; a leg moves the knob by at most 1/15 m per radian; there are three legs
         np.testing.assert_allclose(sample[:3], bench.ask("place"), atol=3 * 0.5 * 6.4e-4 / 15)
         assert np.linalg.norm(np.array(sample[:3]) - (0.0, 0.0, 0.02)) > 1e-3, "the force did not move it"
 
 
 def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
-    """The write says so, the direction is kept; a force that is no number is a zero."""
+    """The write reports the limit and retains the direction; a non-finite force becomes zero."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
         assert servo.write(30.0, 0.0, 40.0, 0.0, 0.0, 0.0) == STALE
         x, y, z = bench.displayed()
         assert 5.0 < np.linalg.norm((x, y, z)) < 50.0
-        np.testing.assert_allclose((x / z, y / z), (0.75, 0.0), atol=0.01)  # the knob moves before it is asked
+        np.testing.assert_allclose((x / z, y / z), (0.75, 0.0), atol=0.01)  # the knob moves before the reading
         assert device.counts()["cut"] == 1
         servo.read()
         assert servo.write(float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -72,8 +72,8 @@ def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
 
 
 def test_late_replies_cost_ticks(bench: Emulated) -> None:
-    """While replies are 20 ms late the last sample is repeated, and no more than two packets are sent in 5 ms; then it
-    goes on."""
+    """While replies are 20 ms late, the driver repeats the last sample and sends at most two packets in 5 ms; then it
+    recovers."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -87,7 +87,7 @@ def test_late_replies_cost_ticks(bench: Emulated) -> None:
                 assert sample == before
                 assert device.counts()["written"] - written <= 2 * (1 + (time.monotonic() - begun) // 0.005)
             statuses.append(status)
-        assert set(statuses) <= {OK, STALE, WITHHELD}  # the last after a pause of this machine's
+        assert set(statuses) <= {OK, STALE, WITHHELD}  # WITHHELD after a pause of this machine
         assert STALE in statuses
         until = time.monotonic() + 2.0
         while servo.read()[0] not in (OK, WITHHELD):

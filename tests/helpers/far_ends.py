@@ -1,6 +1,6 @@
-"""Emulated devices of every driver that displays a force, with the forces they received and the times.
+"""Emulated devices of every driver that displays a force, with the received forces and their times.
 
-The hand of each presses into the paper's plane from the first tick, and moves, so that no pose repeats.
+Each hand presses into the paper's plane from the first tick, and moves, so that no pose repeats.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ PRESSED_S = 0.01
 
 
 class FarEnd(NamedTuple):
-    """Device, and the forces it received.
+    """A device and the forces it received.
 
     device    open and armed
-        received  after closing, the forces in order (n, 4): monotonic time, s, NaN if row k is that of tick k;
-                  and the force, in N, or in A or N m of the motors if the device receives these
-        handover  ticks until a force reaches the motors
-        most      limit of the guard, in the unit of `received`
-        withholds whether the driver sends zero if its answers are not read
-        hush      makes the device receive without answering; None if it has no such fault
+    received  after closing, the forces in order (n, 4): monotonic time, s, NaN if row k is that of tick k; and the
+              force, in N, or in A or N m of the motors if the device receives these
+    handover  ticks until a force reaches the motors
+    most      limit of the guard, in the unit of `received`
+    withholds whether the driver sends zero if its answers are not read
+    hush      makes the device receive without answering; None if it has no such fault
     """
 
     device: Device
@@ -101,7 +101,7 @@ def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
 
 
 TIMELESS = ("replay", "simulated")
-"""Logs of written forces, without times: ticks without a write are missing."""
+"""Logs of written forces without times: ticks without a write are missing."""
 
 
 def logged(device: Any) -> NDArray[np.float64]:
@@ -284,4 +284,4 @@ FAR_ENDS = {
     "forcedimension": force_dimension, "openhaptics": open_haptics, "haply": haply, "haply-2diy": two_diy,
     "hapkit": hapkit,
 }  # fmt: skip
-"""By driver; boards described by a rig, by rig."""
+"""Functions by driver, or by rig for boards described by a rig."""

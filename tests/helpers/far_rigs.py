@@ -1,7 +1,7 @@
-"""Rigs as a user has them, files that name a device, with the emulated device of every driver behind them.
+"""Rig files that name the emulated device of every driver.
 
-For programs that open a device by themselves; `far_ends` has open devices. What the far end was given is in N on the
-hand, with times. Simulated and replayed devices have no far end.
+For programs that open a device themselves; `far_ends` has open devices. Received forces are in N on the hand, with
+times. Simulated and replayed devices have no emulated counterpart.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from softfinger.config.sources import find
 Array = NDArray[np.float64]
 
 PATIENT = {"quiet_s": 0.2, "timeout_s": 1.0}
-"""A thread of a busy machine may answer late."""
+"""Time limits for a busy machine, on which a thread may answer late."""
 PRESS_TICKS = 200
-"""In which the hand of a board goes into the floor: slower than a pose may jump."""
+"""Time in which the hand of a board moves into the floor: slower than the limit of a pose jump."""
 
 
 class Far(NamedTuple):
-    """What is behind a rig.
+    """Emulated device of a rig.
 
     rig         file of the rig
-    device      what tests steer: stand-in, service, board or its port
-    given       forces from that number on (-1: the newest), in their order (n, 4): s of the monotonic clock, N
+    device      controlled by tests: stand-in, service, board or its port
+    given       received forces from that index on (-1: the latest), in order (n, 4): s of the monotonic clock, N
     press       put the hand some millimetres into a floor at z = 0
     unplug      pull the cable
-    resolution  N, of what the motors take
-    sees        the axes of the world along which it moves
-    powerless   without its cable it gives no force; others would keep the last, which is all that can be said here
+    resolution  N, of the motors
+    sees        axes of the world along which it moves
+    powerless   True if the device has no force without its cable; others retain the last force
     """
 
     rig: str
@@ -67,7 +67,7 @@ class Far(NamedTuple):
     powerless: bool = False
 
     def newest(self) -> float:
-        """N, the size of the newest force; 0 before the first."""
+        """Size (N) of the latest force; 0 before the first."""
         given = self.given(-1)
         return float(np.linalg.norm(given[-1, 1:])) if len(given) else 0.0
 
@@ -76,9 +76,9 @@ class Far(NamedTuple):
 def when_forced(
     far: Far, least_n: float, act: Callable[[], object], begin: Callable[[threading.Event], object] | None = None
 ) -> Iterator[list[float]]:
-    """Do something, once, when the far end has more than so much force; inside, the list has its time once it was done.
+    """Call a function once when the device's force exceeds a limit; the yielded list then contains the time.
 
-    begin  is called first, by the same thread, with what is set when the block ends
+    begin  called first, in the same thread, with an event that is set when the block ends
     """
     done: list[float] = []
     over = threading.Event()
@@ -102,7 +102,8 @@ def when_forced(
 
 
 def rig_file(folder: Path, name: str, **keys: object) -> str:
-    """A shipped rig with these keys of [device], without real-time settings, its force there after 50 ms."""
+    """Write a shipped rig with changed keys of [device], without real-time settings, whose force has risen after 50
+    ms."""
     text = find(name, Rig).read_text()
     for key in keys:
         text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
@@ -114,7 +115,7 @@ def rig_file(folder: Path, name: str, **keys: object) -> str:
 
 
 def slowly(put: Callable[[float], None]) -> None:
-    """From 0 to 1, as a hand moves."""
+    """Position of the hand, from 0 to 1, over time."""
     for share in np.linspace(0.0, 1.0, PRESS_TICKS):
         put(float(share))
         time.sleep(0.002)
@@ -172,7 +173,7 @@ def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
 @contextmanager
 def hid(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    """The arm has no node: what opens a device gets it from here."""
+    """The arm has no device node: the driver gets its file descriptor from here."""
     place = [(0.01, 0.02, 0.03)]
     with woody(intention=lambda _: place[0], timeout_s=2.0) as (device, arm, answering):
         arm.sent = sent = Timed()
@@ -254,10 +255,10 @@ def hapkit(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
             per_torque = SECTOR_M / PULLEY_M / HANDLE_M
             return np.column_stack([changes[:, 0], np.zeros((len(changes), 2)), changes[:, 1] * per_torque])
 
-        def press() -> None:  # counts begin where the board was when it was started
+        def press() -> None:  # encoder counts start at the position in which the board was started
             slowly(lambda share: board.turn(0.3 - 0.25 * share))
 
-        # a duty cycle of one in 255, whose torque is 0.03 N m duty^2: at 0.2 N duty is 0.2
+        # a duty cycle of 1/255 gives 0.03 N m duty^2; at 0.2 N the duty is 0.2
         yield Far(rig_file(folder, "hapkit", path=board.path, **PATIENT), board, given, press, board.pull, 0.01, "z")
 
 
@@ -265,4 +266,4 @@ FAR_RIGS: dict[str, Callable[[Path, pytest.MonkeyPatch], Any]] = {
     "openhaptics": open_haptics, "haply": haply, "haply-2diy": two_diy, "hapkit": hapkit, "serial": serial,
     "forcedimension": force_dimension, "falcon": falcon, "hid": hid,
 }  # fmt: skip
-"""By driver; of boards that a rig describes, by rig."""
+"""Functions by driver, or by rig for boards described by a rig."""

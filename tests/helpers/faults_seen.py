@@ -1,7 +1,7 @@
-"""What tests of injected faults saw, for the fault model's table: `--faults-seen FILE` has pytest write it.
+"""Record the observations of tests with injected faults for the table of the fault model: `--faults-seen FILE`.
 
-A test notes it by `record_property(SEEN, {...})`: hazard, driver, fault; ticks until the device had zero, None where it
-keeps a force; event, state, recovery.
+A test notes them with `record_property(SEEN, {...})`: hazard, driver, fault; ticks until the device received zero, None
+if it keeps a force; event, state, recovery.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SEEN = "fault_seen"
 
 
 class FaultsSeen:
-    """The plugin: which tests passed, and what each noted."""
+    """Pytest plugin: collects the passed tests and their observations."""
 
     def __init__(self, file: str) -> None:
         self._file = Path(file)

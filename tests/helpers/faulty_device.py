@@ -1,7 +1,7 @@
-"""A device that breaks on demand, behind the same C functions as any other driver.
+"""Device that fails on demand, behind the same C functions as any other driver.
 
-It presses a fingertip 1 mm into the plane z = 0 and drags it to and fro; for `count` reads from read `at` on it does
-what `fault` says. Every wrench written while it is armed is kept.
+It presses a fingertip 1 mm into the plane z = 0 and drags it back and forth; `fault` acts on `count` reads from read
+`at` on. Every wrench written while it is armed is recorded.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FAULTS: tuple[Fault, ...] = (
 AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE, JUMP_UM = range(10)
 ROOM = 100_000
 UNKNOWN = HELD + 1
-"""A status that no driver has."""
+"""A status that no driver uses."""
 
 usleep = types.ExternalFunction("usleep", types.int32(types.uint32))
 
@@ -135,7 +135,7 @@ class FaultyDevice(Device):
         far = (1.0, 1.0, 1.0)
         self.info = DeviceInfo("faulty", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), far, options.own_clock)
         self.acts: list[tuple[str, int, int]] = []
-        """What was done to it from Python: the act, the thread, the reads before it."""
+        """Calls from Python: the function, the thread, and the number of reads before it."""
         self._stopped = False
 
     def io(self) -> DeviceIO:
@@ -162,12 +162,12 @@ class FaultyDevice(Device):
         self.stop()
 
     def release(self) -> None:
-        """Let a read that hangs go on."""
+        """Release a read that hangs."""
         self._word[FREE] = 1
 
     @property
     def wrenches(self) -> np.ndarray:
-        """Every wrench on the hand (k, 6), oldest first."""
+        """Wrenches on the hand (k, 6), oldest first."""
         return self._kept[: self._word[WRITES]].copy()
 
     def _note(self, act: str) -> None:

@@ -1,4 +1,4 @@
-"""A user without an entry in passwd and without HOME, as cron and containers have."""
+"""User without an entry in passwd and without HOME, as under cron or in a container."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAMES: Final = (
 
 
 def forget_user(patch: pytest.MonkeyPatch) -> None:
-    """Remove what tells this process who its user is; the environment of processes that it starts, too."""
+    """Remove all information about the user from this process and from the environment of its children."""
     for name in NAMES:
         patch.delenv(name, raising=False)
     patch.setattr("pwd.getpwuid", lambda uid: {}[uid])

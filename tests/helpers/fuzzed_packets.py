@@ -1,7 +1,7 @@
-"""Seeds of `fuzzing` that no shipped file has, and what takes a device's bytes: each driver's own functions.
+"""Seeds of `fuzzing` that are not shipped as files, and the functions of the drivers that read bytes of a device.
 
-A packet gives numbers that are finite, NaN throughout where a device may have no pose, or is passed over; a tick with
-a pose that is no number has no force (tests/server/test_usable_poses.py).
+A packet either gives finite numbers (all NaN if the device may have no pose) or is ignored. A tick with a non-finite
+pose has no force (tests/server/test_usable_poses.py).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ GLB: Final = (
 
 
 def pictures() -> list[bytes]:
-    """Grey, of 8 and of 16 bits."""
+    """Grey pictures of 8 and 16 bits."""
     heights = np.arange(64, dtype=np.uint8).reshape(8, 8)
     made = []
     for each in (heights, heights.astype(np.uint16) * 1000):
@@ -88,7 +88,7 @@ def pictures() -> list[bytes]:
 
 
 def arrays() -> list[bytes]:
-    """Heights as numpy saves them."""
+    """Heights as saved by numpy."""
     made = []
     for kind in (np.float64, np.float32, np.uint16):
         out = io.BytesIO()
@@ -110,7 +110,7 @@ def commands() -> list[bytes]:
 
 
 def targets(make: Callable[..., Any]) -> dict[str, Any]:
-    """The devices' targets; `make` is fuzzing.Target."""
+    """Targets of the devices; `make` is fuzzing.Target."""
     from softfinger.drivers.haply.messages import Malformed, Missing
     from softfinger.drivers.serial.frames import FRAME_BYTES
 
@@ -213,7 +213,8 @@ def _spacemouse(_: Path, data: bytes) -> None:
 
 
 def _frames(_: Path, data: bytes) -> None:
-    """What a maker's library says is a pose: Force Dimension's twelve numbers, libHD's position and matrix."""
+    """Numbers that a vendor's library returns as a pose: twelve from Force Dimension, position and matrix from
+    libHD."""
     from softfinger.drivers.block import Block
     from softfinger.drivers.forcedimension import block as dhd
     from softfinger.drivers.forcedimension import exchange as forcedimension

@@ -1,12 +1,12 @@
-"""Bytes of strangers, made from true ones by chance: everything that reads a file, a message or a packet takes them.
+"""Mutate valid bytes at random and pass them to every reader of files, messages and packets.
 
-    python -m helpers.fuzzing TARGET SECONDS SEED FOLDER
+python -m helpers.fuzzing TARGET SECONDS SEED FOLDER
 
-Each is taken or refused: by an error of the program's own that says something, in bounded time of the processor and
-memory, without a warning. The bytes of the moment are in FOLDER, so what ends the process is known as well.
+A reader must accept them or raise its own error with a message, within limits of CPU time and memory and without
+warnings. FOLDER contains the current bytes, so an input that ends the process is known as well.
 
-A mutator of our own and not atheris, which follows branches of Python's code: these readers spend their time in
-msgspec, numpy, MuJoCo and expat.
+This is not atheris, which follows branches of Python code: these readers spend their time in msgspec, numpy, MuJoCo and
+expat.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from typing import Any, Final, NamedTuple
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 HANGS_S: Final = 10.0
-"""Of the processor, for one input: longer than any takes that is within the readers' limits."""
+"""CPU time (s) for one input: longer than any input within the readers' limits takes."""
 GROWTH_MAX: Final = 600 << 20
-"""Bytes: an array of the readers' largest, 160 MB, may be there twice, beside what has read it."""
+"""Bytes: the readers' largest array, 160 MB, may exist twice, in addition to the reader's own memory."""
 SEED_MAX: Final = 1 << 16
-"""Bytes of a seed: what is wrong in a long file is wrong in a short one."""
+"""Size (bytes) of a seed: a defect that shows in a long file shows in a short one."""
 SAID_MAX: Final = 4000
-"""Characters of a clear error."""
+"""Characters of a clear error message."""
 
 _TOKENS: Final = (
     b"nan", b"inf", b"-inf", b"-1", b"0", b"1e308", b"1e-320", b"9" * 25, b"0x10", b"true", b"''", b'""', b"[]", b"{}",
@@ -44,7 +44,7 @@ _NUMBER: Final = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 def mutated(seeds: list[bytes], chance: random.Random) -> bytes:
-    """One of the seeds with a few mistakes."""
+    """Return one of the seeds with a few mistakes."""
     data = bytearray(chance.choice(seeds))
     for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
         _spoil(data, chance, seeds)
@@ -77,8 +77,8 @@ def _spoil(data: bytearray, chance: random.Random, seeds: list[bytes]) -> None:
 
 
 class Target(NamedTuple):
-    """Seeds; what takes bytes, given a file with them; the errors that refuse them; the ending of the file. `named`:
-    whether an error has to name the file."""
+    """Seeds; the reader, called with a file of the bytes; errors by which it may refuse them; suffix of the file.
+    `named` is true if an error has to name the file."""
 
     seeds: Callable[[], list[bytes]]
     take: Callable[[Path, bytes], object]
@@ -137,7 +137,7 @@ def _poses(path: Path) -> None:
 
 @cache
 def targets() -> dict[str, Target]:
-    """By name; what they import takes a second."""
+    """Return the targets by name; their imports take a second."""
     from helpers import fuzzed_packets as packets
     from softfinger.config.arrays.grids import read_grid
     from softfinger.config.errors import ConfigError, RecordingError
@@ -185,12 +185,13 @@ def targets() -> dict[str, Target]:
 
 
 def verdict(target: Target, path: Path, data: bytes) -> str:
-    """What is wrong with how bytes are taken; empty where they are taken, or refused as they should be."""
+    """Return a description of what is wrong with a reader's response, or an empty text if it accepts or refuses
+    correctly."""
     path.write_bytes(data)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            warnings.filterwarnings("ignore", "Inertia matrix")  # MuJoCo says it of a model that it goes on with
+            warnings.filterwarnings("ignore", "Inertia matrix")  # MuJoCo warns of a model that it accepts
             target.take(path, data)
     except target.refusals as error:
         said = str(error)
@@ -204,7 +205,7 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
 
 
 def bounded() -> Iterator[None]:
-    """Memory that this process may have more than now."""
+    """Additional memory that this process may allocate."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + GROWTH_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -214,7 +215,7 @@ def bounded() -> Iterator[None]:
 def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     chance, target = random.Random(seed), targets()[name]
     path = folder / f"input{target.ending}"
-    seeds = [each for each in target.seeds() if b"[world]" not in each]  # which would need its model beside it
+    seeds = [each for each in target.seeds() if b"[world]" not in each]  # these would need their model as a file
     if wrong := next(filter(None, (verdict(target, path, each) for each in seeds)), ""):
         print(f"of the seeds: {wrong}")
         return 1
@@ -222,7 +223,7 @@ def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     count, until = 0, time.monotonic() + seconds
     while time.monotonic() < until:
         data = mutated(seeds, chance)
-        signal.setitimer(signal.ITIMER_PROF, HANGS_S)  # ends the process
+        signal.setitimer(signal.ITIMER_PROF, HANGS_S)  # the signal ends the process
         if wrong := verdict(target, path, data):
             print(wrong)
             return 1

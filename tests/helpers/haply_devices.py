@@ -1,4 +1,4 @@
-"""Haply devices for the tests: the emulated Inverse Service in a process of its own, and the driver on its port."""
+"""Haply devices for the tests: the emulated Inverse Service in another process, and the driver on its port."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ TESTS = Path(__file__).parents[1]
 
 
 class Service:
-    """The process, steered by lines on its standard input; it ends with the context."""
+    """Process of the service, controlled by lines on its standard input; it ends with the context."""
 
     def __init__(
         self, version: str = "3.5.0", devices: tuple[str, ...] = (f"inverse3:{ID}",), grips: tuple[str, ...] = (),
         port: int = 0, idle_s: float = 60.0, room: int | None = None,
     ) -> None:  # fmt: skip
-        """`idle_s`: so long that a zero in the log is the driver's, or the end of its session; `room`: bytes of its
-        receive buffer."""
+        """Set `idle_s`, so long that a zero in the log must be the driver's or the end of its session, and `room`, the
+        bytes of its receive buffer."""
         command = [sys.executable, "-m", "emulators.haply_service", "--version", version, "--port", str(port)]
         command += ["--idle", str(idle_s), *([] if room is None else ["--room", str(room)])]
         for option, names in (("--device", devices), ("--grip", grips)):
@@ -39,7 +39,7 @@ class Service:
         self.port: int = self._line()
 
     def do(self, what: str, **how: Any) -> Any:
-        """Steer it, or ask it; its answer."""
+        """Send a request; return the answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": what, **how}) + "\n")
         self.process.stdin.flush()
@@ -49,11 +49,11 @@ class Service:
         self.do("set", to=to)
 
     def force(self, name: str = ID) -> tuple[float, ...]:
-        """What a device's motors give now (N)."""
+        """Return the present force (N) of a device's motors."""
         return tuple(self.do("force", id=name))
 
     def log(self, name: str = ID) -> list[list[float]]:
-        """Times (s, monotonic clock) and forces (N) of a device so far."""
+        """Return times (s, monotonic clock) and forces (N) of a device so far."""
         return self.do("log", id=name)  # type: ignore[no-any-return]
 
     def commands(self, name: str = ID) -> list[tuple[float, list[float]]]:
@@ -81,7 +81,8 @@ class Service:
 
 
 def rig_options(port: int, **changes: Any) -> Options:
-    """The [device] table of the shipped rig with keys changed; a thread of a busy machine may answer late."""
+    """Return the [device] table of the shipped rig with changed keys; its limits allow for late answers of a busy
+    machine."""
     given = load_rig(RIG).device
     assert given is not None
     patient = {"port": port, "stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
@@ -93,14 +94,14 @@ def opened(service: Service, **changes: Any) -> HaplyDevice:
 
 
 def settle(device: HaplyDevice) -> None:
-    """Wait until the service has answered the newest wrench of the loop, or never will."""
+    """Wait until the service has answered the latest wrench of the loop, or can no longer do so."""
     until = time.monotonic() + 5.0
     while not device.is_settled() and time.monotonic() < until:
         time.sleep(0.0005)
 
 
 def fresh(servo: Servo) -> list[float]:
-    """The next new sample."""
+    """Return the next new sample."""
     until = time.monotonic() + 10.0
     while True:
         status, sample = servo.read()

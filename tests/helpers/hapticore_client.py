@@ -1,7 +1,7 @@
-"""A client of the peer's protocol, written from its document alone: DEALER sockets, an empty frame, a msgpack map.
+"""Client of the peer's protocol, written from its documentation only: DEALER sockets, an empty frame, a msgpack map.
 
-As there, user commands and heartbeats go over a socket each, an answer is told by its `command_id`, and it is taken
-into a record of exactly the four documented keys.
+As documented there, user commands and heartbeats use one socket each, answers are matched by `command_id`, and an
+answer has exactly the four documented keys.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The stand-in for 3D Systems' library, compiled by the test."""
+"""Stand-in for 3D Systems' library, compiled by the test."""
 
 from __future__ import annotations
 
@@ -27,45 +27,45 @@ JOURNAL = np.dtype([("count", "<i8"), ("pad", "<i8", 7), ("row", ROW, ROWS)])
 
 
 def rows_of(journal: NDArray[Any]) -> NDArray[Any]:
-    """Rows of a journal in the order of their times, the library's frame; of a process that has ended, too."""
+    """Return the rows of a journal in order of time, in the library's frame; also for a process that has ended."""
     count = int(journal["count"])
     rows = journal["row"]
     return rows[:count].copy() if count <= ROWS else np.roll(rows, -(count % ROWS))
 
 
 def journal_in(file: Path) -> NDArray[Any]:
-    """What a process with STUB_HD_LOG has left."""
+    """Read the journal of a process with STUB_HD_LOG."""
     return rows_of(np.fromfile(file, JOURNAL)[0])
 
 
 class HdStub(CStub):
-    """3D Systems' library."""
+    """Stand-in for 3D Systems' library."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._library.stub_journal.restype = ctypes.c_void_p
 
     def reset_hand(self) -> None:
-        """Put the handles where the hands' paths begin."""
+        """Move the handles to the start of the hands' paths."""
         self._library.stub_reset_hand()
 
     def push(self, code: int, device: int = -1, many: int = 1) -> None:
-        """Put an error onto the stack, of a device or of none."""
+        """Push an error onto the stack, of one device or of none."""
         self._library.stub_push(code, device, many)
 
     def wrench(self, device: int = 0) -> tuple[float, ...]:
-        """What the motors give now, in the library's frame: N, mN m."""
+        """Return the present force of the motors in the library's frame: N, mN m."""
         out = (ctypes.c_double * 6)()
         self._library.stub_force(device, out)
         return tuple(out)
 
     def journal(self) -> NDArray[Any]:
-        """Rows so far: what the motors gave, tick by tick."""
+        """Return the rows so far: the motors' force in each tick."""
         memory = (ctypes.c_char * JOURNAL.itemsize).from_address(self._library.stub_journal())
         return rows_of(np.frombuffer(memory, JOURNAL)[0])
 
     def after(self, ticks: int) -> None:
-        """Wait for so many ticks of the library's thread; not where it stands still."""
+        """Wait for this number of ticks of the library's thread; fails if it does not run."""
         until, end = self["ticks"] + ticks, time.monotonic() + 10.0
         while self["ticks"] < until and self["running"]:
             assert time.monotonic() < end
@@ -74,7 +74,7 @@ class HdStub(CStub):
 
 @pytest.fixture(scope="session")
 def hd_library() -> Iterator[Path]:
-    """The library, in a folder that any user may enter."""
+    """Compile the library in a folder that any user may enter."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="hd-") as folder:
@@ -84,7 +84,7 @@ def hd_library() -> Iterator[Path]:
 
 @pytest.fixture
 def hd(hd_library: Path) -> Iterator[HdStub]:
-    """One Touch at the stub's settings, the hand still, 20 mm above the middle."""
+    """A Touch with the stub's default settings and a resting hand 20 mm above the centre."""
     stub = HdStub(hd_library)
     assert not stub["running"], "a test before left its device open"
     stub.reset()
@@ -96,7 +96,7 @@ PORT = Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
 
 
 class TouchBench(Bench):
-    """A Touch behind the stand-in."""
+    """Bench with a Touch on the stand-in."""
 
     def __init__(self, stub: HdStub, monkeypatch: pytest.MonkeyPatch) -> None:
         self.stub = stub
@@ -104,14 +104,14 @@ class TouchBench(Bench):
         self.ports(())
 
     def ports(self, ports: tuple[Attached, ...], permitted: bool = True) -> None:
-        """What the system lists, and whether this user may open it."""
+        """Devices listed by the system, and whether this user may open them."""
         self._patch.setattr(usb.discovery, "list_attached", lambda: list(ports))
         self._patch.setattr(usb.discovery, "is_permitted", lambda node: permitted)
 
-    patience_s = 5.0  # the library's thread is not waited for, and this machine may hold any thread up
+    patience_s = 5.0  # nothing waits for the library's thread, and this machine may delay any thread
 
     def options(self, **options: Any) -> openhaptics.Options:
-        # An old force counts real time, and a test between two exchanges takes what this machine gives it.
+        # The age of a force counts real time, and a busy machine may delay the next exchange of a test.
         return openhaptics.Options(**{"library_file": str(self.stub.path), "force_age_max_s": 0.1, **options})
 
     def open_unarmed(self, **options: Any) -> openhaptics.OpenHaptics:
@@ -123,7 +123,7 @@ class TouchBench(Bench):
         return device
 
     def displayed(self) -> tuple[float, ...]:
-        self.stub.after(2)  # a force is with the motors at the end of the next frame
+        self.stub.after(2)  # a force reaches the motors at the end of the next frame
         fx, fy, fz, tx, ty, tz = self.stub.wrench()
         return fx, -fz, fy, 1e-3 * tx, -1e-3 * tz, 1e-3 * ty
 

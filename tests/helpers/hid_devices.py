@@ -1,7 +1,7 @@
-"""HID devices for the tests: the driver's end of a packet socket, an emulated device in a thread at the other.
+"""HID devices for the tests: the driver at one end of a packet socket, an emulated device in a thread at the other.
 
-A packet socket keeps the borders of reports as a hidraw node does, and needs no privilege; for the way through threads
-it stands behind hidapi's calls. What only a node has (enumeration, descriptor, permissions) is proven on umockdev.
+A packet socket preserves the boundaries of reports, as a hidraw node does, and needs no privileges. For the variant
+with threads it replaces hidapi's calls. Enumeration, descriptor and permissions of a node are tested on umockdev.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ RIGS = {
     "woodenhaptics-aluhaptics-v2": "aluhaptics-v2",
     "woodenhaptics-vintage": "vintage",
 }
-"""Shipped rigs, and the rows of the emulator's table."""
+"""Shipped rigs and the rows of the emulator's table."""
 
 
 def rig_options(rig: str, **changes: Any) -> Options:
-    """The [device] table of a shipped rig with keys changed."""
+    """Return the [device] table of a shipped rig with changed keys."""
     return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 
 def described(**changes: Any) -> dict[str, Any]:
-    """A cartesian device of somebody's own: numbered reports, floats, a quaternion, two buttons, a gripper in
-    hundredths of a radian, forces in mN."""
+    """A user-defined cartesian device: numbered reports, floats, a quaternion, two buttons, a gripper in hundredths of
+    a radian, forces in mN."""
     fields = [("x", 0), ("y", 4), ("z", 8), ("qw", 12), ("qx", 16), ("qy", 20), ("qz", 24)]
     scale = {"x": 1e-3, "y": 1e-3, "z": 1e-3}
     return {
@@ -72,20 +72,20 @@ def described(**changes: Any) -> dict[str, Any]:
 
 
 class Answering:
-    """A thread that answers reports, until it is told to be mute or the socket is closed."""
+    """Thread that answers reports until it is muted or the socket is closed."""
 
     def __init__(self, end: socket.socket, answer: Callable[[bytes], bytes | None]) -> None:
         self.end, self._answer = end, answer
         self.mute = threading.Event()
-        """Set: the device hears, and says nothing."""
+        """If set, the device receives but does not answer."""
         self.deaf = threading.Event()
-        """Set: the device reads nothing."""
+        """If set, the device reads nothing."""
         self.answered = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        # When the driver has closed its end, what it had sent is still there; only the answers are lost.
+        # Reports that the driver sent before it closed its end can still be read; only the answers are lost.
         while True:
             try:
                 data = self.end.recv(4096)
@@ -102,7 +102,7 @@ class Answering:
             self.answered += 1
 
     def settle(self, device: HidDevice) -> None:
-        """Wait until every report of the driver has been taken, and answered."""
+        """Wait until every report of the driver has been read and answered."""
         until = time.monotonic() + 10.0
         sent = device.counts()["written"]
         if device.threads is not None:
@@ -112,9 +112,9 @@ class Answering:
             time.sleep(0.0002)
 
     def unplug(self) -> None:
-        """Close the device's end. Any number of times."""
+        """Close the device's end; may be called repeatedly."""
         if self.end.fileno() >= 0:
-            with suppress(OSError):  # closed at the other end
+            with suppress(OSError):  # the other end is closed
                 self.end.shutdown(socket.SHUT_RDWR)
             self._thread.join()
             self.end.close()
@@ -127,17 +127,17 @@ class Answering:
 
 
 class Api:
-    """hidapi's device, with the end of a packet socket in the place of its bus."""
+    """hidapi's device on the end of a packet socket."""
 
     def __init__(self, fd: int) -> None:
         self._end = socket.socket(fileno=fd)
         self.held = threading.Event()
-        """While it is not set, writes hang."""
+        """While cleared, writes hang."""
         self.held.set()
         self.hung = threading.Event()
-        """Set once a write hangs."""
+        """Set when a write hangs."""
         self.refuses = False
-        """Whether writes fail, as libusb's do after a second."""
+        """If true, writes fail, as libusb's do after a second."""
         self.closed = 0
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
@@ -166,7 +166,7 @@ class Api:
 
 
 def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
-    """The driver on an end of a packet socket: as a node, or through threads at hidapi's calls."""
+    """Return the driver on a packet socket: as a node, or through threads with hidapi's calls."""
     if through == "node":
         return HidDevice(options, fd)
     link = link_by_threads(Api(fd), options)
@@ -174,7 +174,7 @@ def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
 
 
 def ends() -> tuple[int, socket.socket]:
-    """The driver's file descriptor, non-blocking, and the device's end."""
+    """Return the driver's file descriptor (non-blocking) and the device's end."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.setblocking(False)
     return ours.detach(), theirs
@@ -187,7 +187,7 @@ def woody(
     through: str = "node",
     **changes: Any,
 ) -> Iterator[tuple[HidDevice, Woody, Answering]]:
-    """An open device with the emulated arm of its rig behind it; a thread of a busy machine may answer late."""
+    """Open a device with the emulated arm of its rig; its limits allow for late answers of a busy machine."""
     options = rig_options(rig, **{"timeout_s": 0.5, **changes})
     generation = 1 if options.reports.name == "woodenhaptics-v1" else 2
     arm = Woody(RIGS[rig], generation, intention, options.reports.input.bytes)
@@ -197,7 +197,7 @@ def woody(
 
 
 class RefusedNode:
-    """A plain file in the place of a hidraw node that is held by another, or forbidden."""
+    """Regular file instead of a hidraw node that is in use or forbidden."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(dir="/tmp")
@@ -206,20 +206,20 @@ class RefusedNode:
         self._undo = ExitStack()
 
     def make(self, case: str) -> None:
-        """From now on: busy or permission."""
-        self.path.unlink(missing_ok=True)  # it may be one that was forbidden
+        """Apply a case from now on: busy or permission."""
+        self.path.unlink(missing_ok=True)  # it may have been made unreadable
         self.path.touch()
         if case == "busy":
             fcntl.flock(self._undo.enter_context(self.path.open("rb")), fcntl.LOCK_EX)
         elif case == "permission":
             self.path.chmod(0)
             user = os.geteuid()
-            if user == 0:  # whom no mode keeps out
+            if user == 0:  # file modes do not restrict root
                 os.seteuid(65534)
                 self._undo.callback(os.seteuid, user)
 
     def mend(self) -> None:
-        """Undo `make`. Any number of times."""
+        """Undo `make`; may be called repeatedly."""
         self._undo.close()
 
     def __enter__(self) -> Self:

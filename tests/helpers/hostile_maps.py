@@ -1,4 +1,4 @@
-"""Height maps that nobody should have made, hands that are thrown about on them, and all their places asked in turn."""
+"""Extreme height maps, hands that move wildly on them, and an exhaustive search over all their points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 TICKS: Final = 300
 STIFFNESS: Final = 1000.0
 FINE: Final = 4
-"""Places to a pixel that are asked in turn."""
+"""Search points per pixel."""
 
 
 def noise(count: int, height: float) -> Array:
@@ -25,7 +25,7 @@ def noise(count: int, height: float) -> Array:
 
 
 def columns(count: int, height: float, every: int) -> Array:
-    """A needle of a pixel in so many, a checkerboard of 2."""
+    """A needle of one pixel every few pixels; 2 gives a checkerboard."""
     y, x = np.indices((count, count))
     return height * ((x % every == 0) & (y % every == 0) | (every == 2) & (x % 2 == 1) & (y % 2 == 1))
 
@@ -36,7 +36,7 @@ def steps(count: int, height: float, wide: int) -> Array:
 
 
 def pit(count: int, pitch: float, radius: float) -> Array:
-    """Half a ball, its rim at 0."""
+    """Half a ball with its rim at 0."""
     y, x = (np.indices((count, count)) - 0.5 * (count - 1)) * pitch
     return -np.sqrt(np.maximum(radius * radius - x * x - y * y, 0.0))
 
@@ -55,15 +55,15 @@ MADE: Final[dict[str, Callable[[], tuple[float, Array]]]] = {
 
 
 def weights_at(places: Array, count: float) -> Array:
-    """What each of `count` + 3 coefficients counts for at places (n,) in cells: the cubic B-spline as a sum of
-    truncated powers, and what is beyond the rim as the rim."""
+    """Return the weights of `count` + 3 coefficients at positions (n,) in cells: the cubic B-spline as a sum of
+    truncated powers; positions beyond the rim use the rim."""
     apart = np.abs(np.clip(places, 0.0, count)[:, None] + 1.0 - np.arange(int(count) + 3))
     weights: Array = (np.maximum(2.0 - apart, 0.0) ** 3 - 4.0 * np.maximum(1.0 - apart, 0.0) ** 3) / 6.0
     return weights
 
 
 def grid_of(shape: Any, x: Array, y: Array) -> Array:
-    """Points (n, 3) m of the map over a grid of x and y, m, in numpy: nothing of it is a kernel's."""
+    """Return points (n, 3) m of the map over a grid of x and y, m, computed with numpy only."""
     across = weights_at(x / shape.pitch + 0.5 * shape.columns, shape.columns)
     down = weights_at(y / shape.pitch + 0.5 * shape.rows, shape.rows)
     heights = down @ shape.coefficients.array.reshape(down.shape[1], across.shape[1]) @ across.T
@@ -72,19 +72,19 @@ def grid_of(shape: Any, x: Array, y: Array) -> Array:
 
 
 def surface(shape: Any, beyond: float) -> Array:
-    """Points (n, 3) m of the map, FINE to a pixel along x and y, and of its level border as far out."""
+    """Return points (n, 3) m of the map, FINE per pixel along x and y, and of its flat border to the same distance."""
     half = 0.5 * max(shape.columns, shape.rows) * shape.pitch + beyond
     return grid_of(shape, *[np.arange(-half, half, shape.pitch / FINE)] * 2)
 
 
 def outside_by(shape: Any, centers: Array) -> float:
-    """How far (m) the fingertip's centres (n, 3) are from the nearest of all places asked, less the radius."""
+    """Return the distance (m) of fingertip centres (n, 3) from the nearest of all search points, minus the radius."""
     away, _ = KDTree(surface(shape, 3e-3)).query(np.unique(centers, axis=0))
     return float(away.min()) - R
 
 
 def hands(heights: Array, pitch: float) -> dict[str, Array]:
-    """Points (TICKS, 3) m: dragged through all heights, a metre a tick, and pressed into the middle."""
+    """Return points (TICKS, 3) m: dragged through all heights at a metre per tick, and pressed into the centre."""
     half, low, high = 0.5 * pitch * max(heights.shape), heights.min(), heights.max()
     rng = np.random.default_rng(5)
     dragged = wander(3, TICKS, 1.0, 0.03) * (half, half, 0.5 * (high - low) + 0.3 * R)

@@ -1,4 +1,4 @@
-"""Meshes that nobody should have made: each may be refused in a line, or touched safely."""
+"""Defective and extreme meshes: each must be refused with one line, or touched safely."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Array = NDArray[np.float64]
 
 
 def bar(x: float, y: float, z: float) -> Mesh:
-    """Twelve triangles of a box with these half extents, m, wound outward."""
+    """Return the twelve triangles of a box with these half extents, m, wound outward."""
     corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (x, y, z)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32))
 
 
 def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
-    """A ball of which a third of the triangles are there twice, a third inverted; with triangles of no area: two
-    corners in one place, or three on a line."""
+    """A ball of which a third of the triangles is duplicated and a third inverted; and triangles without area, with two
+    corners at one point or three on a line."""
     ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(1)
     count = len(ball.triangles)
     triangles = ball.triangles.copy()
@@ -37,7 +37,7 @@ def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
 
 
 def with_holes(frequency: int = 12, radius: float = 0.05) -> Mesh:
-    """A ball without a fifth of its triangles, and without a cap through which a fingertip gets in."""
+    """A ball without a fifth of its triangles, and without a cap, so that a fingertip can enter."""
     ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(2)
     middles = ball.vertices[ball.triangles].mean(axis=1)
     kept = (rng.uniform(size=len(middles)) > 0.2) & (middles[:, 2] < 0.9 * radius)
@@ -45,7 +45,7 @@ def with_holes(frequency: int = 12, radius: float = 0.05) -> Mesh:
 
 
 def needle_strip(length: float = 0.2, thin: float = 2e-7, count: int = 40) -> Mesh:
-    """A sheet in z = 0 with needles a millionth as wide as they are long along its middle."""
+    """A sheet in z = 0 with needles along its middle, a millionth as wide as long."""
     sheet = meshes.sheet(length, 1.0, 1, count + 2)
     rows = np.concatenate([[-0.05], thin * (np.arange(count + 1) - 0.5 * count), [0.05]])
     vertices = sheet.vertices.copy()
@@ -54,25 +54,25 @@ def needle_strip(length: float = 0.2, thin: float = 2e-7, count: int = 40) -> Me
 
 
 def crumpled(count: int = 40) -> Mesh:
-    """Large triangles every way through each other."""
+    """Large triangles in all directions that intersect one another."""
     vertices = 0.05 * np.random.default_rng(3).normal(size=(3 * count, 3))
     return Mesh(vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
 
 
 def dust(count: int = 100_000) -> Mesh:
-    """Small triangles in a cloud, every way."""
+    """A cloud of small triangles in all directions."""
     rng = np.random.default_rng(4)
     places = 0.02 * rng.normal(size=(count, 1, 3)) + 5e-4 * rng.normal(size=(count, 3, 3))
     return Mesh(places.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
 
 
 def shells(count: int = 60) -> Mesh:
-    """Balls within each other, half a micrometre apart."""
+    """Nested balls, half a micrometre apart."""
     return meshes.joined(*(meshes.geodesic(10, 0.05 * (1.0 - 1e-5 * k)) for k in range(count)))
 
 
 def crevice(angle: float = 0.02) -> Mesh:
-    """Two sheets that meet along y at a small angle, rad, far narrower than the fingertip down there."""
+    """Two sheets that meet along y at a small angle, rad, with a gap far narrower than the fingertip."""
     y, high, wide = np.linspace(-0.1, 0.1, 9), 0.2, 0.2 * np.sin(0.5 * angle)
     vertices = np.array([(x, v, high * (x != 0.0)) for v in y for x in (-wide, 0.0, wide)])
     cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(8) for j in range(2)]
@@ -98,8 +98,8 @@ MADE: Final = {
     "far": lambda: meshes.moved(meshes.geodesic(12, 0.05), (900.0, -200.0, 300.0)),
     "star": lambda: meshes.bumpy_sphere(24, 0.05, height=0.3),
 }
-"""What is touched safely, by its name: triangles that are thin, doubled, turned or without area, through each other,
-missing, alone; close walls, and sizes and places at the ends of what is allowed."""
+"""Meshes that must be touched safely, by name: thin, duplicated, inverted, intersecting, missing and single triangles,
+triangles without area, close walls, and sizes and positions at the limits."""
 
 
 MANY: Final = {
@@ -109,22 +109,23 @@ MANY: Final = {
     "crumpled 100k": lambda: crumpled(100_000),
     "dust": dust,
 }
-"""And of so many triangles about as near that a tick may not ask them all."""
+"""Meshes with so many triangles at about the same distance that a tick cannot examine them all."""
 
 
 def fan(count: int = 20_000) -> Mesh:
-    """A disc whose flat sides are needles that all meet in one vertex, so that all of them are near anywhere."""
+    """A disc whose flat sides are needles that meet in one vertex, so that all are close everywhere."""
     return meshes.cylinder(0.05, 1e-3, count, 1)
 
 
 def directions(seed: int, count: int) -> Array:
-    """Unit vectors (count, 3) every way."""
+    """Unit vectors (count, 3) in random directions."""
     some = np.random.default_rng(seed).normal(size=(count, 3))
     return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
 
 
 def socket(radius: float, frequency: int = 60) -> Mesh:
-    """A hollow ball whose nearest triangle is `radius`, m, from its centre, where every other is about as near."""
+    """A hollow ball whose nearest triangle is `radius` (m) from its centre, with all others at about the same
+    distance."""
     ball = meshes.geodesic(frequency)
     middles = np.linalg.norm(ball.vertices[ball.triangles].mean(axis=1), axis=1)
     return Mesh(ball.vertices * (radius / middles.min()), ball.triangles)

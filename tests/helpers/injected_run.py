@@ -1,4 +1,4 @@
-"""A servo on a device with faults injected, watched and recorded as a daemon has it, without sockets."""
+"""Servo on a device with injected faults, supervised and recorded as in a daemon, without sockets."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ WAIT_S = 30.0
 
 
 class Seen(NamedTuple):
-    """What became of a run: its error, None where it went on to its last tick; names of the recording's events, and of
-    those that the supervisor told; ticks done, and those in the recording (n, RECORD_SIZE); when each of these began,
-    s of the monotonic clock (n,)."""
+    """Result of a run: its error, None if it reached its last tick; names of the events in the recording, and of those
+    reported by the supervisor; ticks done, and the recorded ones (n, RECORD_SIZE); start time of each of these, s of
+    the monotonic clock (n,)."""
 
     error: HapticError | None
     events: list[str]
@@ -48,10 +48,10 @@ def run(
     folder: Path,
     each: Callable[[int], object] = lambda _: None,
 ) -> Seen:
-    """Run so many ticks on the paper's plane, with everything that watches over them; the device is closed in the end.
+    """Run this number of ticks on the paper's plane with all supervision, then close the device.
 
-    folder  for the recording
-    each    called with the ticks done so far, whenever some are
+    folder  folder of the recording
+    each    called with the number of ticks done, whenever it has increased
     """
     never = [{"kind": "stale", "at_tick": ticks + 1}]
     injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
@@ -102,7 +102,7 @@ def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[
 
 
 def read(path: Path) -> tuple[list[str], np.ndarray]:
-    """Names of a whole recording's events, and its ticks."""
+    """Return the names of a recording's events, and its ticks."""
     parts = list(read_contents(path))
     (end,) = [part for part in parts if isinstance(part, End)]
     assert end.cut == ""

@@ -1,4 +1,4 @@
-"""A key on a spring that MuJoCo moves: the scene type of tests with simulated bodies, compiled once for all of them."""
+"""Key on a spring that MuJoCo moves: the scene type of tests with simulated bodies, compiled once for all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes from formulas, of any size: their exact surfaces are known. Vertices in metres, triangles wound outward."""
+"""Meshes from formulas, of any size, whose exact surfaces are known. Vertices in metres, triangles wound outward."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FACES = [
     (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9),
     (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
 ]  # fmt: skip
-"""Of the icosahedron, wound outward."""
+"""Faces of the icosahedron, wound outward."""
 
 
 class Mesh(NamedTuple):
@@ -40,9 +40,10 @@ def icosphere(divisions: int, radius: float = 1.0) -> Mesh:
 
 
 def geodesic(frequency: int, radius: float = 1.0) -> Mesh:
-    """A ball of 20 * frequency^2 triangles: each face of an icosahedron in rows, and blown up. 158 makes 499280.
+    """A ball of 20 * frequency^2 triangles: the faces of an icosahedron, divided in rows and projected; 158 gives
+    499280.
 
-    No vertex is there twice: corners come first, then those along edges, then those within faces.
+    Each vertex is unique, in the order: corners, along edges, within faces.
     """
     n = frequency
     corners = np.array(CORNERS)
@@ -61,7 +62,7 @@ def geodesic(frequency: int, radius: float = 1.0) -> Mesh:
         start = 12 + 30 * (n - 1) + face * inside
         u, v = i[within, None] / n, j[within, None] / n
         points[start : start + inside] = (1.0 - u - v) * corners[a] + u * corners[b] + v * corners[c]
-        at = np.full((n + 1, n + 1), -1)  # which vertex is i steps toward b and j toward c
+        at = np.full((n + 1, n + 1), -1)  # index of the vertex i steps towards b and j towards c
         at[0, 0], at[n, 0], at[0, n] = a, b, c
         steps = np.arange(1, n)
         at[steps, 0] = _along(edges, a, b, n)
@@ -77,7 +78,7 @@ def geodesic(frequency: int, radius: float = 1.0) -> Mesh:
 
 
 def bumpy_sphere(frequency: int, radius: float = 1.0, height: float = 0.02, waves: float = 20.0) -> Mesh:
-    """A ball of 20 * frequency^2 triangles with bumps: in the direction (x, y, z) of length 1 its surface is at
+    """A ball of 20 * frequency^2 triangles with bumps: its surface in the unit direction (x, y, z) is at
 
     radius + height sin(waves x) sin(waves y) sin(waves z).
     """
@@ -87,7 +88,7 @@ def bumpy_sphere(frequency: int, radius: float = 1.0, height: float = 0.02, wave
 
 
 def torus(major: float = 1.0, minor: float = 0.4, along: int = 64, around: int = 32) -> Mesh:
-    """A ring about the z axis: `along` it and `around` its tube, 2 * along * around triangles."""
+    """A ring about the z axis with `along` segments of `around` vertices: 2 * along * around triangles."""
     u, v = (2.0 * math.pi * np.arange(count) / count for count in (along, around))
     out = major + minor * np.cos(v)
     points = np.empty((along, around, 3))
@@ -98,7 +99,7 @@ def torus(major: float = 1.0, minor: float = 0.4, along: int = 64, around: int =
 
 
 def cylinder(radius: float = 1.0, length: float = 2.0, around: int = 64, along: int = 1, ends: bool = True) -> Mesh:
-    """About the z axis, centred: 2 * around * along triangles, and 2 * around of flat ends."""
+    """A cylinder about the z axis, centred: 2 * around * along triangles, and 2 * around of the flat ends."""
     u = 2.0 * math.pi * np.arange(around) / around
     points = np.empty((along + 1, around, 3))
     points[..., 0], points[..., 1] = radius * np.cos(u), radius * np.sin(u)
@@ -126,7 +127,7 @@ def sheet(width: float = 1.0, depth: float = 1.0, columns: int = 8, rows: int = 
 
 
 def moebius(radius: float = 1.0, width: float = 0.5, along: int = 64, across: int = 4) -> Mesh:
-    """A strip with half a turn in it: it has one side, and no winding suits all of its 2 * along * across triangles."""
+    """A Moebius strip: it has one side, and no winding is consistent for all 2 * along * across triangles."""
     u = 2.0 * math.pi * np.arange(along)[:, None] / along
     v = width * (np.arange(across + 1) / across - 0.5)
     out = radius + v * np.cos(0.5 * u)
@@ -136,19 +137,19 @@ def moebius(radius: float = 1.0, width: float = 0.5, along: int = 64, across: in
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    """Several as one, each with its own vertices."""
+    """Combine several meshes, each with its own vertices."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles).astype(np.int32))
 
 
 def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
-    """The same elsewhere."""
+    """Translate a mesh."""
     return Mesh(mesh.vertices + np.array(by), mesh.triangles)
 
 
 def write_ply(path: Path, mesh: Mesh) -> Path:
-    """A PLY file of numbers as they lie in memory, coordinates as float32."""
+    """Write a binary PLY file with coordinates as float32."""
     head = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -161,7 +162,7 @@ def write_ply(path: Path, mesh: Mesh) -> Path:
 
 
 def volume(mesh: Mesh) -> float:
-    """What it encloses, m^3: less than 0 where it is wound inward."""
+    """Return the enclosed volume, m^3; negative if wound inward."""
     a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
@@ -172,13 +173,13 @@ def _sides(face: tuple[int, int, int]) -> list[tuple[int, int]]:
 
 
 def _along(edges: dict[tuple[int, int], int], a: int, b: int, n: int) -> NDArray[np.int64]:
-    """The n - 1 vertices between two corners, from a to b."""
+    """Return the n - 1 vertices between two corners, from a to b."""
     row = 12 + edges[min(a, b), max(a, b)] * (n - 1) + np.arange(n - 1)
     return row if a < b else row[::-1]
 
 
 def _grid(rows: int, columns: int, rows_meet: bool, columns_meet: bool) -> Triangles:
-    """Triangles of a grid of vertices, row by row, whose last row (column) may meet the first."""
+    """Return the triangles of a grid of vertices, by rows; the last row (column) may connect to the first."""
     at = np.arange(rows * columns).reshape(rows, columns)
     if rows_meet:
         at = np.concatenate([at, at[:1]])
@@ -188,6 +189,6 @@ def _grid(rows: int, columns: int, rows_meet: bool, columns_meet: bool) -> Trian
 
 
 def _split(at: NDArray[np.int64]) -> Triangles:
-    """Two triangles for each cell of a grid of indices, wound from the rows' direction toward the columns'."""
+    """Return two triangles per cell of a grid of indices, wound from the rows' direction towards the columns'."""
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Fixtures of a file whose own fixture `daemon` is looked at: its page in a browser, and a client of it."""
+"""Fixtures for test files with their own fixture `daemon`: its page in a browser, and a client."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def screen(daemon: Daemon) -> Iterator[Screen]:
-    """The page, once it shows that nothing is touched yet."""
+    """The page, once it shows that nothing is touched."""
     from helpers.browser import eventually, served
 
     with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
@@ -25,7 +25,7 @@ def screen(daemon: Daemon) -> Iterator[Screen]:
 
 @pytest.fixture
 def client(daemon: Daemon) -> Iterator[Client]:
-    """Patient: a scene that is asked for may have to be compiled, beside a browser that is painted by a processor."""
+    """Client with long time limits: a scene may have to be compiled while a browser renders in software."""
     from softfinger.server.remote import Client
 
     with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=300.0) as client:

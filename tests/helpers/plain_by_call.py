@@ -1,7 +1,8 @@
-"""A driver's exchange call by call, as plain Python: on a clock that goes on as a test says, with what it calls of the
-system or of a maker's library by a script. Nothing in it waits, and no thread runs beside it.
+"""Run a driver's exchange call by call as plain Python, with a clock set by the test and scripted calls of the system
+or of a vendor's library. Nothing waits and no thread runs.
 
-What only machine code can do is done by ctypes. Tests by it are `plain`, and skipped where kernels are compiled.
+Operations that only machine code can do are done by ctypes. These tests are marked `plain`, and skipped if kernels are
+compiled.
 """
 
 from __future__ import annotations
@@ -29,28 +30,28 @@ BY_CALL = [
 ]
 MS = 1_000_000
 START_NS = 10_000 * MS
-"""Time of the clock at first."""
+"""Initial time of the clock."""
 NOT_OURS = 0x7FF8_0000_DEAD_BEEF
-"""A word around a block; read as a float64 it is no number."""
+"""Guard word around a block; as float64 it is not a number."""
 
 
 class Clock:
-    """The time (ns), and where a block has room for the system to write it."""
+    """The time (ns); in a block, at the address where the system would write it."""
 
     def __init__(self) -> None:
         self.now = START_NS
         self.room: set[int] = set()
 
     def __call__(self, timespec: int) -> int:
-        """As `monotonic_ns`."""
+        """Like `monotonic_ns`."""
         assert timespec in self.room
         return self.now
 
 
 class GuardedBlock(Block):
-    """A block in the middle of memory that is not its own: as much in front of it and behind it as it has itself.
+    """A block inside a larger memory, with as much memory before and after it as its own size.
 
-    fixed  first words and ends of what no call may change
+    fixed  first words and ends that no call may change
     """
 
     def __init__(self, *layouts: tuple[int, ...]) -> None:
@@ -63,7 +64,7 @@ class GuardedBlock(Block):
         self.fixed: list[tuple[int, int]] = []
 
     def call(self, function: Any, *arguments: Any) -> int:
-        """What a C function gives with this handle; it has written where it may."""
+        """Return the result of a C function for this handle, after it has written its output."""
         before = [self.word[first:end].copy() for first, end in self.fixed]
         status = int(function(self.handle, *arguments))
         for part in np.split(self._around, 3)[::2]:
@@ -74,7 +75,7 @@ class GuardedBlock(Block):
 
 
 def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
-    """Put the clock, guarded blocks, and plain Python for what is machine code, into these modules."""
+    """Replace the clock, the blocks and all machine-code operations of these modules by plain Python."""
     clock = Clock()
     here = {"monotonic_ns": clock, "exchange_int64": exchange_int64, "unpack_at": unpack_at, "Block": GuardedBlock}
     for module in modules:
@@ -87,11 +88,11 @@ def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
 
 
 class File:
-    """A file descriptor of the system by a script.
+    """A scripted file descriptor of the system.
 
-    comes  what reads find, one after the other; of bytes in a stream a read takes as many as it may
-    room   bytes that it takes; None: all; below 0: none, and it says 0 instead of the error
-    error  of the system, for both; 0: none
+    comes  results of the reads, in order; of bytes in a stream a read returns as many as it requests
+    room   bytes that it accepts; None: any number; below 0: none, and it returns 0 instead of the error
+    error  of the system, for reads and writes; 0: none
     """
 
     def __init__(self, number: int, packets: bool = False) -> None:
@@ -103,7 +104,7 @@ class File:
         self.reads = 0
 
     def read(self, fd: int, address: int, size: int) -> int:
-        """As `read_now`."""
+        """Like `read_now`."""
         assert fd == self.number
         self.reads += 1
         if self.error:
@@ -116,13 +117,13 @@ class File:
         return len(given)
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
-        """As the function of this name."""
+        """Like the function of this name."""
         count = self.read(fd, address, size)
         ctypes.c_int64.from_address(word).value = len(b"".join(self.comes)) + max(count, 0)
         return -EIO if count == 0 else max(count, 0) if count == -EAGAIN else count
 
     def write(self, fd: int, address: int, size: int) -> int:
-        """As `write_now`."""
+        """Like `write_now`."""
         assert fd == self.number
         if self.error:
             return -self.error
@@ -136,14 +137,14 @@ class File:
 
 
 def matrix(q: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z), by its columns' definition q e q*."""
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z), from the definition q e q*."""
     w, v = q[0], np.asarray(q[1:4])
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.asarray((w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross)
 
 
 def turned(axis: int, angle: float) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) about axis 0, 1 or 2."""
+    """Return the rotation matrix (3, 3) about axis 0, 1 or 2."""
     out, (a, b) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
     out[a, a] = out[b, b] = np.cos(angle)
     out[b, a], out[a, b] = np.sin(angle), -np.sin(angle)
@@ -151,10 +152,11 @@ def turned(axis: int, angle: float) -> NDArray[np.float64]:
 
 
 ABOUT_Z, SHIFT = turned(2, np.pi / 2), (0.1, 0.2, 0.3)
-"""How devices of these tests are mounted: a quarter turn, and m."""
+"""Mounting of the devices in these tests: a quarter turn, and m."""
 
 
 def check_pose(sample: NDArray[np.float64], place: tuple[float, ...], q: tuple[float, ...], rounding: float) -> None:
-    """The sample has this place (m) and orientation of the device's frame in the world; `rounding` of a matrix."""
+    """Check that the sample has this position (m) and orientation of the device's frame in the world; `rounding`
+    applies to the matrix."""
     np.testing.assert_allclose(sample[:3], ABOUT_Z @ place + SHIFT, atol=1e-12)
     np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(list(q)), atol=rounding)

@@ -1,8 +1,8 @@
-"""The C functions of the drivers as plain Python behind a C address: what `tests/sweep.py` runs them as.
+"""Replace the C functions of the drivers by plain Python behind a C address, for `tests/sweep.py`.
 
-Compiled, the exchange of one driver takes half a minute of a processor for each mistake that is planted; so it takes
-none. `install` is called with NUMBA_DISABLE_JIT set, before a driver is imported: what only machine code can do, calls
-of the C library and of makers' libraries and atomic words, is done by ctypes.
+Compiling the exchange of one driver would take half a minute of CPU time for each planted mistake. `install` is called
+with NUMBA_DISABLE_JIT set, before a driver is imported. Operations that only machine code can do (calls of the C
+library and of vendor libraries, atomic words) are done by ctypes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _in_c(kind: Any, result: bool = False) -> Any:
 
 
 def _external(name: str, signature: Any) -> Any:
-    """A function of the C library, as types.ExternalFunction names it."""
+    """Call a function of the C library, named as by types.ExternalFunction."""
     if name == "__errno_location":
         return lambda: [ctypes.get_errno()]
     function = _C[name]
@@ -44,7 +44,7 @@ def _external(name: str, signature: Any) -> Any:
 
 
 def _called(result: Any) -> Callable[[int, tuple[Any, ...]], Any]:
-    """A call of the function at an address with what a tuple holds, as proxy.kernels.jit.foreign has them."""
+    """Call the function at an address with the values of a tuple, like proxy.kernels.jit.foreign."""
 
     def call(address: int, arguments: tuple[Any, ...]) -> Any:
         given = [ctypes.c_double(one) if isinstance(one, float) else _whole(one) for one in arguments]
@@ -71,7 +71,7 @@ def _call_two_int64(address: int, arguments: tuple[Any, ...]) -> tuple[int, int]
 
 
 def exchange_int64(address: int, value: int) -> int:
-    """As proxy.kernels.jit.memory has it."""
+    """Like the function in proxy.kernels.jit.memory."""
     with _ATOMIC:
         word = ctypes.c_int64.from_address(int(address))
         before, word.value = word.value, value
@@ -79,7 +79,7 @@ def exchange_int64(address: int, value: int) -> int:
 
 
 def unpack_at(like: Any, address: int) -> Any:
-    """As proxy.kernels.jit.pack has it."""
+    """Like the function in proxy.kernels.jit.pack."""
     from softfinger.proxy.kernels.jit import pack
 
     leaves = len(pack.flatten(like))
@@ -95,14 +95,14 @@ def _store(array: Any, index: int, value: int) -> None:
 
 
 def _no_fence() -> None:
-    """Plain Python has its own order."""
+    """Do nothing: plain Python executes in order."""
 
 
 ORDERED: Final[dict[str, Callable[..., Any]]] = {
     "load_acquire": _load, "load_relaxed": _load, "store_release": _store, "store_relaxed": _store,
     "fence_acquire": _no_fence, "fence_release": _no_fence,
 }  # fmt: skip
-"""Words of memory, as proxy.kernels.jit.atomics has them."""
+"""Words of memory, like those of proxy.kernels.jit.atomics."""
 
 
 def _put_big_endian(array: Any, index: int, value: float) -> None:
@@ -110,18 +110,18 @@ def _put_big_endian(array: Any, index: int, value: float) -> None:
 
 
 def _in_c_function(self: Any) -> Any:
-    """The function behind a C address; kept, for who has the address keeps nothing."""
+    """Return the function behind a C address; it is cached because the address alone keeps no reference."""
     if not hasattr(self, "plain"):
         signature = self._sig
         arguments = [_in_c(kind) for kind in signature.args]
         self.plain = ctypes.CFUNCTYPE(_in_c(signature.return_type), *arguments)(
-            lambda *given: self._pyfunc(*given)  # looked up at each call: a mistake may have been planted meanwhile
+            lambda *given: self._pyfunc(*given)  # looked up at each call: a mistake may have been planted since
         )
     return self.plain
 
 
 def install() -> None:
-    """From now on drivers that are imported exchange in plain Python."""
+    """Let drivers imported from now on exchange in plain Python."""
     types.ExternalFunction = _external
     from softfinger.proxy.kernels.jit import atomics, foreign, memory, pack
     from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction

@@ -1,8 +1,8 @@
-"""Mistakes found in a source file by rule, and planted in the running process: see `tests/sweep.py`.
+"""Find places for mistakes in a source file by rules, and plant them in the running process: see `tests/sweep.py`.
 
-Own code rather than mutmut or cosmic-ray: both look for a package in one folder, which `.dev/` has only links to, and
-both start pytest for each mistake: seconds, where a fork of a process that has everything imported takes a tenth. The
-code of functions is exchanged in place, so whoever has imported one meets the mistake.
+This is not mutmut or cosmic-ray: both expect a package in one folder, to which `.dev/` has only links, and both start
+pytest for each mistake. That takes seconds, where a fork of a process with all imports takes a tenth. The code objects
+of functions are replaced in place, so modules that have imported a function get the mistake as well.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple
 
 Functions = Mapping[tuple[str, str], list[FunctionType]]
-"""Functions of the running process by file and qualified name."""
+"""Functions of the running process, by file and qualified name."""
 
 _COMPARE: Final[dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]]] = {
     ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE), ast.GtE: (ast.Gt, ast.Lt),
@@ -32,12 +32,13 @@ _ARITHMETIC: Final[dict[type[ast.operator], type[ast.operator]]] = {
 }  # fmt: skip
 _EXCHANGED: Final = {"min": "max", "max": "min"}
 _WORDS: Final = ("log.", "super().__init__(")
-"""Beginnings of statements that are not left out: words for a person, and what leaves no object."""
+"""Beginnings of statements that are never removed: texts for people, and statements that return no object."""
 
 
 class Mistake(NamedTuple):
-    """File below the root; qualified name of the function, or of the constant of a module; text of the line, and which
-    in the file of those with this text and mistake; what is wrong; place of the node in `ast.walk`, and of the rule."""
+    """File below the root; qualified name of the function, or of the constant of a module; text of the line, and its
+    index among equal lines with this mistake in the file; description; position of the node in `ast.walk`, and of the
+    rule."""
 
     file: str
     function: str
@@ -53,7 +54,7 @@ class Mistake(NamedTuple):
 
 
 Rule = tuple[str, Callable[[Any], ast.AST]]
-"""What is wrong, in words, and what makes a node so: that, changed, or another in its place."""
+"""Description of a mistake, and the changed or replaced node."""
 
 
 def _with(**fields: Any) -> Callable[[Any], ast.AST]:
@@ -66,7 +67,7 @@ def _with(**fields: Any) -> Callable[[Any], ast.AST]:
 
 
 def _rules(node: ast.AST) -> Iterator[Rule]:
-    """Everything that may be wrong at a node."""
+    """Return all mistakes possible at a node."""
     said = ast.unparse(node) if isinstance(node, ast.expr | ast.AugAssign) else ""
     match node:
         case ast.Compare():
@@ -108,7 +109,7 @@ def _rules(node: ast.AST) -> Iterator[Rule]:
 
 
 def _skipped(node: ast.AST) -> set[int]:
-    """What is below a node and is no behaviour: annotations, defaults and decorators, texts."""
+    """Return the nodes below a node that are no behaviour: annotations, defaults, decorators and texts."""
     out: list[ast.AST | None] = []
     if isinstance(node, ast.FunctionDef):
         arguments = node.args
@@ -121,7 +122,7 @@ def _skipped(node: ast.AST) -> set[int]:
 
 
 def _owners(tree: ast.Module) -> dict[int, str]:
-    """Qualified name of the function that each node is in."""
+    """Return the qualified name of the function that contains each node."""
     owners: dict[int, str] = {}
 
     def visit(node: ast.AST, prefix: str, owner: str) -> None:
@@ -138,7 +139,7 @@ def _owners(tree: ast.Module) -> dict[int, str]:
 
 
 def mistakes_in(root: Path, file: str) -> Iterator[Mistake]:
-    """All that the rules find in the functions of a file, and in the numbers that its constants are."""
+    """Return all mistakes that the rules find in the functions of a file and in its numeric constants."""
     text = (root / file).read_text("utf-8")
     tree, lines, met = ast.parse(text), text.splitlines(), dict[tuple[str, str, str], int]()
     owners, skipped = _owners(tree), set[int]()
@@ -166,7 +167,7 @@ def _constant_rules(value: ast.expr | None) -> list[str]:
 
 
 def functions_of(root: Path, files: set[str]) -> Functions:
-    """Every function of the running process that is written in these files."""
+    """Return all functions of the running process defined in these files."""
     found: dict[tuple[str, str], list[FunctionType]] = {}
     for one in gc.get_objects():
         if isinstance(one, FunctionType):
@@ -177,13 +178,14 @@ def functions_of(root: Path, files: set[str]) -> Functions:
 
 
 def file_of(root: Path, code: CodeType) -> str:
-    """The file below the root that code is written in, which is imported through the links in .dev; empty of others."""
+    """Return the file below the root that defines a code object, imported through the links in .dev; empty for
+    others."""
     below = f"{root}/.dev/softfinger/"
     return code.co_filename.removeprefix(below) if code.co_filename.startswith(below) else ""
 
 
 def plant(root: Path, mistake: Mistake, functions: Functions) -> None:
-    """Make a mistake, for as long as this process lives."""
+    """Plant a mistake for the remaining life of this process."""
     tree = ast.parse((root / mistake.file).read_text("utf-8"))
     nodes = list(ast.walk(tree))
     node = nodes[mistake.node]
@@ -225,8 +227,8 @@ def _plant_constant(mistake: Mistake) -> None:
 
 
 def _imports(module: ModuleType, name: str) -> bool:
-    """Whether a module has a name by an import, and so what an edit of the file makes of it. That both numbers are one
-    object does not tell: small ones are so wherever they are written."""
+    """Return whether a module has a name by import, so that an edit of the file would change it there. Identity of the
+    two numbers does not show this, because small integers are always identical."""
     try:
         source = inspect.getsource(module)
     except (OSError, TypeError):  # a module in C

@@ -1,15 +1,16 @@
-"""PlotJuggler's rules for a ZeroMQ stream, as found by probing it; each is named by what is wrong without it."""
+"""PlotJuggler's rules for a ZeroMQ stream, as found by probing it; each is named by its violation."""
 
 import math
 
 import msgpack
 
 EPOCH_AFTER_S = 1e9
-"""A time since the epoch is beyond this for a while; the uptime of a machine is not."""
+"""Times since the epoch are above this; the uptime of a machine is below."""
 
 
 def complaints(frames, monotonic=()):
-    """What PlotJuggler would make wrong of a message, a list of its frames; `monotonic`: topics of another clock."""
+    """Return the faults that PlotJuggler would have with a message, a list of its frames; `monotonic`: topics of
+    another clock."""
     if len(frames) != 2:
         return [f"{len(frames)} frames: it takes the second as the map, and may abort"]
     topic, body = frames
@@ -46,10 +47,10 @@ def _walk(name, value, series, found):
         if not math.isfinite(value):
             found.append(f"{name} is {value}: an empty series")
         series[name] = value
-    elif not isinstance(value, str):  # which it leaves out
+    elif not isinstance(value, str):  # PlotJuggler ignores it
         found.append(f"{name} is a {type(value).__name__}, which it does not read")
 
 
 def prefix_complaints(topics):
-    """Topics of which one begins another: its filter goes by that."""
+    """Return topics that are prefixes of other topics, which PlotJuggler's filter would mix."""
     return [(a, b) for a in topics for b in topics if a != b and b.startswith(a)]

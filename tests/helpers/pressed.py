@@ -1,4 +1,4 @@
-"""A plane that a device presses on, with a constant force beside: the scene of tests that count newtons."""
+"""Plane that a device presses on, and a constant force: the scene of tests that compare forces in N."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 
 DEPTH_M = 0.001
-"""How deep helpers/faulty_device presses into the plane z = 0."""
+"""Depth to which helpers/faulty_device presses into the plane z = 0."""
 
 
 def pressed_scene(
     *, name: str = "lid.top", position_m: tuple[float, float, float] = (0.0, 0.0, 0.0), **material: Any
 ) -> Scene:
-    """A plane that only pushes back, that can be driven, and a constant force beside: F_z = k d + f."""
+    """Return a frictionless plane that can be driven, and a constant force: F_z = k d + f."""
     return build(
         Scene,
         {

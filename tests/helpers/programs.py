@@ -8,14 +8,14 @@ from types import TracebackType
 from typing import Any, Final
 
 LIMIT_S: Final = 300.0
-"""How long a program may run: a cold start on a busy machine takes one or two minutes."""
+"""Time limit of a program: a cold start on a busy machine takes one or two minutes."""
 
 
 class Program(subprocess.Popen[Any]):
-    """A program for the length of a block, which a test that fails does not wait for.
+    """A program that is killed at the end of the block.
 
-    `Popen` waits at the end of its block until the program ends: one that runs for ever would hold up a test that has
-    failed, and so would a read of what a program says that says nothing.
+    `Popen` would wait at the end of its block until the program ends, and a program that does not end would block a
+    failed test, as would a read of its output.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:

@@ -36,7 +36,7 @@ ATTACKS = {
     "no ZMTP": lambda n: b"GET / HTTP/1.1\r\n\r\n" * 100,
     "nothing": lambda n: b"",
 }
-"""The n-th bytes of a connection; none: a pause."""
+"""Return the n-th bytes of a connection; none: a pause."""
 
 
 def attack(name: str, port: int, until: float) -> None:

@@ -23,7 +23,7 @@ EPOCH_S = 1_700_000_000.0
 
 @cache
 def run() -> np.ndarray:
-    """Records of three taps and of rests between them, as the daemon has them, 2281 ticks at 1 kHz."""
+    """Return records of three taps with pauses as a daemon makes them, 2281 ticks at 1 kHz."""
     tuning = make_tuning(load_scene(SCENE), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("tap"), 1000.0), 1000.0)
     records[:, AT.timestamp] += EPOCH_S
@@ -31,13 +31,13 @@ def run() -> np.ndarray:
 
 
 def about(**changes: Any) -> dict[str, Any]:
-    """What a daemon says of itself, as far as a replay asks."""
+    """Return the daemon's description as far as a replay needs it."""
     said = {"scene": describe(load_scene(SCENE)), "rig": describe(load_rig("replay")), "scene_name": SCENE}
     return said | {"rate_hz": 1000.0} | changes
 
 
 def recorded(path: Path, records: np.ndarray, events: list[dict[str, Any]] = (), **changes: Any) -> Path:
-    """A file with these ticks and events."""
+    """Write a file with these ticks and events."""
     recording = RecordingFile(path.open("wb", buffering=0), ("",), about(**changes))
     recording.ticks(records)
     for event in events:
@@ -51,5 +51,5 @@ def event(kind: str, name: str, tick: int, **fields: Any) -> dict[str, Any]:
 
 
 def printed(text: str) -> Any:
-    """The JSON among the lines that a verb printed."""
+    """Return the JSON among the lines printed by a verb."""
     return json.loads(next(line for line in text.splitlines() if line.startswith("{")))

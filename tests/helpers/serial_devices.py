@@ -1,4 +1,4 @@
-"""Serial devices for the tests: the driver on a pseudo terminal's path, an emulated board at its other end."""
+"""Serial devices for the tests: the driver on a pseudo terminal, an emulated board at the other end."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PLACE = (0.01, 0.02, -0.015)
 
 
 def rig_options(**changes: Any) -> Options:
-    """The [device] table of the shipped rig with keys changed."""
+    """Return the [device] table of the shipped rig with changed keys."""
     return build(Options, {**load_rig(RIG).device.options, **changes}, f"{RIG} [device]")
 
 
 def opened(cable: Cable, **changes: Any) -> SerialDevice:
-    """The device at the end of a cable; a thread of a busy machine may answer late."""
+    """Open the device at the end of a cable; its limits allow for late answers of a busy machine."""
     return open_device(rig_options(**{"path": cable.path, "quiet_s": 0.1, "timeout_s": 0.5, **changes}), 1000.0)
 
 
@@ -33,14 +33,14 @@ def opened(cable: Cable, **changes: Any) -> SerialDevice:
 def board(
     intention: Callable[[float], Vector] = lambda _: PLACE, early_end: bool = False, **changes: Any
 ) -> Iterator[tuple[SerialDevice, Board, Cable]]:
-    """An open device with an emulated board behind it."""
+    """Open a device with an emulated board."""
     with Cable(Board(intention, early_end)) as cable, opened(cable, **changes) as device:
         yield device, cable.board, cable
 
 
 def settle(device: SerialDevice, cable: Cable) -> None:
-    """Wait until the board has heard everything that the driver has sent; after a stop, which may drop frames, until it
-    has had a zero and no more comes."""
+    """Wait until the board has received everything that the driver has sent; after a stop, which may drop frames, until
+    it has received a zero and no more arrives."""
     until = time.monotonic() + 10.0
     while cable.heard < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
         if device.counts()["dropped"] and not any(cable.board.force) and at_rest(lambda: cable.heard):
@@ -50,14 +50,14 @@ def settle(device: SerialDevice, cable: Cable) -> None:
 
 
 def at_rest(value: Callable[[], int], for_s: float = 0.1) -> bool:
-    """Whether a value stays as it is for so long."""
+    """Return whether a value stays constant for that time."""
     before = value()
     time.sleep(for_s)
     return value() == before
 
 
 def fresh(servo: Servo) -> list[float]:
-    """The next new sample: the system hands bytes through a pseudo terminal a little later."""
+    """Return the next new sample; a pseudo terminal transfers bytes with a short delay."""
     until = time.monotonic() + 10.0
     while True:
         status, sample = servo.read()

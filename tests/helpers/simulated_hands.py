@@ -1,4 +1,4 @@
-"""The hands of a shipped rig on the bodies of its scene, some ticks at a time, without a clock."""
+"""Move the hands of a shipped rig on the bodies of its scene, tick by tick, without a clock."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SimulatedHands:
         begin_bodies(tuning.scene, DT)
 
     def until(self, seconds: float) -> dict[str, Records]:
-        """Records of each finger, by name, from where it stands to a time since the beginning."""
+        """Return the records of each finger, by name, from the present tick until this time since the start."""
         records = np.zeros((round(seconds / DT) - self._ticks, len(self._hands), RECORD_SIZE))
         self._loop.run(self._hands, DT, self._ticks, records)
         self._ticks += len(records)

@@ -1,17 +1,15 @@
-"""Real-time tests on a machine that may stand still: one that failed meanwhile is run again, once it has come to rest.
+"""Repeat real-time tests that failed while the machine did not keep time.
 
-Programs that only sleep measure that, one on each processor, since a host may stop them one by one: each wakes every
-4 ms, and the longest time from one wake-up to the next includes every stall. A test that fails on a machine that kept
-time has failed, and so has one that failed three times while the machine stood still. The end of the run names every
-test that was run again, and what it said.
+Programs that only sleep measure this, one on each processor, since a hypervisor may stop processors separately. Each
+wakes every 4 ms, and the longest time between two wake-ups includes every stall. A test fails if the machine kept time,
+or if it failed three times with stalls. The end of the run lists every repeated test with its error.
 
-Two more ways out, both of them told as skipped. `--put-off FILE` is for a run beside which others compute: a test that
-would fail is named in FILE, for a run beside which nothing does, and which alone decides. And where the host of a
-virtual machine took the processors for longer than a driver waits for its device (the kernel counts that time), each
-time, no test of real time has a result.
+In two cases a failed test is reported as skipped. With `--put-off FILE`, for runs on a loaded machine, the test is
+named in FILE and must be repeated on an idle one. And if the hypervisor took the processors for longer than a driver
+waits for its device in each attempt (the kernel counts this time), real-time tests have no result.
 
-What this process does to itself no sleeper sees: looking for garbage among all that numba has made takes a tenth of a
-second, in which no thread of a test can answer. That is put off until the test has ended.
+A garbage collection over numba's objects takes 0.1 s in this process, in which no thread of a test can answer and which
+the sleepers do not see. It is delayed until the test has ended.
 """
 
 from __future__ import annotations
@@ -27,17 +25,18 @@ from _pytest.runner import runtestprotocol
 
 TURNS = 3
 STALL_S = 0.01
-"""From one wake-up to the next: ten ticks, a third of the shortest pause at which a driver withholds the force
-(drivers/pause.py). A sleeper sleeps for 4 ms of it, and a scheduler's turn among the four programs of a test takes some
-5 ms. A stall of 10 ms is in one such time, whenever it begins."""
+"""Time between two wake-ups: ten ticks, a third of the shortest pause after which a driver withholds the force
+(drivers/pause.py). A sleeper sleeps for 4 ms of it, and a scheduling round of a test's four programs takes about 5 ms.
+Every stall of 10 ms falls into one such interval."""
 
 REST_S = 0.5
-"""How long a machine is to keep time before a test is run again."""
+"""Time for which a machine must be free of stalls before a test is repeated."""
 REST_WAIT_S = 15.0
-"""How long that is waited for."""
+"""Longest wait for that."""
 
 TAKEN_S = 0.1
-"""Of the host's doing, in each turn: no test has a result. Drivers give a device up after 0.1 s of silence."""
+"""Time taken by the hypervisor in each attempt, above which a test has no result. Drivers give up a device after 0.1 s
+of silence."""
 
 REPEATED = "repeated_after_stall"
 PUT_OFF = "put_off"
@@ -59,7 +58,7 @@ while True:
 
 
 class Sleepers:
-    """The programs that sleep; they end with the process that started them."""
+    """The sleeping programs; they end with the process that started them."""
 
     def __init__(self) -> None:
         pipe = subprocess.PIPE
@@ -81,7 +80,7 @@ class Sleepers:
         return max(told)
 
     def rest(self) -> None:
-        """Wait until the machine has kept time for a while, or for so long that it will not."""
+        """Wait until the machine has been free of stalls for REST_S, at most REST_WAIT_S."""
         until = time.monotonic() + REST_WAIT_S
         self.longest_s()
         while time.monotonic() < until:
@@ -98,19 +97,19 @@ class Sleepers:
 
 
 def taken_s() -> float:
-    """The time that the host of a virtual machine has taken from its processors since it started, s (proc_stat(5))."""
+    """Return the time that the hypervisor has taken from the processors since the start, s (proc_stat(5))."""
     with open("/proc/stat", encoding="ascii") as file:
         return float(file.readline().split()[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def skip(report: pytest.TestReport, why: str) -> None:
-    """Tell a failed test as skipped."""
+    """Report a failed test as skipped."""
     path, line, _ = report.location
     report.outcome, report.longrepr = "skipped", (path, (line or 0) + 1, why)
 
 
 class Patience:
-    """The plugin."""
+    """The pytest plugin."""
 
     def __init__(self, put_off: str | None = None) -> None:
         self._sleepers: Sleepers | None = None

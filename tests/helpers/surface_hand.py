@@ -1,4 +1,4 @@
-"""A hand that presses, drags and lifts at random on a mesh, and knows of it only where its vertices are."""
+"""Hand that presses, drags and lifts at random on a mesh, of which it knows only the vertices."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from helpers.touching import posed, spun
 Array = NDArray[np.float64]
 
 SPEEDS = (0.02, 0.5)
-"""m/s, between which a hand goes its ways."""
+"""Range of the hand's speed, m/s."""
 DEPTHS = (0.005, 2.0)
-"""Radii of the fingertip, between which it presses."""
+"""Range of the depth of the press, in radii of the fingertip."""
 SPAN = (1.0, 8.0)
-"""Radii that one drag goes, and most ways through the air."""
+"""Length of a drag, and of most moves through the air, in radii."""
 FAR = 0.1
-"""Share of the ways through the air that go anywhere."""
+"""Share of the moves through the air that may go anywhere."""
 TICK_S = 1e-3
 
 
 def normals_of(vertices: Array, triangles: NDArray[np.int32]) -> Array:
-    """Mean unit normals (n, 3) at the vertices, by the triangles' areas; any where there is none."""
+    """Return mean unit normals (n, 3) at the vertices, weighted by the triangles' areas; arbitrary without a
+    triangle."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)
@@ -34,15 +35,15 @@ def normals_of(vertices: Array, triangles: NDArray[np.int32]) -> Array:
 
 
 def outside_at(balls: Balls, vertices: Array, normals: Array, radius: float, rng: np.random.Generator) -> int:
-    """A vertex over which a fingertip is outside at a height of two radii."""
+    """Return a vertex above which a fingertip at a height of two radii is outside."""
     some = rng.integers(len(vertices), size=100)
     free = brute_distances(balls, vertices[some] + 2.0 * radius * normals[some]) > 1.01 * radius
     return int(some[int(free.argmax())])
 
 
 def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rng: np.random.Generator) -> Array:
-    """Points (ticks, 3) m of the fingertip's centre: from over the vertex `at` down on it, on to others near it, up, to
-    the next one."""
+    """Return points (ticks, 3) m of the fingertip's centre: from above the vertex `at` onto it, to vertices close to
+    it, up, and to the next one."""
     corners, times = [vertices[at] + 2.0 * radius * normals[at]], [0.0]
 
     def go_to(height: float) -> None:
@@ -65,7 +66,7 @@ def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rn
 
 
 def beside(vertices: Array, at: int, radius: float, rng: np.random.Generator) -> int:
-    """A vertex not far from another, or that one where there is none."""
+    """Return a vertex close to another, or that vertex if there is none."""
     others = rng.integers(len(vertices), size=2000)
     apart = np.linalg.norm(vertices[others] - vertices[at], axis=1)
     near = others[(apart >= SPAN[0] * radius) & (apart <= SPAN[1] * radius)]
@@ -73,7 +74,7 @@ def beside(vertices: Array, at: int, radius: float, rng: np.random.Generator) ->
 
 
 def hand(mesh: Mesh, ticks: int, radius: float, rng: np.random.Generator) -> Array:
-    """Poses (ticks, 7), turning to and fro about an axis at up to 2 rad/s."""
+    """Return poses (ticks, 7) that turn back and forth about an axis at up to 2 rad/s."""
     points, corners = mesh
     used = np.unique(corners)
     vertices, normals = points[used], normals_of(points, corners)[used]

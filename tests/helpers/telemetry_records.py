@@ -1,4 +1,4 @@
-"""Synthetic records for the telemetry tests: rows as the servo would leave them."""
+"""Synthetic records for the telemetry tests, in the layout of the servo."""
 
 import msgpack
 import numpy as np
@@ -7,7 +7,7 @@ from softfinger.proxy.record import FIELDS, NAMED, RECORD_SIZE
 
 
 def synthetic(count, first_tick=0, rate_hz=1000.0, start_s=1_700_000_000.0, seed=1):
-    """Records of consecutive ticks, shape (count, RECORD_SIZE), free of contact; all floats differ."""
+    """Return records of consecutive ticks, shape (count, RECORD_SIZE), without contact; all floats differ."""
     rows = np.random.default_rng(seed).normal(size=(count, RECORD_SIZE))
     for field in FIELDS:
         if field.kind == "int":
@@ -27,9 +27,9 @@ def put(rows, name, value):
 
 
 def join(publisher, *sockets):
-    """Publish events until every plain SUB socket (subscribed to `event` too) receives, then empty the sockets.
+    """Publish events until every plain SUB socket (subscribed to `event` too) receives one, then empty the sockets.
 
-    A subscription takes effect a while after connect; what is published before is not for it.
+    A subscription takes effect some time after connect; earlier messages are not delivered to it.
     """
     for socket in sockets:
         while not (socket.poll(20) and socket.recv_multipart()[0] == b"event"):

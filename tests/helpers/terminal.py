@@ -1,4 +1,4 @@
-"""A terminal for tests: a program run on a pseudo terminal, and the screen that its output leaves."""
+"""Pseudo terminal for tests: runs a program and interprets its output as a screen."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _PART = re.compile(r"\x1b\[([0-9;?]*)([A-Za-z])|(\r)|(\n)|([^\x1b\r\n])", re.DOT
 
 
 class Screen:
-    """What is to be seen, after every byte: the control sequences that a progress display uses, and no others.
+    """Contents of the screen after every byte. It supports only the control sequences of a progress display.
 
-    Lines go up without end; columns are as many as the terminal has, and a longer line goes on in the next.
+    The number of lines is unlimited. Longer lines wrap at the width of the terminal.
     """
 
     def __init__(self, columns: int) -> None:
@@ -36,7 +36,7 @@ class Screen:
             elif command == "K":
                 line = self.lines[self.row]
                 self.lines[self.row] = "" if number == "2" else line[: self.column]
-            elif command in ("m", "h", "l"):  # colour; cursor to be seen or not
+            elif command in ("m", "h", "l"):  # colour; visibility of the cursor
                 pass
             elif command:
                 raise ValueError(f"the screen does not know {part.group()!r}")
@@ -62,7 +62,7 @@ class Screen:
 def on_terminal(
     words: Sequence[str], rows: int = 24, columns: int = 80, **variables: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], Iterator[str]]]:
-    """A program on a terminal of its own, and what it writes, as it comes."""
+    """Run a program on a terminal, and yield its output as it arrives."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     kept = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
@@ -76,7 +76,7 @@ def on_terminal(
             except OSError:  # Linux: the other side is closed
                 return
             text = rest.decode(errors="ignore")
-            if text.encode() == rest:  # no character cut in two
+            if text.encode() == rest:  # no character is split
                 rest = b""
                 yield text
 

@@ -1,4 +1,4 @@
-"""Meshes that a proxy has got stuck on: thin walls, threads, bars, needles. Vertices in metres."""
+"""Meshes on which a proxy once got stuck: thin walls, threads, bars, needles. Vertices in metres."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from helpers.meshes import Mesh, bumpy_sphere, joined, moved
 
 
 def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
-    """A closed profile (n, 2) of r and z, m, turned about the z axis in so many steps."""
+    """Rotate a closed profile (n, 2) of r and z, m, about the z axis in this number of steps."""
     outline = np.asarray(profile, float)
     angle = 2.0 * np.pi * np.arange(around) / around
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(around, z)]) for r, z in outline]
@@ -24,14 +24,14 @@ def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
 
 
 def tube(outer: float = 0.03, wall: float = 0.0005, length: float = 0.05, around: int = 32) -> Mesh:
-    """Open at both ends."""
+    """A tube, open at both ends."""
     half = 0.5 * length
     inner = outer - wall
     return turned_about_z([(outer, -half), (outer, half), (inner, half), (inner, -half)], around)
 
 
 def cup(outer: float = 0.03, wall: float = 0.0005, depth: float = 0.05, around: int = 48) -> Mesh:
-    """Open above; its floor has a hole of a hundredth of a millimetre, through which no fingertip goes."""
+    """A cup, open above; its floor has a hole of 0.01 mm, through which no fingertip fits."""
     hole, half = 1e-5, 0.5 * depth
     inner = outer - wall
     profile = [(hole, -half), (outer, -half), (outer, half), (inner, half), (inner, wall - half), (hole, wall - half)]
@@ -39,7 +39,7 @@ def cup(outer: float = 0.03, wall: float = 0.0005, depth: float = 0.05, around: 
 
 
 def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turns: int = 5, around: int = 48) -> Mesh:
-    """A screw without a head: a ridge that winds about a core."""
+    """A screw without a head: a helical ridge on a core."""
     rows = 12 * turns + 1
     z = np.linspace(-0.5 * length, 0.5 * length, rows)
     angle = 2.0 * np.pi * np.arange(around) / around
@@ -69,7 +69,7 @@ def bar(size: tuple[float, float, float]) -> Mesh:
 
 
 def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
-    """Bars along each axis that cross one another, 1 mm wide."""
+    """Bars along each axis that intersect, 1 mm wide."""
     places = pitch * (np.arange(bars) - 0.5 * (bars - 1))
     length = pitch * bars
     found = []
@@ -82,7 +82,7 @@ def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
 
 
 def needles(count: int = 9, length: float = 0.03, radius: float = 0.0008, spread: float = 0.02) -> Mesh:
-    """Upright cones of eight sides."""
+    """Upright cones with eight sides."""
     rng = np.random.default_rng(3)
     angle = 2.0 * np.pi * np.arange(8) / 8
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(8, -0.5 * length)])

@@ -1,4 +1,4 @@
-"""A mesh in a scene with friction, torsion and rolling, and hands that go over it."""
+"""A mesh in a scene with friction, torsion and rolling, and hands that move over it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ R = 0.01
 FRICTION = {"static": 0.6, "kinetic": 0.5}
 TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
 SMOOTH = {"friction": None, "torsion": None}
-"""Of a material without friction: other code than with it."""
+"""Material without friction, which has its own compiled code."""
 SLIPPERY = {"friction": {"static": 0.0, "kinetic": 0.0}}
-"""Of a material whose friction is none: the same code with other numbers, so that nothing more is compiled."""
+"""Material with a friction coefficient of zero: compiled code with friction, with other numbers."""
 
 
 def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:
-    """Path of a binary PLY of `vertices` (n, 3) m and `triangles` (m, 3)."""
+    """Write a binary PLY of `vertices` (n, 3) m and `triangles` (m, 3); return its path."""
     points, corners = np.asarray(vertices, "<f8"), np.asarray(triangles)
     head = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
@@ -41,13 +41,13 @@ def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "
 
 
 def thing(name: str, shape: str, **keys: Any) -> dict[str, Any]:
-    """An object; of `material` those keys that are named, and None to leave one out."""
+    """Return an object; `material` has the named keys, of which None removes one."""
     material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
     return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
 
 
 def scene_with(*objects: dict[str, Any], **tables: Any) -> Scene:
-    """Without a filter of the probe's velocity: a tick depends on two poses alone. None is a table left out."""
+    """Return a scene without a velocity filter, so that a tick depends on two poses only; None removes a table."""
     scene = {
         "fingertip": {"radius_m": R},
         "rolling": {"method": "midpoint"},
@@ -64,24 +64,24 @@ def engine(*objects: dict[str, Any], **tables: Any) -> Engine:
 
 
 def posed(points: ArrayLike, turned: Array | None = None) -> Array:
-    """Poses (n, 7) at `points` (n, 3) m, upright or `turned` (n, 4)."""
+    """Return poses (n, 7) at `points` (n, 3) m, upright or `turned` (n, 4)."""
     places = np.asarray(points, float)
     return np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)) if turned is None else turned])
 
 
 def go(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
-    """Records of a visit to each of `points` (n, 3)."""
+    """Return the records of a visit to each of `points` (n, 3)."""
     return running.run(posed(points, turned))
 
 
 def spun(axis: Sequence[float], angles: ArrayLike) -> Array:
-    """Quaternions (n, 4) of rotations by `angles` (n,) rad about a unit vector."""
+    """Return quaternions (n, 4) of rotations by `angles` (n,) rad about a unit vector."""
     half = 0.5 * np.asarray(angles)[:, None]
     return np.hstack([np.cos(half), np.sin(half) * np.asarray(axis, float)])
 
 
 def wander(seed: int, ticks: int, reach: float, speed: float = 1e-4) -> Array:
-    """Points (ticks, 3) m: a smooth way through a box of half extent `reach`, some 0.1 mm a tick."""
+    """Return points (ticks, 3) m of a smooth path through a box of half extent `reach`, about 0.1 mm per tick."""
     rng = np.random.default_rng(seed)
     waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
     t = np.arange(ticks)[:, None] * speed / reach

@@ -1,4 +1,4 @@
-"""A scene that two fingers touch, and rigs of two devices for it."""
+"""Scene for two fingers, and rigs with two devices for it."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ friction = { static = 0.6, kinetic = 0.5 }
 kind = "constant_force"
 force_n = [0.0, 0.0, 0.0]
 """
-"""Fingertips of 10 and 9.5 mm on a plane with friction, as a file. The plane can be driven and a force be added, for
-the tests of commands: one scene type, compiled once."""
+"""Scene file with fingertips of 10 and 9.5 mm on a plane with friction, which can be driven and has a constant force,
+for the tests of commands: one scene type, compiled once."""
 
 
 def two_fingers(**tables: Any) -> Scene:
-    """The scene of the file, with these tables in place of its own."""
+    """Return the scene of the file, with these tables instead of its own."""
     return build(Scene, tomllib.loads(SCENE) | tables, "two fingers")
 
 
 def pressed_by_two() -> Scene:
-    """The same plane without damping, with 1 N along z for each finger; F_z = k d + f."""
+    """Return the same plane without damping, with 1 N along z for each finger: F_z = k d + f."""
     described = tomllib.loads(SCENE)
     described["object"][0]["name"] = "lid.top"
     described["object"][0]["material"]["damping_ns_per_m"] = 0.0
@@ -46,6 +46,6 @@ def pressed_by_two() -> Scene:
 
 
 def two_devices(thumb: dict[str, Any], index: dict[str, Any], **tables: Any) -> Rig:
-    """A rig with [devices.thumb] and [devices.index], on a port of its own, without real time."""
+    """Return a rig with [devices.thumb] and [devices.index] on its own port, without real-time settings."""
     quiet = {"servo": {"realtime": "off"}, "telemetry": {"endpoint": "tcp://127.0.0.1:*"}}
     return build(Rig, {"devices": {"thumb": thumb, "index": index}, **quiet, **tables}, "two devices")

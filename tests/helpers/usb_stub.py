@@ -1,4 +1,4 @@
-"""The stand-in for libusb with Falcons behind it, compiled by the test and loaded by pyusb's own loader."""
+"""Stand-in for libusb with Falcons, compiled by the test and loaded by pyusb's loader."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ Counts = ctypes.c_int64 * 9
 
 
 class UsbStub:
-    """libusb as tests steer it: `stub["unplug_at"] = 100`, `stub["steps"]` of the first Falcon, `stub[1, "steps"]` of
-    the second."""
+    """Access to the stand-in's variables: `stub["unplug_at"] = 100`, `stub["steps"]` of the first Falcon, `stub[1,
+    "steps"]` of the second."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._library = call = ctypes.CDLL(str(path))  # the very library that pyusb loads: one file, one state
+        self._library = call = ctypes.CDLL(str(path))  # the same file that pyusb loads, so both share its state
         call.stub_get.restype = ctypes.c_double
         call.stub_get.argtypes = [ctypes.c_int, ctypes.c_char_p]
         call.stub_set.argtypes = [ctypes.c_int, ctypes.c_char_p, ctypes.c_double]
@@ -60,51 +60,51 @@ class UsbStub:
         self.place(1)
 
     def place(self, number: int = 0) -> None:
-        """Put the knob where the hand is."""
+        """Move the knob to the position of the hand."""
         self._library.stub_place(number)
 
     def state(self, number: int = 0) -> np.ndarray:
-        """Force (N) on the hand and place (m) of the knob now, (6,), in the world's frame."""
+        """Return the present force (N) on the hand and position (m) of the knob in the world's frame, (6,)."""
         out = np.zeros(6)
         self._library.stub_state(number, out.ctypes.data_as(ctypes.c_void_p))
         return out
 
     def motors(self, number: int = 0) -> tuple[float, float, float]:
-        """Motor counts now."""
+        """Return the present motor counts."""
         return self[number, "m0"], self[number, "m1"], self[number, "m2"]
 
     def log(self) -> np.ndarray:
-        """Of each packet since `logged` was set to 0: force and place as `state` has them, and whether the host waited
-        for its answer, (n, 7)."""
+        """Return, for each packet since `logged` was set to 0: force and position like `state`, and whether the host
+        waited for its answer, (n, 7)."""
         out = np.zeros((int(self["logged"]), 7))
         self._library.stub_log(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
         return out
 
     def times(self) -> np.ndarray:
-        """When each of these packets came, s of the monotonic clock (n,)."""
+        """Return the arrival times of these packets, s of the monotonic clock (n,)."""
         out = np.zeros(int(self["logged"]))
         self._library.stub_times(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
         return out
 
     def busy(self) -> bool:
-        """Whether a thread is handling events just now."""
+        """Return whether a thread is handling events."""
         return bool(self._library.stub_busy())
 
     def fuzz(self, device: Falcon, ticks: int) -> list[int]:
-        """So many ticks in C against spoilt replies; what was seen, as stub_fuzz says it."""
+        """Run this number of ticks in C against corrupted replies; return the stub's counts."""
         io, seen = device.io(), Counts()
         self._library.stub_fuzz(io.read, io.write, io.handle, io.handle + 8 * AT.counts, SAMPLE_SIZE, ticks, seen)
         return list(seen)
 
 
 def word(device: Falcon, place: int) -> int:
-    """A word of the device's block, of which its handle is the address."""
+    """Return a word of the device's block, whose address is the handle."""
     return int(ctypes.c_int64.from_address(device.io().handle + 8 * place).value)
 
 
 @contextmanager
 def in_place_of_libusb(path: Path) -> Iterator[None]:
-    """pyusb's own loader finds this library, and whoever asks pyusb for its backend gets it."""
+    """Let pyusb's loader find this library, and return it as pyusb's backend."""
     module = usb.backend.libusb1
     before = module._lib, module._lib_object
     module._lib_object = None
@@ -113,23 +113,23 @@ def in_place_of_libusb(path: Path) -> Iterator[None]:
         yield
     finally:
         if before[0] is not None and before[0]._name != str(path):
-            gc.collect()  # pyusb's objects give themselves back to the library that the module names then
+            gc.collect()  # pyusb's objects release themselves through the module's current library
         module._lib, module._lib_object = before[0] or module._lib, before[1]
 
 
 @pytest.fixture(scope="session")
 def usb_library() -> Iterator[Path]:
-    """The library, in a folder of its own."""
+    """Compile the library in its own folder."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="usb-") as folder:
-        # without a soname: libusb itself may be loaded later on
+        # without a soname: libusb itself may be loaded later
         yield compile_stub(SOURCE, Path(folder) / SONAME)
 
 
 @pytest.fixture
 def stub(usb_library: Path) -> Iterator[UsbStub]:
-    """One homed Falcon whose firmware runs, the hand still at 20 mm height."""
+    """A homed Falcon with running firmware and a resting hand at 20 mm height."""
     stub = UsbStub(usb_library)
     stub.reset()
     with in_place_of_libusb(usb_library):
@@ -138,7 +138,7 @@ def stub(usb_library: Path) -> Iterator[UsbStub]:
 
 
 def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
-    """Environment of a process that finds the stand-in, in `folder`, where libusb would be."""
+    """Return the environment for a process that finds the stand-in in `folder` instead of libusb."""
     compile_stub(SOURCE, folder / SONAME, f"-Wl,-soname,{SONAME}")
     settings = ",".join(f"{name}={value}" for name, value in knobs.items())
     return {
@@ -150,20 +150,20 @@ def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
 
 
 def left_behind(folder: Path) -> dict[str, float]:
-    """The knobs as a process with `child_environment` left them."""
+    """Return the state of the knobs after a process with `child_environment`."""
     return {name: float(value) for name, value in (line.split() for line in (folder / "left").read_text().splitlines())}
 
 
 def options(**changes: Any) -> Options:
-    """The [device] table of the shipped rig with keys changed, the motors' gain known."""
+    """Return the [device] table of the shipped rig with changed keys and a known gain of the motors."""
     given = {**load_rig("falcon").device.options, "counts_per_nm": 10000.0, **changes}
     return build(Options, given, "falcon [device]")
 
 
 class FalconBench(Bench):
-    """A Falcon behind the stand-in."""
+    """Bench with a Falcon on the stand-in."""
 
-    # Half a motor count at each leg is 4 mN at the knob; it moves by a millisecond before it is asked.
+    # Half a motor count at each leg is 4 mN at the knob; it moves for a millisecond before the reading.
     force_step_n = 0.01
     patience_s = 10.0
 

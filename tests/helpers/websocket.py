@@ -1,4 +1,4 @@
-"""A viewer's end of Foxglove's protocol, by hand: https://github.com/foxglove/ws-protocol. Enough for tests."""
+"""Client side of Foxglove's protocol, as far as the tests need it: https://github.com/foxglove/ws-protocol."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TEXT, BINARY = 1, 2
 
 
 class Viewer:
-    """Connects to a server on this machine, wants every topic, and hands on what comes."""
+    """Client that subscribes to every topic of a server on this machine and collects the messages."""
 
     def __init__(self, port: int) -> None:
         self.topics: dict[str, dict[str, Any]] = {}
@@ -32,7 +32,7 @@ class Viewer:
         assert b" 101 " in answer
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, time (ns) and data of each message."""
+        """Return topic, time (ns) and data of each message."""
         while True:
             kind, data = self._frame()
             if kind == TEXT:
