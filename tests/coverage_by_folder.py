@@ -1,9 +1,9 @@
-"""What the suite ran of the program, by folder: lines and branches; and the files below a share of them, with reasons.
+"""Print the suite's coverage of lines and branches by folder, and the files below a threshold with the reasons.
 
     python tests/coverage_by_folder.py coverage.json
 
-The file is what `coverage json` writes; `make coverage` makes it. A file below the share for which
-coverage_reasons.toml has no reason is named, and the exit code is 1.
+`make coverage` writes the file with `coverage json`. The exit code is 1 if a file below the threshold has no reason in
+coverage_reasons.toml.
 """
 
 from __future__ import annotations

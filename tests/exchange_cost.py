@@ -101,7 +101,7 @@ def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, i
 
 @numba.njit(**OPTIONS)
 def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
-    """Measure driver and bare calls (`calls`) alternately.
+    """Measure driver and direct calls (`calls`) alternately.
 
     Fills `out` (n, 2) ns and `whole`, complete ticks of the driver; returns n, or the tick in which the driver failed.
     """

@@ -1,6 +1,6 @@
-"""Runs every test that the fault model names, and keeps what was injected and seen, for docs/reference/faults.md.
+"""Run every test named in the fault model, and store its observations for docs/reference/faults.md.
 
-`make faults-seen`. Words go to pytest. The machine should do nothing else meanwhile: a stall shows in the ticks.
+`make faults-seen`. Arguments are passed to pytest. The machine should be idle: a stall increases the ticks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def main() -> int:
     """Exit code of pytest; the file of the program is written where every test has passed or was skipped."""
     tests = sorted({test for hazard in HAZARDS for test in hazard.tests})
     code, seen = run(*tests, *sys.argv[1:])
-    # Tests that script the calls of an exchange run as plain Python alone.
+    # Tests that script the calls of an exchange run only as plain Python.
     plain_code, plain = run(*tests, "-m", "plain", *sys.argv[1:], NUMBA_DISABLE_JIT="1")
     if code == plain_code == 0:
         seen |= {name: case for name, case in plain.items() if case["outcome"] == "passed"}
@@ -32,14 +32,14 @@ def main() -> int:
 
 
 def run(*words: str, **environment: str) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Run pytest; return its exit code, and what each test saw."""
+    """Run pytest; return its exit code and the observations of the tests."""
     command = [sys.executable, "-m", "pytest", "-q", f"--faults-seen={FILE}", *words]
     code = subprocess.run(command, cwd=ROOT, env={**os.environ, **environment}, check=False).returncode
     return code, json.loads(FILE.read_text("utf-8"))
 
 
 def condensed(tests: dict[str, dict[str, Any]]) -> str:
-    """JSON of what was seen, a line for each: by hazard what tests noted, and of each test how many cases passed."""
+    """Return JSON with one line per entry: the observations by hazard, and the number of passed cases of each test."""
     rows: list[dict[str, Any]] = []
     for hazard in HAZARDS:
         for test in hazard.tests:

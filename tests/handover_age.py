@@ -1,11 +1,11 @@
-"""How old a pose is when the servo reads it, and a force when the device has it: `python tests/handover_age.py`,
-`make handover-age`.
+"""Measure the age of a pose when the servo reads it, and of a force when the device has it: `python
+tests/handover_age.py`, `make handover-age`.
 
-For drivers that hand poses and forces over to something else than a node of the system (a thread, a maker's library),
-and for boards behind a serial port, which answer each frame or send by themselves.
-Devices on stand-ins are read and written by one compiled loop, called as the servo calls them, without the interpreter
-lock. A stand-in's pose says the time at which it was made, by the clock that all processes share, and its log has the
-time at which it took each force. So both ages are from end to end: messages, sockets, threads and what holds them up.
+For drivers that exchange poses and forces with a thread or a vendor's library, and for boards on a serial port, which
+answer each frame or send unprompted. Devices on stand-ins are read and written by one compiled loop, called like in the
+servo, without the interpreter lock. The stand-in's pose contains the time at which it was made, by a clock that all
+processes share, and its log has the arrival time of each force. Both ages therefore include messages, sockets, threads
+and their delays.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ WARM_TICKS: Final = 200
 LOWEST_N: Final = 0.1
 STEP_N: Final = 1e-4
 FORCES: Final = 1000
-"""Forces that are told apart: LOWEST_N and steps above it, in turn; a force is never older than a second."""
+"""Number of distinct forces: LOWEST_N and steps above it, in turn; a force is never older than a second."""
 
 
 class End(NamedTuple):
-    """A device, and what its stand-in has taken: (k, 2) time (s, monotonic clock) and force along z (N). The stand-in's
-    pose has the fraction of the clock's second as its x (m)."""
+    """A device, and the forces its stand-in has received: (k, 2) time (s, monotonic clock) and force along z (N). The x
+    (m) of the stand-in's pose is the fraction of the clock's second."""
 
     device: Device
     taken: Callable[[], NDArray[np.float64]]
@@ -59,7 +59,7 @@ class End(NamedTuple):
 
 @numba.njit(**OPTIONS)
 def _run(ios: Any, period_ns: int, times: Any, places: Any, fresh: Any, memory: Any) -> int:
-    """Read and write every device in each tick; the status below 0 that ended it, or 0.
+    """Read and write every device in each tick; return the negative status that ended it, or 0.
 
     times   (n, devices, 2) int64 ns    out: after the read, before the write
     places  (n, devices) float64 m      out: x of the sample
@@ -86,7 +86,7 @@ def _run(ios: Any, period_ns: int, times: Any, places: Any, fresh: Any, memory: 
 
 @contextmanager
 def haply() -> Iterator[list[End]]:
-    """Two Inverse3 at one emulated Inverse Service, each with a thread and a session of its own."""
+    """Two Inverse3 on one emulated Inverse Service, each with its own thread and session."""
     names = ("049D", "0A11")
     with Service(devices=tuple(f"inverse3:{name}" for name in names)) as service, ExitStack() as undo:
         ends = []
@@ -99,7 +99,7 @@ def haply() -> Iterator[list[End]]:
 
 @contextmanager
 def openhaptics() -> Iterator[list[End]]:
-    """A Touch on the stub of libHD, whose thread calls the driver once a millisecond."""
+    """A Touch on the stub of libHD, whose thread calls the driver once per millisecond."""
     with tempfile.TemporaryDirectory() as folder:
         stub = HdStub(compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread"))
         stub["clock"] = 1.0
@@ -158,7 +158,8 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
 
 
 def force_ages(taken: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Time (s) from each write (n,) until the stand-in first had its force; NaN for one that a newer one replaced."""
+    """Return the time (s) from each write (n,) until the stand-in first had its force; NaN if a newer force replaced
+    it."""
     found = np.full(len(written), np.nan)
     ticks = np.arange(len(written))
     for at, force in taken[taken[:, 1] > 0.5 * LOWEST_N]:

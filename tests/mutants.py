@@ -51,7 +51,7 @@ class Mutant(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Result of a run of tests: one of the words above, its duration, and pytest's output."""
+    """Result of a test run: one of the words above, its duration, and pytest's output."""
 
     word: str
     seconds: float
@@ -94,7 +94,7 @@ class Copy:
     def test(self, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
         """Run tests until one fails."""
         begun = time.monotonic()
-        # Other files have no `plain` test, and may need what plain Python lacks (tests/conftest.py).
+        # Other files have no `plain` test, and may require machine code (tests/conftest.py).
         plain = [each for each in tests if "plain" in (self.folder / each.partition("::")[0]).read_text("utf-8")]
         outcome = Outcome(SURVIVED, 0.0, "")
         for marks, chosen, more in (("plain", plain, {"NUMBA_DISABLE_JIT": "1"}), ("not plain", list(tests), {})):
@@ -119,7 +119,7 @@ class Copy:
             return Outcome(word, 0.0, said.read())
 
     def try_out(self, mutant: Mutant, number: int) -> Outcome:
-        """Plant a mistake, run its tests and undo it. `number` distinguishes it from others in the same file."""
+        """Plant a mistake, run its tests and undo it. `number` distinguishes mistakes in the same file."""
         path = self.folder / mutant.file
         text, before = path.read_text("utf-8"), path.stat()
         if (count := text.count(mutant.old)) != 1:

@@ -1,11 +1,11 @@
-"""How soon a clone is a page whose finger feels: `make run ARGS=--view`, timed to the first touch by the mouse.
+"""Time from a clone to the first touch on the page, by mouse, with `make run ARGS=--view`.
 
-    python tests/page_first_minute.py CLONE           # as it is: set up, and compiled
-    python tests/page_first_minute.py CLONE --cold    # one that nothing was done in yet, with empty caches and home
+    python tests/page_first_minute.py CLONE           # clone that is set up and compiled
+    python tests/page_first_minute.py CLONE --cold    # fresh clone, with empty caches and home
 
-A browser without a screen waits until the page is served, opens it, and drags the fingertip as a hand with a mouse
-would: with shift down onto the plane, then with ctrl along it. What is felt is taken from the telemetry. Seconds count
-from the command; the set-up is among them where there is none. Needs the environment of the tests and `make browser`.
+A headless browser waits for the page, opens it, and moves the fingertip like a mouse would: with shift down onto the
+plane, then with ctrl along it. The touch is detected in the telemetry. Seconds count from the command and include the
+set-up if there is one. Requires the environment of the tests and `make browser`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ALONG: Final = (40.0, 0.0)
 
 
 class Program:
-    """`make run ARGS=--view` in a clone: what it says, and when."""
+    """`make run ARGS=--view` in a clone: its output and the times of the lines."""
 
     def __init__(self, clone: Path, environment: dict[str, str]) -> None:
         self.begun = time.monotonic()
@@ -61,7 +61,7 @@ class Program:
         return time.monotonic() - self.begun
 
     def says(self, pattern: str) -> str:
-        """What a pattern finds in what it says, sooner or later; ends where the program does."""
+        """Wait for a pattern in the output; return the match, or None if the program ends."""
         while (found := re.search(pattern, "".join(self._said))) is None:
             if self._process.poll() is not None:
                 sys.exit("the program ended before it served a page")
@@ -79,7 +79,7 @@ class Program:
 
 
 class Felt:
-    """What telemetry tells: the newest tick, and when a force was felt first and the contact rolled first, s."""
+    """Telemetry: the latest tick, and the times of the first force and of the first rolling, s."""
 
     def __init__(self, endpoint: str, program: Program) -> None:
         self.newest: Sample | None = None
@@ -105,7 +105,7 @@ class Felt:
 
 @contextmanager
 def surroundings(clone: Path, cold: bool) -> Iterator[dict[str, str]]:
-    """Variables for the program: those of here, or with a home and caches that are empty."""
+    """Return the environment of the program: the present one, or one with an empty home and empty caches."""
     kept = {key: value for key, value in os.environ.items() if key not in ("SOFTFINGER_CACHE_DIR", "VIRTUAL_ENV")}
     if not cold:
         yield kept

@@ -66,7 +66,7 @@ compile_loop(load_scene(PULL))
 """
 """Program that compiles the loops of the default scene and of the driver tests."""
 DRIVERS: Final = (("serial",), ("falcon", "forcedimension", "haply", "hid", "openhaptics", "simulated", "spacemouse"))
-"""Drivers whose exchanges are compiled by two processes in about the same time."""
+"""Drivers whose exchanges would otherwise be compiled by two processes at about the same time."""
 
 Lines = queue.SimpleQueue[tuple[Any, str | None]]
 """Output lines, each with the part that wrote it; None at its end."""

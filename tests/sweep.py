@@ -83,13 +83,13 @@ PARTS: Final = {
     ),
 }
 COMPILED: Final = ("arming_is_the_last_act", "after_a_servo", "ends_with_a_failing", "allocates_nothing")
-"""Words in the names of tests that need machine code; skipping them saves minutes."""
+"""Words in the names of tests that need machine code; skipping these tests saves minutes."""
 CPU_S: Final = 60
 """Processor time for the tests of one mistake, which may cause an endless loop; the load of the machine has no
 effect."""
 WALL_S: Final = 600.0
 CRASHES: Final = (signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGXCPU)
-"""Signals that a mistake can cause, the last at the limit of processor time. Others come from outside."""
+"""Signals that a mistake can cause; the last is the limit of processor time. Other signals come from outside."""
 CAUGHT, SURVIVED, EQUIVALENT, UNDECIDED = "caught", "SURVIVED", "equivalent", "UNDECIDED"
 
 

@@ -1,4 +1,4 @@
-"""Files of robosuite, gymnasium-robotics, dm_control and others from the registry: loaded in full, or refused."""
+"""Files of robosuite, gymnasium-robotics, dm_control and others from the registry load completely, or are refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from corpus_of_files import PACKAGES, downloaded, meshes, models
 pytestmark = [pytest.mark.exhaustive, pytest.mark.plain]
 OF_URDF = ("Error:", "is outside of its folder", "is not found", "several groups")
 LIMITS = ("no geom can be touched", "at most", "fingers do not touch", "no well-formed XML", *OF_URDF)
-"""Reasons to refuse a model that MuJoCo accepts, or of MuJoCo for a URDF, whose elements alone are counted."""
+"""Reasons to refuse a model that MuJoCo accepts; and reasons of MuJoCo to refuse a URDF, of which only the elements are
+counted."""
 
 
 @pytest.fixture(scope="module", params=PACKAGES)

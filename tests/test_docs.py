@@ -52,7 +52,8 @@ def test_exit_codes_are_those_of_the_errors():
 
 
 def commands(text: str) -> list[list[str]]:
-    """The words of each `softfinger ...` on a line of its own, in a fence or not, without comments and redirections."""
+    """Return the words of each `softfinger ...` on its own line, inside or outside a fence, without comments and
+    redirections."""
     found = re.findall(r"^    .*$", text, re.MULTILINE)
     for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
         found += body.splitlines()
@@ -61,7 +62,7 @@ def commands(text: str) -> list[list[str]]:
 
 
 def test_every_command_in_readme_and_docs_is_one():
-    """Each `softfinger VERB` names a verb, and each command on a line of its own is one that the program takes."""
+    """Each `softfinger VERB` names an existing verb, and each command on its own line can be parsed."""
     parser, found = make_parser(), 0
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         for words in commands(page.read_text()):
@@ -73,7 +74,8 @@ def test_every_command_in_readme_and_docs_is_one():
 
 @pytest.mark.real_time
 def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
-    """Each does what it is there for; those to a daemon to one that runs, those that run for ever for a second."""
+    """Each command succeeds. Commands for a daemon get a running one; commands that run until Ctrl-C run for a
+    second."""
     ran = []
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my-scene.toml").write_text(re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1])
@@ -96,7 +98,7 @@ def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
 
 
 def test_the_readme_is_two_screens():
-    """What is longer has a page."""
+    """Longer texts belong in a page of docs/."""
     assert len(README.splitlines()) <= 100
 
 
@@ -114,14 +116,14 @@ def test_python_of_the_front_door_runs(tmp_path, endpoints, monkeypatch):
 
 
 def anchors(page: Path) -> set[str]:
-    """What a link may name behind # in a page: its headings, as the site and code hosts spell them."""
+    """Return the anchors of a page: its headings, as the site and code hosts write them."""
     text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     headings = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line) for line in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
     return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
 
 
 def test_the_reference_names_every_attribute_of_a_step():
-    """docs/api.md has those that the class has, and no other."""
+    """docs/api.md lists exactly the attributes of the class."""
     rows = re.findall(r"^\| (`.*?`) \| ", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
     assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(STEP_FIELDS)
 
@@ -155,7 +157,7 @@ def test_the_site_is_built(tmp_path):
 
 
 def test_lists_are_lists_on_the_site_too():
-    """Python's Markdown wants an empty line before a list, and so it is clear on a code host as well."""
+    """Python's Markdown needs an empty line before a list, although code hosts do not."""
     for page in (ROOT / "docs").rglob("*.md"):
         text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
         lines = ["", *text.splitlines()]
@@ -166,7 +168,8 @@ def test_lists_are_lists_on_the_site_too():
 
 @pytest.mark.plain
 def test_the_worked_walk_is_true(tmp_path):
-    """Each function of docs/how-it-works.md is in the file that it links to; forces are those of the first tick."""
+    """Each function of docs/how-it-works.md is in the file that it links to, and the forces are those of the first
+    tick."""
     rows = table(HOW, "The worked walk")
     assert 10 <= len(rows) <= 15
     for _, link, _ in rows:
@@ -186,7 +189,7 @@ def test_the_worked_walk_is_true(tmp_path):
 
 
 def test_scene_in_the_readme_is_valid():
-    """The scene shown can be loaded as it stands."""
+    """The scene shown in the README can be loaded unchanged."""
     text = re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1]
     assert build(Scene, tomllib.loads(text), "README").object[0].name == "table"
 
@@ -246,7 +249,7 @@ def test_signs_are_as_documented(row):
 
 
 def test_modes_and_causes_are_as_documented():
-    """The tables of modes and causes list what the code has, in its order."""
+    """The tables of modes and causes list those of the code, in its order."""
     part = CONVENTIONS.split("## Contact modes and their causes\n", 1)[1]
     modes, causes = re.findall(r"(?:^\|.*\n)+", part, re.MULTILINE)
     assert re.findall(r"^\| (\w+) \| (\d)", modes, re.MULTILINE) == [(n, str(i)) for i, n in enumerate(MODE_NAMES)]

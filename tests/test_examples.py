@@ -1,4 +1,4 @@
-"""The programs of examples/ run as they stand, and say what theory says."""
+"""The programs of examples/ run unchanged, and print what theory predicts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LINES_MAX = 130
 
 
 def said(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
-    """Run an example to its end; returns what it prints. `plain`: nothing is compiled."""
+    """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=500, env=environment)
@@ -63,7 +63,7 @@ def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
         assert felt == pytest.approx(pressed, abs=2e-3)
         assert felt == pytest.approx(
             expected, rel=0.04
-        )  # MuJoCo's contact gives way by some hundredths of a millimetre
+        )  # MuJoCo's contact is compliant: some hundredths of a millimetre
 
 
 def test_each_is_listed_short_and_tested() -> None:
@@ -75,10 +75,10 @@ def test_each_is_listed_short_and_tested() -> None:
 
 
 def run_notebook(name: str, folder: Path = EXAMPLES) -> str:
-    """Run a notebook in a kernel of its own, in a folder; returns what it prints and how many pictures it has drawn."""
+    """Run a notebook in its own kernel, in a folder; return its output and the number of pictures."""
     notebook = nbformat.read(EXAMPLES / name, as_version=4)
     assert not [cell for cell in notebook.cells if cell.get("outputs")], "kept without outputs"
-    with warnings.catch_warnings(action="ignore"):  # of the Jupyter libraries' own
+    with warnings.catch_warnings(action="ignore"):  # warnings of the Jupyter libraries
         place = {"metadata": {"path": str(folder)}}
         NotebookClient(notebook, timeout=500, kernel_name="python3", resources=place).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
@@ -87,9 +87,9 @@ def run_notebook(name: str, folder: Path = EXAMPLES) -> str:
 
 
 def test_press_and_plot(tmp_path: Path) -> None:
-    """The finger slips where the tangential spring holds mu N: after 0.6 mm of a drag of 2 mm/s from 0.5 s on."""
+    """The finger slips when the tangential spring reaches mu N: after 0.6 mm of a drag of 2 mm/s from 0.5 s on."""
     out = said("press_and_plot.py", "press.png", cwd=tmp_path)
-    # The damper of the coupling holds 2 mN, which is a tick of the drag; the drag begins and slips at a whole tick.
+    # The damper of the coupling adds 2 mN, which is one tick of the drag; the drag starts and slips at a whole tick.
     assert number(r"slips after ([\d.]+) s", out) == pytest.approx(0.8, abs=0.003)
     assert (tmp_path / "press.png").read_bytes().startswith(PNG)
 
@@ -113,13 +113,13 @@ def test_stiffness_staircase() -> None:
 def printed(out: str, row: str) -> dict[str, float]:
     """The numbers of a row of the table that the notebook prints, by the name of their column."""
     head, *lines = out.splitlines()
-    line = next(line for line in lines if line.split()[:1] == [row])  # a table of what was felt may follow
+    line = next(line for line in lines if line.split()[:1] == [row])  # a table of the answers may follow
     return dict(zip(head.split(), map(float, line.split()[1:]), strict=True))
 
 
 @pytest.mark.exhaustive
 def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
-    """Thresholds, slopes and intervals are those of `softfinger figure`, to the steps of the two grids."""
+    """Thresholds, slopes and intervals equal those of `softfinger figure`, to the steps of the two grids."""
     Experiment("curvature-by-rolling").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
     for group in fit_groups(*load(tmp_path)):
@@ -165,7 +165,7 @@ def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """A picture is drawn of what arrives."""
+    """The example draws a picture from the received telemetry."""
     out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
     assert number(r"(\d+) ticks drawn", out) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
@@ -174,7 +174,7 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
-    """1 mm into 1000 N/m, held with 3000 N/m: both give way, and 0.75 N are left; every tick of both runs was done."""
+    """Pressing 1 mm into 1000 N/m through 3000 N/m gives 0.75 N, and both runs complete every tick."""
     out = said("my_driver_python.py", "1300", cwd=tmp_path)
     alone, beside = out.splitlines()
     assert alone.startswith("1300 ticks alone") and beside.startswith("1300 ticks beside a busy thread")
@@ -183,7 +183,7 @@ def test_my_driver_python(tmp_path: Path) -> None:
 
 
 def test_an_exception_in_a_python_driver_ends_the_run() -> None:
-    """It is a status of its own, and not the 0 that ctypes would return."""
+    """The exception gives a separate status, not the 0 that ctypes would return."""
     sys.path.insert(0, str(EXAMPLES))
     try:
         driver = importlib.import_module("my_driver_python")

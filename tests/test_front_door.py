@@ -114,7 +114,7 @@ def test_what_is_printed_and_completed(client: partial[Client]) -> None:
 
 
 def test_the_door_is_light() -> None:
-    """Nothing but Python's own is imported before it is asked for, by `dir` neither."""
+    """`import softfinger` and `dir` import only modules of Python's standard library."""
     code = "import sys; had = {*sys.modules}; import softfinger; dir(softfinger); print(*{*sys.modules} - had)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names == {"softfinger"}
@@ -250,7 +250,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     ],
 )
 def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -> None:
-    """One invalid value is named, and none of the others is applied."""
+    """An error names the invalid value, and none of the other values is applied."""
     engine.set(STIFFNESS, 1000.0)
     before = engine.config
     with pytest.raises(ConfigError, match=said) as refused:
@@ -335,7 +335,7 @@ def test_a_mapping_is_as_good_as_a_file() -> None:
 
 
 def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
-    """Records equal those of the verb `simulate` bit by bit, as does the results file."""
+    """Records and the results file equal those of the verb `simulate` bit by bit."""
     out, own = tmp_path / "verb.csv", tmp_path / "own.csv"
     assert main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "500"]) == 0
     records = run_recording("tap", "paper-plane", rate_hz=500.0)
@@ -380,7 +380,7 @@ def test_timestamps_use_the_documented_clocks(client: partial[Client], engine: E
         assert state.sequence > 0 and state.field_state["mode"] in list(softfinger.ContactMode)
 
 
-# --- what is shipped --------------------------------------------------------------------------------
+# --- shipped files ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("verb", list(FOLDER_OF))

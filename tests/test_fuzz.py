@@ -1,7 +1,8 @@
-"""Bytes of strangers are taken or refused with one clear error: those that were found, and new ones for a while.
+"""Readers accept arbitrary bytes or refuse them with one clear error: stored cases, and new random ones for a limited
+time.
 
-A failure prints what to do to keep its bytes: they belong into tests/corpus, where every run tries them again.
-SOFTFINGER_FUZZ_SECONDS is how long each target has, SOFTFINGER_FUZZ_SEED where it begins.
+A failure prints how to store its bytes in tests/corpus, from where every run tests them again. SOFTFINGER_FUZZ_SECONDS
+is the time for each target, SOFTFINGER_FUZZ_SEED the seed.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ TARGETS: Final = sorted(fuzzing.targets())
 
 
 def test_every_folder_of_the_corpus_is_a_target() -> None:
-    """None is left over when a target is named anew."""
+    """No folder is left over when a target is renamed."""
     assert {path.parent.name for path in FOUND} <= set(TARGETS)
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_what_was_found_is_taken_or_refused(path: Path, tmp_path: Path) -> None:
-    """Each of these once ended in another error, a crash, or none that says something."""
+    """Each of these bytes once caused another error, a crash, or an error without a message."""
     target = fuzzing.targets()[path.parent.name]
     assert not fuzzing.verdict(target, tmp_path / f"input{target.ending}", path.read_bytes())
 

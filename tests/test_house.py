@@ -1,4 +1,4 @@
-"""The house: doors that say what is behind them, maps that are true."""
+"""Rules of the repository: docstrings of packages, sizes of functions and files, maps that match the code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def name(path: Path) -> str:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=name)
 def test_every_package_says_what_is_in_it_and_what_may_not_be(folder: Path) -> None:
-    """Its docstring has a line for each, and neither says nothing."""
+    """The docstring has a line for each, and neither is empty."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
     inside, _, outside = text.partition("\n\n")
     assert len(inside.split()) >= 5 and len(outside.split()) >= 4, f"{name(folder)}: {text!r}"
@@ -34,7 +34,7 @@ def test_every_package_says_what_is_in_it_and_what_may_not_be(folder: Path) -> N
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_function_takes_more_than_a_reader_keeps_in_mind(package: str) -> None:
-    """At most eight parameters, `self` and `cls` not counted: what belongs together is a named tuple."""
+    """At most eight parameters, without `self` and `cls`; a named tuple groups parameters that belong together."""
     long = []
     for path in sorted((ROOT / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -52,7 +52,7 @@ def parameters(given: ast.arguments) -> int:
 
 
 def test_parameters_are_counted() -> None:
-    """By position, by either and by keyword; neither `self` nor what a star gathers."""
+    """Counts positional and keyword parameters, but neither `self` nor starred ones."""
     (made,) = ast.parse("def f(self, a, /, b, c=1, *rest, d, e=2, **more): ...").body
     assert isinstance(made, ast.FunctionDef) and parameters(made.args) == 5
 
@@ -86,7 +86,8 @@ def test_each_reason_for_less_coverage_is_of_a_file() -> None:
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    """What one of tests/mutants.toml takes the place of is there once, and so are the tests that have to see it."""
+    """The text that an entry of tests/mutants.toml replaces occurs exactly once, and the tests that should detect it
+    exist."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
         assert each.keys() == {"file", "old", "new", "mistake", "tests"} and each["tests"], each
         text = (ROOT / each["file"]).read_text("utf-8")
@@ -98,7 +99,7 @@ def test_each_planted_mistake_can_be_made() -> None:
 
 
 def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
-    """It is still there to be made, in a file that the sweep plants in, and has a reason that says something."""
+    """Each excused mistake can still be made, in a file that the sweep covers, and has a reason."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
         assert each.keys() == {"file", "line", "mistake", "reason"} and len(each["reason"].split()) >= 4, each
         assert any(each["file"] in part.files for part in PARTS.values()), each["file"]

@@ -88,7 +88,7 @@ def pushed(servo: Servo, arm: BusServos, newtons: float) -> None:
 
 
 class ArmBench(Bench):
-    """The emulated arm; one that is gone has no power, and its port no path."""
+    """The emulated arm. When lost, it has no power and its port has no path."""
 
     force_step_n = NM_PER_COUNT / LEVER_M
     patience_s = 10.0
@@ -139,7 +139,7 @@ def bench(urdf: Path) -> Iterator[ArmBench]:
 
 
 class TestContract(DriverContract):
-    """The contract over Feetech servos; the series differ in packets and registers alone."""
+    """The contract with Feetech servos; the series differ only in packets and registers."""
 
 
 def test_published_packets() -> None:
@@ -202,7 +202,7 @@ def _angle(a: float, b: float, c: float) -> float:
 
 @pytest.mark.parametrize("protocol", SERIES)
 def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
-    """Answers with a wrong checksum are missing ones: the pose stays, the next transaction has the new one."""
+    """Answers with a wrong checksum count as missing: the pose stays, and the next transaction has the new one."""
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = Servo(device)
         arm.damage[2] = 3
@@ -215,7 +215,8 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
-    """Poses go on, but the servo with the force does not confirm its zero: the run ends, and the stop says why."""
+    """Poses continue, but the servo with the force does not confirm its zero: the run ends, and the error explains the
+    stop."""
     with emulated() as arm:
         device = leader.open_device(arm_options(arm, urdf, timeout_s=0.1), RATE_HZ)
         servo = Servo(device)

@@ -36,7 +36,7 @@ def test_a_page_begins_with_three_sentences_and_a_picture(page: Path) -> None:
 @pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each page; `make test` runs them")
 @pytest.mark.parametrize("page", [each for each in PAGES if each.stem != "conventions"], ids=lambda page: page.stem)
 def test_a_worked_example_gives_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its program prints the lines below it. The conventions have a table, whose rows tests/test_docs.py runs."""
+    """The program prints the lines below it. The conventions have a table, whose rows tests/test_docs.py runs."""
     example = page.read_text("utf-8").split("\n## Worked example\n", 1)[1].split("\n## ", 1)[0]
     (program,) = re.findall(r"```python\n(.*?)```", example, re.DOTALL)
     (printed,) = re.findall(r"```text\n(.*?)```", example, re.DOTALL)

@@ -1,4 +1,4 @@
-"""What is shipped: the wheel, the source archive, pinned versions, and the order of imports."""
+"""The distribution: wheel, source archive, pinned versions, and directions of imports."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ def wheel(dist: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`bin` of a clean environment: the wheel in it, dependencies borrowed from the running one.
+    """Return the `bin` of a clean environment with the wheel and borrowed dependencies.
 
-    Borrowed through a .pth file: Python puts the folder it names on the path, but does not obey the
-    .pth files inside that folder, so the editable install of this checkout stays out.
+    They are borrowed with a .pth file: Python adds its folder to the path, but ignores .pth files in that folder, so
+    the editable installation of this checkout is not visible.
     """
     folder = tmp_path_factory.mktemp("clean")
     venv.create(folder, with_pip=False, symlinks=True)
@@ -111,7 +111,8 @@ def test_the_types_of_the_installed_wheel_are_seen(installed: Path, tmp_path: Pa
     program = tmp_path / "program.py"
     program.write_text('import softfinger\nreveal_type(softfinger.Engine("paper-plane").step)\n')
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
-    folders = (tmp_path / "examples", tmp_path / "examples" / "pytest")  # the others have nothing of ours, or ROS
+    # the others contain none of our modules, or ROS
+    folders = (tmp_path / "examples", tmp_path / "examples" / "pytest")
     examples = sorted(str(path) for folder in folders for path in folder.glob("*.py"))
     assert examples
     words = ["--strict", "--config-file=", "--cache-dir=/dev/null", "--python-executable", str(installed / "python")]
@@ -130,7 +131,7 @@ def test_the_wheel_ships_data(wheel: Path, kind: str) -> None:
 
 
 def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
-    """The source archive holds what make setup, lint and test read, and no second copy through .dev."""
+    """The source archive contains all files that make setup, lint and test read, without duplicates through .dev."""
     (path,) = dist.glob("*.tar.gz")
     with tarfile.open(path) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
@@ -152,7 +153,7 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
 
 
 def test_the_installed_wheel_is_what_runs(installed: Path, tmp_path: Path) -> None:
-    """In the clean environment softfinger comes from the wheel and from nowhere else."""
+    """In the clean environment, softfinger is imported from the wheel only."""
     code = "import json, softfinger, softfinger.server as s; print(json.dumps([*softfinger.__path__, s.__file__]))"
     for path in json.loads(run(installed / "python", "-c", code, cwd=tmp_path).stdout):
         assert Path(path).is_relative_to(installed.parent), path
@@ -186,7 +187,7 @@ def test_the_package_page_says_what_and_whose_it_is(wheel: Path) -> None:
 
 
 def test_the_package_page_needs_no_file_beside_it(wheel: Path) -> None:
-    """It has no links, for a relative one would lead nowhere there. The README has relative ones alone."""
+    """The package page has no links, since relative ones would be broken there. The README has only relative ones."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = [each for each in archive.namelist() if each.endswith(".dist-info/METADATA")]
         page = email.message_from_bytes(archive.read(name)).get_payload()
@@ -197,8 +198,8 @@ def test_the_package_page_needs_no_file_beside_it(wheel: Path) -> None:
 
 
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
-    """A second of the daemon on its shipped scene and recording, from a folder that holds nothing. Kernels may be those
-    that this checkout keeps: the sources are the same."""
+    """The daemon runs for a second on its shipped scene and recording, in an empty folder. Kernels of this checkout may
+    be used, since the sources are equal."""
     rig = tmp_path / "rig.toml"
     device = '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n'
     rig.write_text(f'{device}[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
@@ -211,7 +212,7 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
-    """The example package, beside the wheel: its own tests, with nothing of this checkout."""
+    """The example package passes its tests with the wheel, without files of this checkout."""
     source = tmp_path / "source"
     shutil.copytree(ROOT / "tests" / "outside_driver", source, ignore=shutil.ignore_patterns("__pycache__"))
     options = "--quiet --no-index --no-deps --no-build-isolation"
@@ -236,7 +237,7 @@ print(CACHE_DIR.name, len(take.stats.cache_misses))
 
 @pytest.mark.parametrize("first", ["wheel", pytest.param("checkout", marks=pytest.mark.exhaustive)])
 def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, installed: Path, tmp_path: Path) -> None:
-    """What either has compiled, the other finds, in a folder of the same name: the sources are the same."""
+    """Each finds the kernels that the other has compiled, in a folder of the same name, since the sources are equal."""
     pythons = [installed / "python", Path(sys.executable)]
     told = [
         run(python, "-c", COMPILES, cwd=tmp_path, SOFTFINGER_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
@@ -280,7 +281,7 @@ IMPORTED_AS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "pylsl": "pylsl
 
 
 def test_every_import_is_declared() -> None:
-    """What the program imports is a requirement of its own or of an extra, not only of a library that it uses."""
+    """All imports of the program are requirements of its own or of an extra, not only of a library that it uses."""
 
     def plain(requirement: str) -> str:
         return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
@@ -351,7 +352,7 @@ def test_kernels_import_only_numerics_and_each_other() -> None:
 
 
 def test_the_import_linter_sees_every_module() -> None:
-    """The graph that import-linter checks holds all our modules: an empty graph would keep every contract."""
+    """The graph of import-linter contains all our modules: an empty graph would satisfy every contract."""
     code = "import grimp, json; print(json.dumps(sorted(grimp.build_graph('softfinger', cache_dir=None).modules)))"
     seen = set(json.loads(run(sys.executable, "-c", code, cwd=ROOT).stdout))
     for package in PACKAGES:

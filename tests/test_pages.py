@@ -1,7 +1,7 @@
-"""Pages that lead by the hand: every command of theirs runs as it is printed, in its order.
+"""Every command of the guided pages runs as printed, in its order.
 
-Fences say what they are. `sh` is for a terminal, and runs here; what has a `title` is a file that the reader saves;
-`console` needs what is not here (the network, a device, a browser, time), and is only parsed (tests/test_docs.py).
+The kinds of fences: `sh` is for a terminal and runs here; a fence with a `title` is a file that the reader saves;
+`console` needs the network, a device, a browser or time, and is only parsed (tests/test_docs.py).
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ def fences(page: str) -> list[tuple[str, str, str]]:
 
 
 def commands(text: str) -> list[str]:
-    """A command a line, as it stands there."""
+    """Return the commands, one per line, unchanged."""
     return [line for line in text.splitlines() if shlex.split(line, comments=True)]
 
 
 class Terminals:
-    """The reader's: one for the daemon, which stays until Ctrl-C, and one for everything else."""
+    """The reader's terminals: one for the daemon, which runs until Ctrl-C, and one for everything else."""
 
     def __init__(self, folder: Path, interpreter: Path) -> None:
-        """`folder` is where the reader works; `interpreter` the one beside which the program is installed."""
+        """`folder` is the reader's working folder; the program is installed in the environment of `interpreter`."""
         self.folder = folder
         tools = folder / "bin"
         tools.mkdir()
@@ -87,7 +87,7 @@ class Terminals:
         assert done.returncode in ({0, 10} if words[1] == "doctor" else {0}), f"{command}\n{done.stdout}{done.stderr}"
 
     def stop(self) -> None:
-        """Ctrl-C for the daemon, unless it has been told to stop; it ends in order."""
+        """Send Ctrl-C to the daemon unless it is already stopping; it must end normally."""
         if self.daemon is not None:
             self.daemon.send_signal(signal.SIGINT)
             assert self.daemon.wait(STOP_S) == 0

@@ -1,4 +1,4 @@
-"""What a public host reads of this repository: workflows, forms, citation, compose file."""
+"""Files that a public host reads: workflows, forms, citation, compose file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DOCKER = (ROOT / "docs" / "operate" / "docker.md").read_text()
 
 
 class OnceLoader(yaml.SafeLoader):
-    """Refuses a key that stands twice in a mapping; YAML's own reader takes the last."""
+    """Refuse duplicate keys of a mapping, of which YAML's own loader takes the last."""
 
 
 def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -46,7 +46,7 @@ def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.name)
 def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
-    """It reads the repository, and what more a job may is said there; actions are pinned by their major version."""
+    """It may read the repository; a job with more permissions declares them. Actions are pinned by major version."""
     workflow = read(path)
     assert workflow["permissions"] == {"contents": "read"}
     for job in workflow["jobs"].values():
@@ -68,7 +68,7 @@ def test_ci_runs_what_is_supported() -> None:
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:
-    """Nothing is released before everything has passed; who signs and publishes holds no secret."""
+    """A release requires that all tests passed; the jobs that sign and publish have no stored secret."""
     path = ROOT / ".github" / "workflows" / "release.yml"
     jobs = read(path)["jobs"]
     assert jobs["ci"]["uses"] == "./.github/workflows/ci.yml"
@@ -81,7 +81,7 @@ def test_a_release_is_tested_attested_and_of_its_tag() -> None:
 
 @pytest.mark.parametrize("path", FORMS, ids=lambda path: path.name)
 def test_a_form_asks_with_commands_that_exist(path: Path) -> None:
-    """Its parts are those that issue forms have, with ids of their own; each `softfinger ...` in it is one."""
+    """Its parts are those of issue forms, with unique ids; each `softfinger ...` in it is a valid command."""
     form = read(path)
     assert form["name"] and form["description"]
     ids = [part["id"] for part in form["body"]]
@@ -96,13 +96,13 @@ def test_a_form_asks_with_commands_that_exist(path: Path) -> None:
 
 
 def test_forms_ask_for_the_doctor() -> None:
-    """What is asked first in every thread: the machine, or the device."""
+    """The forms ask for a report of the machine or of the device."""
     texts = {path.stem: path.read_text() for path in FORMS}
     assert "softfinger doctor --json" in texts["bug"] and "softfinger doctor --device-report" in texts["device"]
 
 
 def test_the_citation_is_of_this_version() -> None:
-    """Version, licence and address are those of pyproject.toml; the keys are of the format."""
+    """Version, licence and address equal those of pyproject.toml; the keys are those of the format."""
     cited = read(ROOT / "CITATION.cff")
     assert (cited["cff-version"], cited["version"]) == ("1.2.0", PROJECT["version"])
     assert cited["license"] == PROJECT["license"] and cited["repository-code"] == PROJECT["urls"]["Homepage"]
@@ -110,7 +110,7 @@ def test_the_citation_is_of_this_version() -> None:
 
 
 def test_compose_has_the_flags_of_the_docs() -> None:
-    """Each flag that docker.md lists for real time and a device, in compose's words; the replay has none of them."""
+    """The compose file has each flag that docker.md lists for real time and a device; the replay has none of them."""
     composed = read(ROOT / "compose.yaml")
     replay, device = composed["services"]["replay"], composed["services"]["device"]
     for service in (replay, device):

@@ -1,4 +1,4 @@
-"""The node of examples/bridges: its messages are of ROS 2's own definitions, and where rclpy is, it is run."""
+"""The node of examples/bridges: its messages follow ROS 2's definitions, and it runs if rclpy is installed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WAIT_S = 120.0
 
 
 def sample_of(record: Records) -> Sample:
-    """A contact message with what the node takes of it."""
+    """Return a contact message with the values that the node uses."""
     probe = {key: record[f"probe.{key}"].tolist() for key in ("position", "orientation")}
     wrench = {key: record[key].tolist() for key in ("force", "torque")}
     return Sample("contact", {"timestamp": float(record["timestamp"]), "probe": probe} | wrench)
@@ -70,7 +70,7 @@ def test_messages_say_what_the_telemetry_says(release: Stores) -> None:
 def test_a_subscriber_of_ros_gets_what_was_published(
     endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The node as a process, on this machine alone; Ctrl-C ends it."""
+    """The node runs as a process, on this machine only; Ctrl-C ends it."""
     rclpy = pytest.importorskip("rclpy", reason="rclpy is ROS 2's (docs/operate/bridges.md says how it was had)")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")

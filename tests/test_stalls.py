@@ -58,19 +58,19 @@ def run(
 
 @pytest.fixture(autouse=True)
 def _no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The runs within take none: importing those that are installed takes longer than the tests."""
+    """The inner runs load no plugins: importing the installed ones takes longer than the tests."""
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
 
 
 def test_repeated_where_the_machine_stood_still(pytester: pytest.Pytester) -> None:
-    """And the end of the run says so, with what had failed."""
+    """The end of the run reports the repetition with its error."""
     result = run(pytester, 0.05)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*= repeated =*", "*::test_luck: overslept 50 ms; *"])
 
 
 def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> None:
-    """Three times is a failure, whatever the machine did, and the end of the run has what it said each time."""
+    """Three failures count as a failure in spite of stalls, and the end of the run reports each error."""
     result = run(pytester, 0.05, NO_LUCK)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*= repeated =*", *["*::test_luck: overslept 50 ms; *"] * 3])
@@ -78,15 +78,16 @@ def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> Non
 
 
 def test_no_result_where_the_host_took_the_processors(pytester: pytest.Pytester) -> None:
-    """For longer than a driver waits, in each turn; less than that, or a stall of the guest's own, is no excuse."""
+    """The hypervisor must have taken longer than a driver waits, in each attempt. Less than that, or a stall of the
+    guest itself, is no excuse."""
     run(pytester, 0.2, NO_LUCK, taken_s=0.2).assert_outcomes(skipped=1)
     for overslept_s, of_it_taken_s in ((0.2, 0.05), (0.05, 0.2), (0.001, 0.2)):
         run(pytester, overslept_s, NO_LUCK, of_it_taken_s).assert_outcomes(failed=1)
 
 
 def test_put_off_where_others_run_beside(pytester: pytest.Pytester) -> None:
-    """By name, in a file that pytest takes: after three times on a machine that stood still, at once on one that kept
-    time. A test that passes is not."""
+    """Tests are put off by name, in a file that pytest reads: after three attempts with stalls, or at once without
+    stalls. A passing test is not put off."""
     later = pytester.path / "later"
     for overslept_s, times in ((0.05, 3), (0.001, 1)):
         result = run(pytester, overslept_s, NO_LUCK, put_off=str(later))
@@ -98,7 +99,7 @@ def test_put_off_where_others_run_beside(pytester: pytest.Pytester) -> None:
 
 
 def test_what_the_host_takes_is_counted() -> None:
-    """As the kernel counts it, which never goes back."""
+    """The time equals the kernel's count, which never decreases."""
     first = taken_s()
     assert 0.0 <= first <= taken_s()
 
@@ -110,7 +111,7 @@ def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:
 
 
 def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
-    """While a test that keeps real time runs, and in no other."""
+    """Only while a real-time test runs."""
     test = """
         import gc, pytest
 
@@ -143,7 +144,7 @@ def test_a_stall_of_one_processor_is_told() -> None:
 
 
 def test_a_machine_that_keeps_time_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And for no longer: the second half-second that is asked about is quiet."""
+    """The wait ends with the first quiet interval: here the second half-second."""
     sleepers, overslept = Sleepers(), iter([0.0, 0.05, 0.001, 0.05])
     try:
         monkeypatch.setattr(sleepers, "longest_s", lambda: next(overslept))

@@ -1,4 +1,4 @@
-"""The programs of examples/subscribe: what each prints is what was published."""
+"""The programs of examples/subscribe print the published values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def python(_: Path) -> list[str]:
 
 
 def cpp(folder: Path) -> list[str]:
-    """Compiled as its first lines say."""
+    """Compile it with the command in its first lines."""
     compiler = shutil.which("g++")
     includes = b"#include <zmq.hpp>\n#include <msgpack.hpp>\n"
     look = [compiler or "false", "-std=c++17", "-DMSGPACK_NO_BOOST", "-E", "-x", "c++", "-", "-o", "/dev/null"]
@@ -57,7 +57,7 @@ def octave(_: Path) -> list[str]:
 def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """Each line is a tick with mode and force as another subscriber got them; each but the first is a change."""
     command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
-    apart = 5 if make is octave else 1  # it takes every state, 200 Hz, the others every tick
+    apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the others read every tick
     published: dict[int, tuple[str, list[float]]] = {}
     listens, over = threading.Event(), threading.Event()
 
@@ -87,7 +87,7 @@ def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tu
 
 
 def test_every_program_is_on_the_page() -> None:
-    """docs/operate/subscribe.md and the folder's own page lead to each of them, and say which is not run."""
+    """docs/operate/subscribe.md and the README of the folder link to each of them, and name those that are not run."""
     page = (PROGRAMS.parents[1] / "docs" / "operate" / "subscribe.md").read_text()
     own = (PROGRAMS / "README.md").read_text()
     for program in PROGRAMS.glob("subscribe*.*"):

@@ -1,6 +1,6 @@
-"""What the virtual machine runs, as far as that can be told without one.
+"""Tests of the virtual machine's configuration that run without one.
 
-It is started by hand: a module that moves or a setting of the tests must not leave it behind.
+The machine is started manually, so a moved module or changed setting of the tests must not break it unnoticed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def test_its_command_is_one_that_pytest_takes() -> None:
     "words", [[], ["-k", "unplugged"], ["tests/vm/under_systemd.py"], ["tests/vm/on_hid.py::TestV2"]]
 )
 def test_every_test_is_run_in_the_machine_it_is_for(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of the service where systemd is, the drivers' where it is not, and no machine without a test."""
+    """Tests of the service run where systemd is, those of drivers where it is not, and no machine is without tests."""
     monkeypatch.chdir(ROOT)
     named = [word for word in words if word.startswith("tests/")]
     for systemd in (False, True):
