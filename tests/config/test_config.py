@@ -103,7 +103,7 @@ def refusal(call: Callable[..., object], *args: Any) -> str | None:
     return None
 
 
-# --- what is accepted ----------------------------------------------------------------------------
+# --- accepted files -----------------------------------------------------------------------------
 
 
 def test_paper_scene_has_the_values_of_the_paper() -> None:
@@ -183,7 +183,7 @@ def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> 
     assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
 
 
-# --- what every fault says -----------------------------------------------------------------------
+# --- contents of every error --------------------------------------------------------------------
 
 SCENE_FAULTS = [
     ("fingertip.radius_m", 0, ["fingertip.radius_m = 0:", "from 1e-05 to 1000 m", "tested between these"]),
@@ -654,7 +654,7 @@ def test_dotted_entry_names_match_the_longest_name() -> None:
 
 
 def test_another_driver_drops_the_options_of_the_first() -> None:
-    """`device.driver` equal to the file's keeps the options; another driver starts with none."""
+    """If `device.driver` equals the file's driver, its options are retained; another driver starts without options."""
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
     other = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
     assert other == schema.DeviceConfig(driver="simulated", options={"gain": 2})

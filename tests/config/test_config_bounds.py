@@ -1,4 +1,4 @@
-"""What a configuration cannot do: take minutes, fill memory, or have an override that nobody obeys."""
+"""Limits of configuration files: bounded time and memory, and no ignored override."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.plain
 SIZE = 1_000_000
 """Just below the largest file that is read."""
 LATE_S = 120
-"""Each of these takes a few seconds at most; what is not bounded takes an hour."""
+"""Each of these takes a few seconds at most; an unbounded case takes an hour."""
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +55,8 @@ def repeated(part: str) -> str:
     ids=["bare", "quoted", "literal", "table", "array of tables", "inline", "after a string"],
 )
 def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
-    """tomllib takes time and memory with the square of a key's parts: such a key is refused before it sees it."""
+    """Time and memory of tomllib grow with the square of the number of a key's parts: such a key is refused before
+    parsing."""
     path = tmp_path / "long.toml"
     path.write_text("# first\n" + text)
     with pytest.raises(ConfigError, match=rf"long\.toml, line [23]: a key of more than {PARTS_MAX} parts"):
@@ -63,7 +64,8 @@ def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_the_longest_key_is_read() -> None:
-    """The limit is on parts of one key: as many are read, one more is refused; tomllib agrees on what is a key."""
+    """The limit counts the parts of one key: the maximum is read, one more is refused; tomllib agrees on what a key
+    is."""
     longest = ".".join(["a"] * PARTS_MAX)
     assert parse_toml(f"{longest} = 1", "t") == tomllib.loads(f"{longest} = 1")
     with pytest.raises(ConfigError, match="parts"):
@@ -92,7 +94,7 @@ def test_dots_that_are_in_no_key_are_read(text: str) -> None:
     "text", [repeated('"""\\'), repeated("'\"#"), repeated("a-") + ".", repeated('\\"'), repeated("' .")]
 )
 def test_text_of_broken_strings_takes_no_time(text: str) -> None:
-    """Looking for keys goes through any text once."""
+    """The search for keys passes through any text once."""
     with pytest.raises(ConfigError):
         parse_toml(text, "t")
 
@@ -136,7 +138,7 @@ def test_keys_without_number_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_long_list_of_faults_begins_with_the_first(tmp_path: Path) -> None:
-    """A mistake that was pasted eighty times says so in a screen, and keeps all for those who list them."""
+    """Eighty copies of a mistake give an error of one screen, with the complete list as an attribute."""
     path = tmp_path / "pasted.toml"
     path.write_text("".join(f'[[object]]\nname = "o{number}"\nshape = "plane"\noops = 1\n' for number in range(80)))
     with pytest.raises(FaultyConfig) as caught:
@@ -192,7 +194,7 @@ def test_an_override_reaches_into_lists(key: str) -> None:
     ],
 )
 def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
-    """Never ignored: the error names the override and where it came from."""
+    """Overrides are never ignored: the error names the override and its source."""
     with pytest.raises(ConfigError, match=message):
         load_scene("corner", overrides)
 
@@ -206,7 +208,7 @@ def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None
 
 
 def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
-    """A rig whose recording is missing, or no recording, is not usable."""
+    """A rig with a missing or invalid recording is refused."""
     path = tmp_path / "rig.toml"
     (tmp_path / "bad.csv").write_text("t,x\n")
     for recording, message in (("missing.csv", "neither a file"), (str(tmp_path / "bad.csv"), "line 1")):

@@ -1,4 +1,4 @@
-"""Shapes in a scene file: what each accepts, what is refused, and what bodies it becomes."""
+"""Shapes in a scene file: accepted values, refused values, and the bodies of each shape."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ UNSIZED = ("plane", "mesh")
 """Shapes whose tables have no length."""
 
 FROM_FILES = {"heightmap"}
-"""Shapes whose dimensions are in a file: they have tests of their own, in test_heightmap_files."""
+"""Shapes with dimensions in a file, tested in test_heightmap_files."""
 
 
 def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
-    """A scene of one object of that shape, as a file would give it; None leaves a key out."""
+    """Return a scene of one object of that shape, in the layout of a file; None removes a key."""
     thing = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
     thing = {key: value for key, value in thing.items() if value is not None}
     return {"fingertip": {"radius_m": fingertip}, "object": [thing]}
@@ -95,7 +95,7 @@ def sized(shape: str, size: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name not in UNSIZED])
 def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None:
-    """Lengths of 1e-5 m and of 1e3 m are accepted, those just outside refused with the range."""
+    """Lengths of 1e-5 m and of 1e3 m are accepted; values just outside are refused with the range."""
     low, high, _ = limits.LENGTH_M
     for size in (low, high):
         assert thing_of(shape, low, **sized(shape, size)).shape == shape
@@ -116,7 +116,7 @@ def test_dimensions_are_required(shape: str, key: str) -> None:
 
 
 def test_a_cylinder_without_length_has_no_ends() -> None:
-    """Only the cylinder may leave its length out; the capsule must say it."""
+    """Only the cylinder may omit its length; the capsule requires it."""
     assert thing_of("cylinder", length_m=None).length_m is None
     assert any("object[0].length_m is missing" in fault for fault in faults_of("capsule", length_m=None))
 
@@ -162,7 +162,7 @@ def test_outside_any_fingertip_fits(shape: str) -> None:
     ],
 )
 def test_what_a_mesh_cannot_be(keys: dict[str, Any], text: str) -> None:
-    """One fault each, with key, value and what is allowed."""
+    """Each fault gives the key, the value and the allowed values."""
     (fault,) = faults_of("mesh", **keys)
     assert text in fault
 
@@ -186,7 +186,7 @@ def test_a_ring_has_a_hole() -> None:
 
 
 def test_faults_of_place_and_shape_come_together() -> None:
-    """A shape's own checks do not hide those every object has."""
+    """A shape's own checks do not hide those that apply to every object."""
     faults = faults_of("torus", minor_radius_m=0.07, orientation_wxyz=[0, 0, 0, 0])
     assert {fault.split(" = ")[0] for fault in faults} == {
         "f.toml: object[0].minor_radius_m",
@@ -211,7 +211,7 @@ def test_faults_of_place_and_shape_come_together() -> None:
     ],
 )
 def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) -> None:
-    """Hollows with flat walls fall apart into walls, everything else is one body; all leaves are floats."""
+    """Hollow shapes with flat walls become several walls, all others one body; all leaves are floats."""
     bodies = shape_bodies(thing_of(keys[0], **keys[1]))
     assert [type(shape) for shape, _, _ in bodies] == kinds
     for shape, position, orientation in bodies:
@@ -267,7 +267,7 @@ def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
 
 
 def test_the_reference_has_the_dimensions_of_every_shape() -> None:
-    """The generated tables give each dimension with its unit, and say which shapes have it."""
+    """The generated tables list each dimension with its unit and the shapes that have it."""
     tables = schema_verb.markdown("scene").split("### `[[object]]`\n", 1)[1].split("\n### ", 1)[0]
     for shape, keys in SHAPES.items():
         (own,) = re.findall(rf'^\| `"{shape}"` \| .* \| (.*) \|$', tables, re.MULTILINE)

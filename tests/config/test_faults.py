@@ -1,4 +1,4 @@
-"""Files of faults to be injected: what they may say, and what a mistake in one leads to."""
+"""Files of injected faults: accepted contents and errors."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def test_the_page_lists_every_kind() -> None:
     ],
 )
 def test_a_mistake_is_told_with_its_key(given: dict[str, Any], words: str) -> None:
-    """Which key, the value, what it may be: one line for one mistake."""
+    """The error has the key, the value and the allowed values: one line per mistake."""
     with pytest.raises(ConfigError, match=words) as told:
         faults(**given)
     assert "\n" not in str(told.value)
 
 
 def test_an_unknown_name_is_told_with_a_near_one() -> None:
-    """A name that is not shipped: what is, and the nearest."""
+    """The error for an unknown name lists the shipped names and the most similar one."""
     with pytest.raises(ConfigError, match=r"no file of faults is called 'teleprt'.*did you mean 'teleport'"):
         load_faults("teleprt")
 
@@ -91,7 +91,7 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
 def test_whatever_a_file_says_it_is_faults_or_a_message(tables: Any) -> None:
-    """Random tables: faults whose kernels' rows are numbers in range, or an error that names the file."""
+    """Random tables give either faults whose kernel rows are numbers in range, or an error that names the file."""
     said = ""
     try:
         made = build(Faults, {"fault": tables}, "my-faults.toml")

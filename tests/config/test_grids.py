@@ -1,4 +1,4 @@
-"""Arrays that a scene names: the same numbers from each format, and one clear error for what is none."""
+"""Arrays named by a scene: every format gives the same numbers; other files give one clear error."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_archive_of_several_arrays_is_refused(tmp_path: Path) -> None:
 
 
 def test_claims_of_a_header_make_no_room(tmp_path: Path) -> None:
-    """Arrays that say they are terabytes, in a few bytes of file, and an archive that unpacks to more than any grid."""
+    """Files of a few bytes whose headers claim terabytes, and an archive that unpacks to more than the largest grid."""
     header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 40, 1)}
     with (tmp_path / "vast.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)

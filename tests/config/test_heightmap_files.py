@@ -1,4 +1,4 @@
-"""Height maps as a scene file names them: where the file is looked for, what is said of it, refused and drawn."""
+"""Height maps of a scene file: search path, description, errors and display."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scene_file(folder: Path, heights: Any = HEIGHTS, text: str = SCENE) -> Path:
 
 
 def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
-    """What is said of a scene with such a map, which cannot be used."""
+    """Return the error for a scene with an unusable height map."""
     with pytest.raises(ConfigError) as caught:
         build_scene(load_scene(scene_file(folder, heights, text)))
     return str(caught.value)
@@ -79,7 +79,7 @@ def test_check_says_size_and_heights(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_map_is_said(tmp_path: Path, heights: Any, said: str) -> None:
-    """One line: the object, its key, the file, what is wrong with it."""
+    """One line: the object, its key, the file and the fault."""
     message = refusal(tmp_path, heights)
     assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
@@ -146,7 +146,7 @@ def test_pictures_show_the_map(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])
 def test_a_profile_is_shown_as_deep_as_it_is_wide(tmp_path: Path, heights: Any) -> None:
-    """It has no end on either side, and one row alone would have no triangle."""
+    """It is infinite along the other axis, and a single row would have no triangle."""
     (vertices, faces), of = picture_of(load_scene(scene_file(tmp_path, heights)).object[0])  # type: ignore[arg-type]
     width, depth = np.ptp(vertices, axis=0)[:2]
     assert width == depth == pytest.approx(0.002 * (heights.size - 1)) and len(faces) == of == 2 * (heights.size - 1)

@@ -42,15 +42,15 @@ pytestmark = pytest.mark.plain
 
 STRANGER = 54321
 HANGS_S = 60
-"""Longer than any of these takes on a busy machine; what waits for a pipe waits for ever."""
+"""Longer than any of these takes on a busy machine; a read of a pipe never ends."""
 GROWTH_MAX_MB = 400
-"""The largest limit in drivers/containers.py and drivers/poses.py is 160 MB, an array may be there twice, and
-zstd keeps a window of up to 128 MB. Each bomb is above."""
+"""The largest limit in drivers/containers.py and drivers/poses.py is 160 MB, an array may exist twice, and zstd has a
+window of up to 128 MB. Each bomb is larger."""
 
 
 @pytest.fixture(autouse=True)
 def _no_waiting() -> Iterator[None]:
-    """What hangs fails."""
+    """Fail if a test hangs."""
 
     def late(*_: object) -> None:
         raise TimeoutError("it hangs")
@@ -133,7 +133,7 @@ LARGE = 1 << 30
 
 
 def mcap_of(compression: str, data: bytes, size: int) -> bytes:
-    """An MCAP file of one chunk that says to have `size` bytes unpacked."""
+    """Return an MCAP file with one chunk that claims to unpack to `size` bytes."""
 
     def text(value: str) -> bytes:
         return struct.pack("<I", len(value)) + value.encode()
@@ -157,7 +157,7 @@ def lz4_zeros(known: bool) -> bytes:
 
 
 def npz_of_claims(path: Path) -> None:
-    """A small file whose header says to be followed by more than there is memory."""
+    """Return a small file whose header claims more data than there is memory."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("timestamp.npy", "w") as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (1 << 45,)})
 
@@ -220,7 +220,7 @@ def some_records(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("ending", poses.ENDINGS)
 def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
-    """Each format has the same limit, to the row, and says it."""
+    """Each format has the same limit, exact to the row, and its error states it."""
     path = tmp_path / f"long{ending}"
     write_results(path, some_records(5))
     monkeypatch.setattr(poses, "POSES_MAX", 4)
@@ -257,7 +257,7 @@ OUTPUTS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_no_planted_name_is_written_through(tmp_path: Path, name: str) -> None:
-    """Links under every name that can be foreseen are left alone, and so is what they lead to."""
+    """Links under all predictable names, and the files that they point to, are not changed."""
     victim = tmp_path / "victim"
     victim.write_text("precious")
     for planted in (f".{name}.part", f"{name}.part", f"{name}.lock", f"{name}.tmp"):
@@ -271,7 +271,7 @@ def test_no_planted_name_is_written_through(tmp_path: Path, name: str) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="makes links of another user")
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_a_link_of_another_user_is_not_written_through(tmp_path: Path, name: str) -> None:
-    """In a folder for all, such as /tmp, a link of a stranger under the very name asked for is refused."""
+    """In a folder for all users, such as /tmp, a link of another user under the requested name is refused."""
     shared, victim = tmp_path / "shared", tmp_path / "victim"
     shared.mkdir()
     shared.chmod(0o1777)
@@ -285,7 +285,7 @@ def test_a_link_of_another_user_is_not_written_through(tmp_path: Path, name: str
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
-    """Under a pipe's name a whole file takes its place; what is written as one goes is refused. Nothing waits."""
+    """A complete file replaces a pipe of that name; output written as a stream is refused. Nothing waits."""
     os.mkfifo(tmp_path / name)
     if name in ("live.mcap", "sweep.mcap"):
         with pytest.raises(RecordingError, match=name):
@@ -296,7 +296,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    """A disk that fills up while a file is written costs neither what was there before nor a name beside it."""
+    """A disk that fills up during a write neither changes the old file nor leaves a temporary one."""
     path = tmp_path / "o.csv"
     path.write_text("before")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -310,7 +310,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_a_lock_file_is_not_made_through_a_link(tmp_path: Path) -> None:
-    """Telemetry on a path locks PATH.lock: a link there is refused and what it leads to is not made."""
+    """Telemetry on a path locks PATH.lock: a link there is refused and its target is not created."""
     (tmp_path / "t.lock").symlink_to(tmp_path / "victim")
     with pytest.raises(ConfigError, match=r"t\.lock"):
         Publisher(f"ipc://{tmp_path}/t").close()
@@ -324,7 +324,7 @@ def test_an_address_without_a_file_is_refused() -> None:
 
 
 def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The size is looked at, and counted too: a file under /proc has the size 0, whatever is in it."""
+    """The size is checked and the bytes are counted: a file under /proc has size 0 with any content."""
     path = tmp_path / "file"
     path.write_bytes(bytes(100))
     assert files.read_input(path, 100) == bytes(100)

@@ -1,4 +1,5 @@
-"""`world.mass_kg`, and `mass.BODY` of an experiment, beside what MuJoCo compiles of a model that has these masses."""
+"""`world.mass_kg`, and `mass.BODY` of an experiment, compared with MuJoCo's compilation of a model with these
+masses."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ KINDS: Final = {
 
 
 def model(kind: str, scale: int) -> str:
-    """A model whose body `a` has `scale` times the mass of the first."""
+    """Return a model whose body `a` has `scale` times its first mass."""
     body, compiler = KINDS[kind]
     return MODEL.replace("{compiler}", compiler).replace(
         "{body}", body.replace("{m}", str(scale)).replace("{d}", str(100 * scale)) + f'<body name="b">{ROD}</body>'
@@ -66,7 +67,7 @@ def model(kind: str, scale: int) -> str:
 
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
-    """Three times the mass, however a model gives it: every number is MuJoCo's own of a file with that mass."""
+    """Three times the mass, for every way to define it: every number equals that of a file with this mass."""
     (tmp_path / "one.xml").write_text(model(kind, 1))
     expected = mujoco.MjModel.from_xml_string(model(kind, 3))
     mass = {"a": float(expected.body("a").mass[0])}
@@ -90,7 +91,7 @@ def test_what_has_no_mass_is_refused(body: str, mass: float, tmp_path: Path) -> 
 
 
 def test_a_model_of_several_files(tmp_path: Path) -> None:
-    """A mesh, an included file, a scene beside both: named from another folder, and simulated with the other mass."""
+    """A mesh and an included file, with the scene in another folder, simulated with the other mass."""
     body = '<body name="ball" pos="0 0 1"><freejoint/><geom name="skin" type="mesh" mesh="ball"/></body>'
     (tmp_path / "part.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     mesh = write_stl(tmp_path / "ball.stl")
@@ -115,7 +116,7 @@ def write_stl(path: Path) -> str:
 
 
 def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:
-    """What an experiment overrides is in the scene that its daemon gets, with nothing in a folder that is gone."""
+    """The daemon gets a scene with the overridden masses, and no files of a deleted folder."""
     changes = {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"}
     with pytest.raises(
         FaultyConfig, match=r"there is no object\.table"

@@ -129,7 +129,7 @@ def tip_of(fingertip: Any) -> Fingertip:
 
 @pytest.mark.parametrize("name", TIPS)
 def test_every_fingertip_is_one_a_scene_may_have(name: str) -> None:
-    """A name is enough for a radius and a patch, as the whole value or as the key `pad`."""
+    """The name gives a radius and a patch, both as the whole value and as the key `pad`."""
     tip = tip_of(name)
     assert tip == tip_of({"pad": name})
     assert tip.patch is not None and tip.radius_m is not None and 0.005 <= tip.radius_m <= 0.015
@@ -185,7 +185,7 @@ def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
 
 
 def test_a_described_scene_does_not_ask_the_library() -> None:
-    """A removed part stays removed, and described values apply even if the name is no longer in the library."""
+    """A removed part stays removed, and resolved values apply even if the name is no longer in the library."""
     mapping = describe(scene_of({"name": "rubber", "torsion": None}))
     assert build(Scene, mapping, "again").object[0].material.torsion is None
     mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}

@@ -1,8 +1,8 @@
-"""Distances from all triangles of a mesh, each of them asked for each point, in float64.
+"""Distances of points from all triangles of a mesh, in float64.
 
-A triangle is left out only where its bounding ball is farther than a corner of another: that is certain. The formula
-is that of `triangles.py`, plane or edges, and shares nothing with the kernels'; compiled, so that a million points can
-be asked of fifty thousand triangles, and kept as kernels are. Where nothing is compiled `triangles.py` is asked.
+A triangle is skipped only if its bounding ball is farther than a corner of another triangle, which is exact. The
+formula is that of `triangles.py` (plane or edges) and shares nothing with the kernels. It is compiled and cached, for a
+million points on fifty thousand triangles; without compilation `triangles.py` is used.
 """
 
 from __future__ import annotations

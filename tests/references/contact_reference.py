@@ -1,7 +1,7 @@
-"""One tick of the contact on a plane, written slowly and plainly: numpy vectors, matrices, no kernels.
+"""One tick of the contact on a plane, written for clarity: numpy vectors and matrices, no kernels.
 
-Written from the model's equations alone, so that a slip of the pen in the kernels has no twin here.
-Where the equations leave a choice, the choice is named in a comment.
+It follows the equations of the model only, so that it cannot share a mistake with the kernels. A comment names each
+choice that the equations leave open.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Parameters:
 
 @dataclass
 class Outcome:
-    """What one tick gives; vectors (3,) in the world."""
+    """Result of one tick; vectors (3,) in the world."""
 
     mode: int
     cause: str
@@ -139,7 +139,7 @@ class ReferenceContact:
         self.phi = min(max(self.phi + spin, -limit), limit)
         if was_sliding:
             return self._restick(size, slip, dt, cause)
-        # The slip of the tick on which a slide begins is where the low-pass starts.
+        # The low-pass starts with the slip of the tick in which sliding begins.
         self.slip_speed, self.e_pl = slip / dt, size - slip
         return cause
 

@@ -1,13 +1,13 @@
 """An ellipsoid that rolls without slip on a surface F(p) = 0, integrated to the eighth order.
 
-Both points of contact are followed, p on the object and s on the ellipsoid (in its own frame):
+Both contact points are integrated, p on the object and s on the ellipsoid (in its own frame):
 
     (W_o + R W_f R^T) p' = w x n        s' = R^T p'
 
-with the shape operators of both from the second derivatives of their equations: Montana's equations, without
-coordinates. Nothing is shared with the kernels, which move the ellipsoid's centre by nearest points and know no
-curvature. W_f is taken where the ellipsoid has the normal opposite to the object's, since errors of s would grow by
-themselves; that s arrives there too, by its own equation, tells whether the path is right.
+with the shape operators of both from the second derivatives of their equations. These are Montana's equations without
+coordinates. Nothing is shared with the kernels, which move the ellipsoid's centre by nearest points and use no
+curvature. W_f is evaluated at the point with the normal opposite to the object's, since errors of s would grow; the
+agreement of s, integrated by its own equation, verifies the path.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def roll_ellipsoid(
         turned = matrix(q)
         n, bend = normal_and_curvature(p, shape)
         _, own = normal_and_curvature(touching_at(semi_axes, q, n), body)
-        # Both operators are those of the tangent plane; along n there is nothing to solve for.
+        # Both operators act in the tangent plane; there is no equation along n.
         moved = np.linalg.solve(bend + turned @ own @ turned.T + np.outer(n, n), np.cross(w, n))
         turning = 0.5 * np.array([-w @ q[1:], *(q[0] * w + np.cross(w, q[1:]))])
         return np.concatenate([moved, turned.T @ moved, turning, [w @ n]])

@@ -1,4 +1,4 @@
-"""A hand that moves tick by tick, and the trace of what the engine answered."""
+"""Hand that moves tick by tick, and the trace of the engine's results."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Trace:
 
     @property
     def causes(self) -> list[str]:
-        """The causes alone, in order."""
+        """Return only the causes, in order."""
         return [cause for _, cause in self.events]
 
 

@@ -1,6 +1,6 @@
 """One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events.
 
-Written from the equations alone: it shares nothing with the exact plant but the numbers of the case.
+Written from the equations: it shares only the numbers of the case with the exact plant.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Handle:
 def integrate(
     handle: Handle, period: float, commands: NDArray[np.float64], goals: NDArray[np.float64], x: float, v: float = 0.0
 ) -> NDArray[np.float64]:
-    """Position and velocity (n + 1, 2) at the ticks, under commands (n,) N held and goals (n + 1,) m joined."""
+    """Return position and velocity (n + 1, 2) at the ticks, for commands (n,) N held constant and goals (n + 1,) m
+    interpolated."""
     a, out = 0.0, [(x, v)]
     for n, u in enumerate(commands):
         w = (goals[n + 1] - goals[n]) / period
@@ -67,7 +68,7 @@ def _tick(
         events = []
         if h.friction > 0.0:
             if way:
-                # A start from rest is no stop: the event is found a rounding late.
+                # A start from rest is no stop: the event is found slightly late, by rounding.
                 events = [lambda t, y, way=way: way * y[1] + 1e-15]
                 events[0].direction = -1.0
             else:

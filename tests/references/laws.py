@@ -89,10 +89,10 @@ def axis_angles(orientations: Array) -> Array:
 
 
 def work_of_the_hand(records: Array) -> Array:
-    """Work (n,) J that the hand has put in up to each tick, each tick's motion against the wrench at its end.
+    """Return the work (n,) J of the hand up to each tick: each tick's motion times the wrench at its end.
 
-    For springs this is never less than what they store, tick by tick (their energy is convex), so a contact
-    that gives back more than it got shows at once, whatever the time step.
+    For springs, whose energy is convex, this is never less than their stored energy, so a contact that returns more
+    energy than it received is detected at once, at any time step.
     """
     moved = np.diff(column(records, "probe.position", 3), axis=0)
     turned = axis_angles(column(records, "probe.orientation", 4))

@@ -1,4 +1,4 @@
-"""Reads the published numbers; the file beside this one says where they were printed."""
+"""Read the published numbers; the data file names where they were printed."""
 
 from __future__ import annotations
 

@@ -29,10 +29,11 @@ def zxz_angles(rotation: Array) -> tuple[float, float, float]:
 def zxz_roll(
     rotation: Array, normal: ArrayLike, heading: Literal["half_way", "phi"] = "half_way"
 ) -> tuple[Array, float, float]:
-    """Roll vector theta e (3,) rad in the tangent plane, theta, and spin about the normal, of a world rotation.
+    """Return the roll vector theta e (3,) rad in the tangent plane, theta, and the spin about the normal, of a world
+    rotation.
 
-    Spin is phi + psi, taken as one angle: where theta is rounding, phi and psi each are noise and
-    their sum is noise too, while (1 + cos theta) e^(i (phi + psi)) stands in the matrix.
+    Spin is phi + psi, computed as one angle: at small theta, phi and psi are noise, and so is their sum, but the matrix
+    contains (1 + cos theta) e^(i (phi + psi)).
     """
     frame = tangent_frame(normal)
     local = frame.T @ rotation @ frame

@@ -1,4 +1,4 @@
-"""Points of surfaces found the other way round: from the surface outwards, from parameters and formulas.
+"""Points of surfaces from parameters and formulas, from the surface outwards.
 
 Shapes are the kernels' named tuples; nothing else of the kernels is used.
 """

@@ -1,4 +1,4 @@
-"""Distances from triangles, each asked by a formula of its own: that of its plane, or of its edges."""
+"""Distances from triangles, with a separate formula for the plane and for the edges."""
 
 import numpy as np
 

@@ -1,8 +1,8 @@
 """A sampled wave behind a Gaussian filter and a cubic B-spline, in closed form.
 
-Samples c_j = exp(2 pi i f u_j) at the spacing p, as coefficients of a B-spline of degree 3, make
-sum over k of sinc(f p + k)^4 exp(2 pi i (f + k / p) (u - u_0)) exp(2 pi i f u_0): Poisson's sum of the B-spline, whose
-transform is sinc^4. A Gaussian keeps the share REST^((cutoff f)^2) of every wave.
+Samples c_j = exp(2 pi i f u_j) at the spacing p, as coefficients of a B-spline of degree 3, give sum over k of sinc(f p
++ k)^4 exp(2 pi i (f + k / p) (u - u_0)) exp(2 pi i f u_0). This is Poisson's sum of the B-spline, whose transform is
+sinc^4. A Gaussian multiplies each wave by REST^((cutoff f)^2).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 TERMS = 4000
 REST = 0.01
-"""What the scene format promises to be left at the cutoff."""
+"""Amplitude at the cutoff, as defined by the scene format."""
 
 
 def tail(turns: int, count: int) -> float:

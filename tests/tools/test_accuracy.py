@@ -46,7 +46,7 @@ def test_the_options_name_every_surface_and_method() -> None:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What `--json` prints for a plane and a torus, with the plot of it."""
+    """Output of `--json` for a plane and a torus, with the plot."""
     words = ["accuracy", "--quick", "--json", "--surface", "plane", "torus", "--rate", "8", "16", "32", "1000"]
     methods = ["euler_zxz", "rotation_vector", "midpoint", "montana_rk4"]
     plot = tmp_path_factory.mktemp("accuracy") / "front.png"
@@ -64,7 +64,7 @@ def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
 
 
 def test_json_has_what_is_promised(result: dict[str, Any]) -> None:
-    """Sections and keys are those that other programs read; every method is on every surface it is there for."""
+    """Sections and keys are those that other programs read; every method appears on every surface that it supports."""
     assert {"motion", "method", "max_error_mm"} <= result["paper"][0].keys()
     speed = {"classical_ns_per_step", "euler_zxz_ns_per_step", "rotation_vector_ns_per_step", "ratio"}
     assert speed <= result["speed"].keys()
@@ -101,7 +101,7 @@ def test_paper_rows(result: dict[str, Any], motion: str, method: str, largest_mm
 
 
 def test_exact_methods_are_exact_in_the_paper(result: dict[str, Any]) -> None:
-    """Along the line all methods that take the logarithm are exact, and so is the classical way, to 1e-12 m."""
+    """Along the line, all methods that use the logarithm and the classical method are exact to 1e-12 m."""
     for row in result["paper"]:
         if row["motion"] == "world" and not row["method"].startswith("euler"):
             assert max(row["max_error_mm"]) < 1e-9
@@ -153,16 +153,16 @@ def test_classical_way_on_a_torus() -> None:
 
         count = roll_classical(TORUS, R, at, Steps(dq, 0.01, spin_rate), MAX_STEP_SHARE, path, stopwatch(1))
         points, _, _ = roll_path(TORUS, R, center, here.z, rate, 0.2).at(np.linspace(0.01, 0.2, 20))
-        # Steps of 6 mrad at the fifth order; the tolerance alone would allow 1e-3 of the coordinates.
+        # Steps of 6 mrad at the fifth order; the tolerance by itself would allow 1e-3 of the coordinates.
         assert np.abs(path - points).max() < 1e-11
         assert count >= 61 * 20
 
 
 def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> None:
-    """At a constant rate the ZXZ angles of a step miss its roll and its spin by what half-angle formulas say.
+    """At a constant rate, the ZXZ angles of a step miss its roll and its spin by the amounts of half-angle formulas.
 
-    The straight path is too short or too long by the same in each step, so the end is furthest off. What takes the
-    logarithm is exact.
+    The straight path is too short or too long by the same amount in each step, so the end has the largest error.
+    Methods that use the logarithm are exact.
     """
     for row in rows(result, surface="plane", motion="constant"):
         half, count = W * row["step_s"] / 2, row["steps"]
@@ -177,7 +177,7 @@ def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> Non
 
 
 def test_orders(result: dict[str, Any]) -> None:
-    """Measured orders are those of the rules; where the rate changes within a step none has more than 2."""
+    """Measured orders equal the theoretical ones; if the rate changes within a step, no method exceeds order 2."""
     found = {(row["surface"], row["motion"], row["method"]): row["order"] for row in result["orders"]}
     # The next order's share at the steps from 1/32 to 1/8 s, of up to a quarter of a radian.
     for key, order in {
@@ -266,7 +266,8 @@ def point(method: str, ns: float, error: float, rate: float = 1000.0, **more: An
 
 
 def test_front_of_hand_made_points() -> None:
-    """Chosen is what no cheaper point comes near in error: it halves it, and rounding is all one."""
+    """A point is on the front if no cheaper point has at most twice its error; errors at the level of rounding are
+    equal."""
     made = [
         point("dear and bad", 100, 1e-3),
         point("exact", 80, 1e-17),
@@ -290,13 +291,13 @@ def test_fronts_and_orders_look_at_the_ladder_only() -> None:
     ladder = [point("a", 10, 3.0 / rate**3, rate=rate) for rate in (100.0, 200.0, 300.0, 400.0)]
     (order,) = front.orders(ladder + made[1:])
     assert order["order"] == pytest.approx(3.0)
-    # By the three smallest errors: a step too long for the law to hold says nothing.
+    # From the three smallest errors: too long steps are outside the range of the law.
     (order,) = front.orders([point("a", 10, 1.0, rate=50.0), *ladder])
     assert order["order"] == pytest.approx(3.0)
 
 
 def test_recommendations() -> None:
-    """The cheapest method that keeps the error; where none does, that is said, with the least error there is."""
+    """The cheapest method that keeps the error; if there is none, the report states the smallest error available."""
     made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
     found = front.recommendations(made, (1e-5, 1e-7, 1e-12))
     assert [row["method"] for row in found] == ["fast", "fine", None]
@@ -328,14 +329,14 @@ def test_bad_values_are_named(words: list[str], message: str) -> None:
 
 
 def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without scipy the error says what to install."""
+    """Without scipy the error names the package to install."""
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)
     with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
         paper.exact_path("world")
 
 
 def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    """A surface that does not exist ends with exit code 2 and the list of those that do."""
+    """An unknown surface ends with exit code 2 and the list of known ones."""
     with pytest.raises(SystemExit) as stop:
         main(["accuracy", "--surface", "cone"])
     assert stop.value.code == 2
@@ -356,7 +357,7 @@ def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) 
 
 
 def test_report_has_every_section(result: dict[str, Any], tmp_path: Path) -> None:
-    """What people read has the machine, the paper's numbers, the front and the recommendations."""
+    """The text report has the machine, the paper's numbers, the front and the recommendations."""
     write_report(result, tmp_path / "report.txt")
     text = (tmp_path / "report.txt").read_text(encoding="utf-8")
     assert "0.00387   0.00393" in text

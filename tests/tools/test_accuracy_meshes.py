@@ -1,4 +1,4 @@
-"""`accuracy --meshes`: a mesh of a surface comes near to it at the order that geometry says."""
+"""`accuracy --meshes`: meshes converge to their surface at the theoretical order."""
 
 import numpy as np
 import pytest
@@ -25,10 +25,10 @@ SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
-    """Half as long edges: the force and how far the contact point is off the surface are a quarter of what they were,
-    since a facet bulges by the square of its size; so is the angle that is rolled over many edges, where errors of
-    direction cancel. The force's direction is nearer by half, and shaded it is so from the start. So is what a hand
-    winds that goes as the fingertip rolls: the way over a facet, until its edge takes that back."""
+    """Halving the edges divides the error of the force and of the contact point's distance from the surface by four,
+    since the height of a facet is quadratic in its size. So it does for the rolled angle over many edges, where errors
+    of direction cancel. The error of the force's direction is halved, and small from the start with shading. The
+    winding of a rolling hand's path over a facet, which the next edge takes back, is halved as well."""
     rows = list(converge(name, FINENESS))
     found = orders(rows)
     assert found["force_n"] > 1.8 and found["point_m"] > 1.8
@@ -48,8 +48,8 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> None:
-    """Half as long ticks leave the difference from the surface as it was: it is the mesh's, and nothing is lost in the
-    tick that goes over an edge. An error of first order in the tick would be half."""
+    """Halving the tick leaves the difference from the surface unchanged: it comes from the mesh, and the tick that
+    crosses an edge adds no error. An error of first order in the tick would be halved."""
     long, short = (next(converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (TICKS // 2, TICKS))
     assert short == pytest.approx(long, rel=0.05)
 
@@ -57,8 +57,9 @@ def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> Non
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", CASES)
 def test_paths_go_askew_over_edges(name: str) -> None:
-    """Each comes near to four facets of other normals at least, even where they are few: a path that stays on one has
-    nothing to lose at edges. Its angles sum up to that of the path, r d(theta) = |dc|, c on the surface grown by r."""
+    """Each path passes at least four facets with different normals, even on coarse meshes: a path on a single facet
+    cannot show errors at edges. Its angles sum up to that of the path, r d(theta) = |dc|, with c on the surface grown
+    by r."""
     vertices, triangles = CASES[name].triangles(FINENESS[1])
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
@@ -74,7 +75,8 @@ def test_paths_go_askew_over_edges(name: str) -> None:
 
 
 def test_triangles_are_wound_outward_and_join() -> None:
-    """Each edge of the closed ones has two triangles, one each way; the volume is that of the solid, to the facets."""
+    """Each edge of the closed meshes has two triangles with opposite directions; the volume is that of the solid, to
+    the accuracy of the facets."""
     for name in ("ball", "torus"):
         vertices, triangles = CASES[name].triangles(8)
         edges = [tuple(edge) for t in triangles.tolist() for edge in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))]

@@ -1,4 +1,4 @@
-"""`accuracy --heightmap`: what the smooth surface of a height map gives over a mesh of the same pixels."""
+"""`accuracy --heightmap`: accuracy of the smooth surface of a height map compared with a mesh of the same pixels."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,8 @@ pytestmark = pytest.mark.plain
 
 
 def test_the_paths_lie_on_the_hills() -> None:
-    """Their points satisfy the equation, and their normals are those of its gradient, by differences of heights."""
+    """Points of the paths satisfy the surface's equation, and their normals are its gradient, by differences of
+    heights."""
     for way in paths(20):
         x, y, z = way.points.T
         np.testing.assert_allclose(z, HILLS.height(x, y), rtol=0, atol=1e-12)
@@ -32,8 +33,8 @@ def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
 
 @pytest.mark.exhaustive
 def test_a_height_map_is_of_higher_order_than_a_mesh_of_its_pixels() -> None:
-    """Half the pitch: heights of the spline are of the fourth order and slopes of the third, those of triangles of the
-    second and first. Between, a hand that goes as the fingertip rolls winds next to nothing on the spline."""
+    """Halving the pitch shows fourth order for the spline's heights and third for its slopes, second and first for
+    triangles. The path of a rolling hand winds hardly at all on the spline."""
     ways = paths(1000)
     found = {(kind, pitch): compare(kind, pitch, ways) for kind in KINDS for pitch in (0.004, 0.002)}
 

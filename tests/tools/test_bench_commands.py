@@ -1,4 +1,5 @@
-"""`bench commands`: a daemon under commands, seen through its telemetry; no set is torn, no step above the limit."""
+"""`bench commands` on a daemon, observed through its telemetry: no set of parameters is torn, no force step exceeds the
+limit."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ pytestmark = pytest.mark.real_time
 
 
 def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Sets are felt and whole; scenes are felt again after each turn, no faster than the guard allows."""
+    """Every set takes effect as a whole; the force returns after each change of scene, no faster than the guard
+    allows."""
     drawing = tmp_path / "memory.svg"
     words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
     assert cli.main(["bench", "commands", *words, "--json"]) == 0
@@ -31,7 +33,8 @@ def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_torn_set_would_be_seen() -> None:
-    """The stiffness of one pair with the force of another is another sum; what the guard changed does not count."""
+    """The stiffness of one pair with the force of another gives a different sum; ticks changed by the guard do not
+    count."""
     rows = np.zeros((4, 6))
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
     rows[3, 3] = 2.0

@@ -1,4 +1,4 @@
-"""`bench soak`: what grows is found in made series, and a short run of the real thing has every process and figure."""
+"""`bench soak` detects growth in synthetic series, and a short real run reports every process and figure."""
 
 from __future__ import annotations
 

@@ -124,8 +124,7 @@ def test_a_recording_is_reported(here: Here, home: Path) -> None:
 
 
 def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, home: Path) -> None:
-    """A hand at rest is pushed along +x, +y, +z; the range of motion is that of the pushes; --json prints the
-    report."""
+    """A hand at rest is pushed along +x, +y, +z; the range of motion equals the pushes; --json prints the report."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
     words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
@@ -238,8 +237,8 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
 def test_an_interrupted_report_is_written(number: signal.Signals, part: str, home: Path) -> None:
-    """Interrupted during the exchange or a push, the report has the measurements so far and `ended`, and the last force
-    is zero."""
+    """After an interruption during the exchange or a push, the report has the measurements so far and `ended`, and the
+    last force is zero."""
     rig = home / "kept.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(

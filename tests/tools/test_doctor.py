@@ -42,7 +42,7 @@ def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The verb on this machine, with an endpoint that is held: one check is bad whatever the machine."""
+    """The verb on this machine, with an endpoint in use, so that one check is bad on every machine."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         rig = tmp_path_factory.mktemp("rig") / "doctor.toml"
@@ -63,7 +63,8 @@ def named(result: dict[str, Any], name: str) -> dict[str, str]:
 
 
 def test_every_check_is_made(result: dict[str, Any]) -> None:
-    """Each has a name, one of the three states, what was seen and wanted, and a remedy where it is not good."""
+    """Each check has a name, one of the three states, the found and the required value, and a remedy unless it is
+    good."""
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
     real_time = {
@@ -80,8 +81,8 @@ def test_every_check_is_made(result: dict[str, Any]) -> None:
 
 
 def test_a_held_endpoint_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
-    """The endpoint that is in use is named with what to do, and the exit code is that of Unfit, whose message names
-    every bad check."""
+    """The error names the endpoint with a remedy, and the exit code is that of Unfit, whose message names every bad
+    check."""
     check = named(result, "telemetry endpoint")
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"]
@@ -102,7 +103,7 @@ def test_figures_are_those_of_a_run(result: dict[str, Any]) -> None:
 
 
 def test_settings_are_really_made_and_given_back() -> None:
-    """Each setting is a check with what realtime says of it; afterwards this thread is scheduled as before."""
+    """Each setting is a check with the message of realtime; afterwards this thread has its previous scheduling."""
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
     checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}
@@ -139,7 +140,7 @@ def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
     ],
 )
 def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: tuple[str, str]) -> None:
-    """Share of missed ticks and p99 of the lateness, at 1 kHz; without a compiler that is said."""
+    """The checks use the share of missed ticks and the p99 of the lateness at 1 kHz; a missing compiler is reported."""
     result = {"rate_hz": 1000.0, "servo": {"ticks": 10_000, "missed": missed, "late": {"p99": p99}}}
     checks = loop.judge_loop(result)
     assert tuple(check.state for check in checks) == states
@@ -175,7 +176,7 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A package that is needed and not installed is named in the command that installs it; extras are not asked for."""
+    """A missing required package is named in the command that installs it; extras are not required."""
     assert {"numpy", "numba", "pyzmq"} <= machine.versions().keys()
     assert not {"viser", "pytest"} & machine.versions().keys()
     required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
@@ -203,7 +204,7 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
 
 
 def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Missing, it is bad for a rig of Force Dimension and no matter for others."""
+    """A missing vendor library is bad for a rig of Force Dimension and irrelevant for others."""
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -214,7 +215,7 @@ def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch:
 
 
 def test_the_text_says_what_mends() -> None:
-    """A good check is one line; another has what is wanted and what to do below it."""
+    """A good check is one line; other checks have the required value and the remedy below."""
     good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
     assert len(lines([good])) == 1
     assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "mend it: do this"]
@@ -233,7 +234,7 @@ def test_the_text_says_what_mends() -> None:
 def test_bad_words_give_one_clear_error(
     words: list[str], pieces: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A wrong value says what, where and what is allowed, before anything is measured."""
+    """The error for a wrong value has the value, the option and the range, before anything is measured."""
     assert main(["doctor", *words]) == 2
     output, errors = capsys.readouterr()
     assert output == ""

@@ -1,4 +1,4 @@
-"""`doctor` and the problems that people have: each is planted, found by its check, and mended by what it says."""
+"""`doctor` detects planted problems of a machine, and its remedies solve them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def folder() -> Iterator[Path]:
 
 
 def system(folder: Path, **files: str) -> Path:
-    """A machine's own files below a folder, `__` for a slash in their names."""
+    """Files of the machine below a folder, with `__` for a slash in their names."""
     for name, text in files.items():
         path = folder / name.replace("__", "/")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -41,7 +41,7 @@ def system(folder: Path, **files: str) -> Path:
 
 @contextmanager
 def as_nobody() -> Iterator[None]:
-    """As a user who is not root, whom no mode would keep out."""
+    """Run as a user other than root, to whom file modes apply."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(65534)
@@ -52,7 +52,7 @@ def as_nobody() -> Iterator[None]:
 
 
 def device(rig: Rig, node: Path) -> Check:
-    """What is said of a puck at a node."""
+    """Return the report on a puck at a device node."""
     (check,) = attached.devices(rig, [Attached("hid", 0x046D, 0xC626, "Puck", "", str(node))])
     return check
 
@@ -163,7 +163,8 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
 def test_a_planted_problem_is_found(
     problem: str, state: str, seen: str, remedy: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Named, with what mends it; without it the same check is better, so it is the problem that was found."""
+    """The problem is named with its remedy; without it the same check is better, so the check has found this
+    problem."""
     with ExitStack() as keep:
         sound, planted = sound_and_planted(problem, folder, keep, monkeypatch)
         before = sound()

@@ -1,4 +1,4 @@
-"""The measurement of what a driver's tick costs: that it exchanges with every stand-in, and says what it must."""
+"""The measurement of a driver's tick exchanges with every stand-in and reports correct numbers."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_every_driver_is_measured(tmp_path: Path) -> None:
-    """Each tick of each driver reads anew and writes in full, its time is that of the bare calls and its own, and the
-    figure is drawn."""
+    """Each tick of each driver reads a new sample and writes completely; its time is the sum of the direct calls and
+    the driver's own; the figure is drawn."""
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
@@ -36,8 +36,8 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
         "spacemouse",
     ]
     for name, one in found["seconds"].items():
-        # a stall of the machine may pass the drivers' own time limits
-        assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # threads of others answer those
+        # a stall of the machine may exceed the drivers' time limits
+        assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # other threads answer these
         assert one["driver"] == pytest.approx(one["bare"] + one["own"], rel=1e-9)
         assert one["bare"] > 0.0 and one["least"] <= one["most"]
     assert figure.stat().st_size > 1000

@@ -1,4 +1,4 @@
-"""The tick at the ends of its inputs, and the judge that decides whether it held."""
+"""The tick at the extremes of its inputs, and the check of its results."""
 
 import math
 
@@ -16,7 +16,7 @@ CASES = list(extremes.cases())
 
 @pytest.fixture(autouse=True)
 def _numbers_of_any_size():
-    """A kernel says nothing of what overflows, and refuses what comes of it; numpy, as plain Python, would warn."""
+    """Kernels do not warn of overflows, and refuse their results; numpy, as plain Python, would warn."""
     with np.errstate(all="ignore"):
         yield
 
@@ -24,7 +24,8 @@ def _numbers_of_any_size():
 @pytest.mark.sampled(14)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
 def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
-    """Force finite and bounded, a mode of the three, what was refused named, and what the case expects beside."""
+    """The force is finite and bounded, the mode is one of three, refused values are named, and the expectations of the
+    case hold."""
     finding = extremes.judge(case, extremes.run_case(case))
     assert finding.wrong == ""
     assert finding.ticks == len(case.samples) > 0
@@ -35,7 +36,8 @@ def test_garbage_never_leaves_the_rules(cases):
     """Random NaN, infinities, subnormal, huge and zero numbers and time jumps: no tick breaks a rule."""
     for row in hostile.try_hostile(cases(400, 60_000)):
         assert row["broken"] == 0
-        # A quarter of the samples holds at least one spoilt number with 1 - (7/8)^7 = 61 %, half of them bad ones.
+        # A quarter of the samples have at least one corrupted number, with 1 - (7/8)^7 = 61 %; half of these numbers
+        # are invalid.
         assert 0.05 < row["refused"] / row["ticks"] < 0.25
         # It grows from zero after each pose that is refused: how far depends on the longest stretch without one.
         assert row["force_max_n"] > cases(5, 9) / 10.0 * extremes.FORCE_MAX_N
@@ -85,7 +87,8 @@ def test_judge_knows_what_was_to_be_refused():
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
 def test_the_guard_holds_against_wrenches_of_any_kind(wrenches_of):
-    """Fed directly with what no contact gives, the guard keeps its rules, and does what the case expects."""
+    """Applied directly to wrenches that no contact gives, the guard keeps its rules and meets the expectations of the
+    case."""
     (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
     assert wrong == ""
 
@@ -94,7 +97,7 @@ plain_guard = getattr(guard_wrench, "py_func", guard_wrench)
 
 
 def unchecked(guard, guarded, force, torque, dt, period):
-    """A guard whose check of finite numbers was lost."""
+    """A guard without its check for finite numbers."""
     force = tuple(0.0 if math.isnan(x) else x for x in force)
     torque = tuple(0.0 if math.isnan(x) else x for x in torque)
     return plain_guard(guard, guarded, force, torque, dt, period)

@@ -1,4 +1,4 @@
-"""`stability --bodies`: what a cell measures, how it is judged, and the tables of it."""
+"""`stability --bodies`: measurement of a cell, its assessment, and the tables."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ CELL = Found("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4, 0.0
 
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
-    """Two fingers lift 100 g, put it down and leave. What they feel is the opposite of what the body is given, in each
-    tick; nothing slips; and the hands did work against the dampers."""
+    """Two fingers lift 100 g, put it down and release it. In each tick the forces on fingers and body are opposite;
+    nothing slips; and the hands did work against the dampers."""
     cell = Cell("hold", 0.1, 1000.0)
     there = bodies.way_there(cell)
     way = np.concatenate([there, there[::-1]])
@@ -41,8 +41,7 @@ def test_a_body_comes_to_rest(case: str) -> None:
 
 @pytest.mark.exhaustive
 def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
-    """What swings rolls: omega^2 = g (r - h) / (I / m + h^2) for a plate whose centre is h over a ball of radius r, and
-    nothing damps it."""
+    """An undamped plate whose centre is h above a ball of radius r rolls with omega^2 = g (r - h) / (I / m + h^2)."""
     cell, h = Cell("balance", 0.01, 3000.0), bodies.PLATE_HALF_M
     engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.way_there(cell)[:1], 100, axis=0)
     engine.run(bodies.poses_of(hold))
@@ -76,7 +75,7 @@ def test_a_body_too_light_for_the_tick_is_seen(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_what_is_left_of_a_knock_is_judged(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    """At rest whatever it did before; growing; or gone."""
+    """The judgement is: at rest whatever happened before; growing; or gone."""
     found = bodies.judged(CELL._replace(**changes), touching)  # type: ignore[arg-type]
     assert found.verdict == verdict
     assert bool(found.reason) == (verdict != "rests")

@@ -1,4 +1,4 @@
-"""The program that checks meshes: what it says of a good one, and that it sees what is wrong."""
+"""The program that checks meshes accepts correct ones and detects errors."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ def test_a_ball_is_true(tmp_path: Path) -> None:
 
 
 def test_what_is_inside_is_seen(tmp_path: Path) -> None:
-    """A mesh that is larger than what was rendered: the proxy is inside of it, and it is said; of the mesh itself
-    nothing is wrong."""
+    """With a mesh larger than the rendered one, the proxy is reported to be inside; the mesh itself has no errors."""
     ball = meshes.geodesic(8, 0.05)
     scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
     true, larger = balls_of(*ball), balls_of(1.01 * ball.vertices, ball.triangles)
@@ -48,7 +47,7 @@ def test_what_is_inside_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_way_through_is_seen() -> None:
-    """From one side of a sheet to the other; beside it, it is not."""
+    """A path from one side of a sheet to the other is detected; a path that avoids the sheet is not."""
     balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
     over, under, beside = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
     assert mesh_truth.goes_through(balls, over, under, R)
@@ -56,7 +55,7 @@ def test_a_way_through_is_seen() -> None:
 
 
 def test_brute_force_is_that_of_every_triangle_asked() -> None:
-    """Compiled and pruned, it is what numpy says of all triangles, to rounding."""
+    """The compiled and pruned search equals numpy's over all triangles, to rounding."""
     bumpy = meshes.bumpy_sphere(12, 0.05, height=0.06)
     points = 0.05 * np.random.default_rng(1).normal(size=(300, 3))
     expected = [distances(*bumpy, x).min() for x in points]

@@ -61,7 +61,7 @@ def turned(w: Any) -> Any:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_gauss_frame_against_differences(name: str) -> None:
-    """Metric, curvature and torsion of each chart are those of its own frame, differentiated numerically."""
+    """Metric, curvature and torsion of each chart equal numerical derivatives of its frame."""
     shape, h = SHAPES[name], 1e-5
     for u, v in STARTS:
         u, v = scaled(name, u, v)
@@ -108,7 +108,7 @@ def test_both_forms_agree(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_coordinates_of_a_pose(name: str) -> None:
-    """The five coordinates found from a contact point and an orientation are those it was made from."""
+    """The five coordinates computed from a contact point and an orientation equal those they were made from."""
     shape = SHAPES[name]
     for u, v in STARTS:
         at = start(shape, *scaled(name, u, v), psi=1.1)
@@ -122,7 +122,7 @@ def test_coordinates_of_a_pose(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_slip_and_spin(name: str) -> None:
-    """With slip, both contact points move as (W_o + I / r) u_o = w x n + v / r says, and spin alone turns psi only."""
+    """With slip, both contact points move by (W_o + I / r) u_o = w x n + v / r; spin without roll turns psi only."""
     shape, rng = SHAPES[name], np.random.default_rng(42)
     u, v = scaled(name, *STARTS[0])
     at = start(shape, u, v, psi=0.7)
@@ -135,7 +135,7 @@ def test_slip_and_spin(name: str) -> None:
     w, velocity = omega[0] * x + omega[1] * y + omega[2] * z, slip[0] * x + slip[1] * y
     expected = np.linalg.solve(bend + np.eye(3) / RADIUS, np.cross(w, n) + velocity / RADIUS)
     assert moved == pytest.approx(expected, abs=1e-15)
-    # What the contact moves more on the object than on the fingertip is the slip.
+    # The contact point moves farther on the object than on the fingertip by the slip.
     on_finger = montana.chart(model.Sphere(RADIUS, 1.0), at.u_f, at.v_f)
     rolled_over = out.u_f * on_finger.metric[0] * x + out.v_f * on_finger.metric[1] * y
     assert moved - rolled_over == pytest.approx(velocity, abs=1e-15)

@@ -1,4 +1,4 @@
-"""The moving picture of README: what it shows is simulated, and small."""
+"""The animation in the README is simulated, and its file is small."""
 
 from __future__ import annotations
 

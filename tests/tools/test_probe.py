@@ -31,8 +31,8 @@ Probing = Callable[..., str]
 
 @pytest.fixture
 def probing(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Probing:
-    """The verb in this process, its parts a tenth as long, with these lines typed at a terminal, or at none; what it
-    printed, once it has ended well."""
+    """Run the verb in this process, with parts a tenth as long and these lines typed at a terminal, or without one;
+    return its output after success."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -60,7 +60,7 @@ def rig(home: Path, driver: str, *lines: str) -> str:
 
 
 def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
-    """Five parts in a row with zero force: rate, noise, range and buttons of all of them; nobody is asked."""
+    """Five consecutive parts with zero force give rate, noise, range and buttons; there are no prompts."""
     output = probing("--rig", rig(home, "replay", 'recording = "tap"', "loop = true", 'forces = "forces.npz"'))
     found = checked(home / "softfinger-replay-report.json", home)
     assert found["complete"] and not found["guided"]
@@ -76,8 +76,8 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
 
 
 def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> None:
-    """At a terminal: Enter begins, each motion is judged, and each of the pushes of a fifth of a newton is followed by
-    a question whose answer is kept."""
+    """At a terminal, Enter starts, each motion is judged, and after each push of 0.2 N the answer to a question is
+    recorded."""
     still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
     output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
     found = checked(home / "mine.json", home)
@@ -91,8 +91,8 @@ def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> N
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
-    """The stand-in's motors give nothing without --push; with it a fifth of a newton along each axis and back, and zero
-    at last."""
+    """Without --push the stand-in's motors stay at zero; with it they push 0.2 N in both directions of each axis, and
+    end at zero."""
     named = rig(home, "openhaptics", f'library_file = "{hd.path}"', "force_age_max_s = 0.1")
     hd["buttons"] = 2
     probing("--rig", named)
@@ -142,7 +142,7 @@ def test_a_rig_that_allows_less_than_a_push_is_told(
 
 
 def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first that has a shipped rig; with none attached the error says to name one."""
+    """The first attached device that has a shipped rig is used; without one the error asks for a rig."""
     ports: list[Attached] = [Attached("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
     with pytest.raises(DeviceNotFound, match="name yours with --rig"):
@@ -152,7 +152,7 @@ def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.Monke
 
 
 def test_the_picture_says_which_motion_came_out_wrong() -> None:
-    """An arrow from each motion that was asked for to the axis that moved."""
+    """The plot has an arrow from each requested motion to the axis that moved."""
     moves: list[dict[str, Any]] = [
         {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},
         {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},

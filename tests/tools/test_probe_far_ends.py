@@ -1,6 +1,6 @@
-"""`devices --probe --push` on the emulated device of every driver: what its far end was given, whatever ended it.
+"""Forces received by the emulated device of every driver during `devices --probe --push`, for every way to end it.
 
-Simulated and replayed devices have no far end; `test_probe` has them.
+Simulated and replayed devices receive no forces; `test_probe` covers them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.real_time
 
 
 BRIEFLY = ("openhaptics", "haply", "haply-2diy", "hapkit")
-"""Whose every way out is tried each time; the others' with the exhaustive tests."""
+"""Drivers for which every way to end is tested each time; for the others only with the exhaustive tests."""
 CASES = [
     pytest.param(way, name, marks=() if name in BRIEFLY or way == "Ctrl-C" else pytest.mark.exhaustive)
     for way in ("whole", "Ctrl-C", "unplugged")
@@ -38,8 +38,8 @@ CASES = [
 def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     way: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A fifth of a newton along each axis that the device has, and back; the report is written, also when the user
-    ends it, or the cable is pulled, in a push. Nothing reaches a motor whose cable is pulled, not even a zero."""
+    """The device receives 0.2 N in both directions of each of its axes. The report is written even if the user
+    interrupts a push or the cable is pulled. A motor whose cable is pulled receives nothing more, not even a zero."""
     for key, value in environment(home).items():
         monkeypatch.setenv(key, value)
     monkeypatch.chdir(home)

@@ -1,4 +1,4 @@
-"""The reference pages of docs/ are what the program makes of its own tables."""
+"""The reference pages of docs/ equal those generated from the program's tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 
 @pytest.mark.parametrize("name", reference.PAGES)
 def test_a_page_is_what_the_program_makes(name: str) -> None:
-    """Word for word, so a key, a default or a docstring that changes changes the page."""
+    """The comparison is word for word, so a changed key, default or docstring changes the page."""
     assert (FOLDER / name).read_text("utf-8") == reference.PAGES[name](), "run `make reference`"
 
 

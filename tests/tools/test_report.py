@@ -1,4 +1,4 @@
-"""`softfinger report`: what is in the archive, and what is not."""
+"""Contents of the archive written by `softfinger report`."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ PREFIX = "softfinger-report/"
 def test_the_archive_has_what_an_issue_needs_and_no_private_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Versions, doctor, rig, scene, log and the newest black boxes, each ticks and all; the user's name, the home
-    folder, the host and a serial number that were put into each of them are gone; what cannot be read is left out."""
+    """It has versions, doctor, rig, scene, log and the latest complete black boxes. The user's name, home folder, host
+    and a serial number are removed from each of them; unreadable files are omitted."""
     private = [str(Path.home()), platform.node(), "SN1234567", "Project-X", "study", sys.prefix, str(CACHE_DIR)]
     words = f"{Path.home()}/study/hand.toml on {platform.node()}: serial number SN1234567, user {getpass.getuser()}"
     words += f"; Project-X/my-scene.toml, {sys.prefix}/bin/python"
@@ -77,7 +77,8 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
 
 
 def test_a_user_without_a_home_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the user of a container: no black box can be there, the rest is, and `doctor` ends."""
+    """For a user without a home, as in a container, there are no black boxes, but everything else, and `doctor`
+    completes."""
     forget_user(monkeypatch)
     out = tmp_path / "report.tar.gz"
     assert main(["report", "--out", str(out), "--seconds", "0.3"]) == 0

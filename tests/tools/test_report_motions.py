@@ -1,4 +1,4 @@
-"""What a device report makes of the rows of its parts: motions, turns, noise, pushes."""
+"""Analysis of the rows of a device report: motions, rotations, noise, pushes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.nda
     ],
 )
 def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen: str) -> None:
-    """From where the handle was at the beginning to where it is at the end; what lies between does not matter."""
+    """The motion is the difference between the handle's last and first position; positions in between do not matter."""
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
     found = motions.move("ask", "translation", "+x", poses(path))
@@ -49,7 +49,8 @@ def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen:
 
 
 def test_a_turn_is_the_rotation_between_first_and_last() -> None:
-    """In the world frame, against scipy's, whatever the orientation at the beginning and the sign of a quaternion."""
+    """The rotation is in the world frame and equals scipy's, for any initial orientation and any sign of a
+    quaternion."""
     start = Rotation.from_rotvec([0.3, -0.2, 0.5])
     turn = np.array([0.05, -0.02, 0.6])
     ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
@@ -107,8 +108,8 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
     ],
 )  # fmt: skip
 def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
-    """Mass, damper and spring integrated on their own: the axis that moved, and the sign where it can be told. A free
-    mass with the wrong sign looks as a spring with the right one, which is why the handle is to be held."""
+    """Mass, damper and spring are integrated separately: the result is the axis that moved, and the sign if it can be
+    determined. A free mass with the wrong sign looks like a spring with the right one, so the handle must be held."""
     for sign, said in ((1.0, plus), (-1.0, minus)):
         found = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
         assert found is not None
@@ -118,7 +119,7 @@ def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str,
 
 
 def test_a_motion_of_the_hand_is_not_taken_for_a_push() -> None:
-    """A hand that moves by itself leaves the answer open, and a handle that does not move has none."""
+    """A hand that moves by itself makes the result undetermined, and a handle that does not move gives none."""
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
     found = motions.push(2, 1.0, RATE_HZ, rows)

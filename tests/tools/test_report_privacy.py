@@ -1,4 +1,4 @@
-"""What a device report does not say of its user, and the questions that it answers."""
+"""Device reports contain no personal data, and answer the questions of the form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ USER: Final = "zaphodb"
 
 @pytest.fixture
 def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy:
-    """Takes out what says that this is zaphodb's report, on whatever machine."""
+    """Return the function that removes personal data of user zaphodb, on any machine."""
     monkeypatch.setenv("HOME", f"/home/{USER}")
     monkeypatch.setenv("USER", USER)
     (tmp_path / "My Project").mkdir()
@@ -60,7 +60,7 @@ def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy
     ],
 )
 def test_a_text_does_not_say_whose_it_is(text: str, clean: str, somebody: privacy.Privacy) -> None:
-    """Home, user and serial numbers go, wherever they stand in a text; other words stay."""
+    """Home, user and serial numbers are removed anywhere in a text; other words stay."""
     assert somebody.text(text) == clean
 
 
@@ -83,7 +83,7 @@ def test_the_working_folder_goes_whatever_its_name(somebody: privacy.Privacy) ->
 
 
 def test_scenes_and_rigs_keep_no_folder(somebody: privacy.Privacy) -> None:
-    """Nor a name that no pattern tells from other words: with spaces, without an ending."""
+    """Nor do they keep a file name that no pattern distinguishes from other words: with spaces, or without a suffix."""
     dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
     want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
     assert somebody.clean(dirty) == want
@@ -97,8 +97,8 @@ def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_questions_are_well_formed() -> None:
-    """Every id once, every driver one that there is, every answer to a question that there is; a driver for hardware
-    has some, the others none."""
+    """Ids are unique, drivers exist, and answers belong to existing questions; only drivers for hardware have
+    questions."""
     ids = [one.id for one in questions()]
     assert len(set(ids)) == len(ids)
     drivers = {driver for one in questions() for driver in one.drivers}
@@ -108,7 +108,8 @@ def test_the_questions_are_well_formed() -> None:
 
 
 def test_what_was_measured_answers_its_question() -> None:
-    """From the parts of a report: motions, pushes, buttons; what is not there is not answered, with how to."""
+    """Motions, pushes and buttons of a report answer the questions; a missing measurement leaves the question open,
+    with instructions."""
     empty, _ = report.begun(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {

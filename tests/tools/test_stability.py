@@ -28,11 +28,11 @@ from softfinger.tools.sweep import run_cases
 ROOT = Path(__file__).resolve().parents[2]
 
 FOUND = 1e-3
-"""Relative error of a limit that is found: the bisection ends at 1e-4, the rest is room for slow growth."""
+"""Relative error of a computed limit: the bisection ends at 1e-4, and slow growth needs some margin."""
 
 
 def random_cases(count: int, seed: int, **more: float) -> list[Case]:
-    """Linear cases: every second one with wall damping, up to what still leaves a stable wall."""
+    """Linear cases; every second one has wall damping, up to the largest that leaves a stable wall."""
     random = np.random.default_rng(seed)
     cases = []
     while len(cases) < count:
@@ -73,10 +73,10 @@ def test_linear_limit_is_that_of_jury(mass: float, damping: float, rate: float) 
 
 
 def crossings(loop: LinearLoop) -> list[float]:
-    """Every K > 0 at which an eigenvalue lies on the unit circle, from the open loop's frequency response.
+    """Return every K > 0 at which an eigenvalue lies on the unit circle, from the open loop's frequency response.
 
-    The loop closes on itself at z = e^(j a) where 1 + G(z) z^-d (K + B D(z)) = 0: then K is what this
-    equation gives, if that is real. Roots of its imaginary part are bracketed on a fine grid.
+    The closed loop has a pole at z = e^(j a) if 1 + G(z) z^-d (K + B D(z)) = 0, which gives K if that value is real.
+    Roots of its imaginary part are bracketed on a fine grid.
     """
     a, b, t = np.zeros((3, 3)), loop.damping + loop.hand_damping, loop.period
     a[0, 1], a[1] = 1.0, np.array([-loop.hand_stiffness, -b, 1.0]) / loop.mass
@@ -126,12 +126,13 @@ def test_linear_limit_of_a_slow_loop_is_the_published_one(delay: int, wall: floa
     Gil, Sanchez, Hulin, Preusche and Hirzinger (2009), Stability boundary for haptic rendering.
     """
     loop = LinearLoop(20.0, 1.0, wall, 1e-3, delay)
-    # What is left out is of the order of K T^2 / m times the delays, here below 1e-3.
+    # The neglected terms are of the order of K T^2 / m times the delays, here below 1e-3.
     assert linear_limit(loop) == pytest.approx((1.0 + wall) / (1e-3 * (0.5 + delay)), rel=2e-3)
 
 
 def colgate_schenkel(loop: LinearLoop, stiffness: float) -> float:
-    """Least b that keeps the wall passive: the largest value over frequency of Colgate and Schenkel's expression."""
+    """Return the smallest b that keeps the wall passive: the maximum over frequency of Colgate and Schenkel's
+    expression."""
     angle = np.linspace(1e-4, np.pi, 200_001)
     z, tau, t = np.exp(1j * angle), loop.velocity_time_constant, loop.period
     wall = (stiffness + loop.wall_damping * (1.0 - 1.0 / z) / (tau + t - tau / z)) / z**loop.delay
@@ -146,9 +147,9 @@ def test_passive_limit_is_that_of_colgate_and_schenkel(delay: int, tau: float) -
     for wall in (0.0, 0.7, -0.7):
         loop = LinearLoop(0.3, 1.5, wall, 1e-3, delay, tau)
         needed = colgate_schenkel(loop, passive_limit(loop))
-        # What drives instead of damping counts most where all is slow: there neither delay nor filter matters.
+        # Negative damping has its largest effect at low frequencies, where neither delay nor filter matters.
         exact = wall <= 0.0 or (delay == 0 and tau == 0.0)
-        # The grid begins at 1e-4 rad, where the largest value of an undamped wall is short by 1e-8 of it.
+        # The grid starts at 1e-4 rad, where the maximum for an undamped wall is too small by 1e-8 of it.
         assert needed == pytest.approx(1.5, rel=1e-6) if exact else needed < 1.5
     assert passive_limit(LinearLoop(0.3, 1.0, 1.2, 1e-3, delay)) == 0.0
 
@@ -190,8 +191,8 @@ def test_hand_and_filter_are_in_both() -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if "encoder" not in name])
 def test_no_passive_wall_is_unstable(variant: str) -> None:
-    """No knock grows inside the passivity bound, whatever holds the device; past the linear limit it does."""
-    for case in CASES[::5]:  # those without wall damping are passive up to some stiffness
+    """Within the passivity bound no disturbance grows, for any grip of the device; beyond the linear limit it does."""
+    for case in CASES[::5]:  # walls without damping are passive up to some stiffness
         held = msgspec.structs.replace(case, **VARIANTS[variant])
         damped = msgspec.structs.replace(held, wall_damping_ns_per_m=0.5 * held.damping_ns_per_m)
         for inside in (held, damped):
@@ -209,14 +210,14 @@ def test_friction_holds_what_damping_does_not() -> None:
 
 
 def test_encoder_steps_alone_are_no_instability() -> None:
-    """A swing among a few encoder steps does not count; the limit stays near that of a fine encoder."""
+    """An oscillation of a few encoder steps does not count; the limit stays near that of a fine encoder."""
     coarse, fine = find_limits([Case(resolution_m=20e-6), Case()])
     # Within the describing function of a quantiser, which is 1 to 1.27 at twenty steps' swing and less.
     assert coarse["limit_n_per_m"] == pytest.approx(fine["limit_n_per_m"], rel=0.27)
 
 
 def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    """Then no wall is unstable: the limit is none, in words and as null."""
+    """Then no wall is unstable: the limit is none in the text and null in JSON."""
     words = ["--friction", "10", "--damping", "1000", "--mass", "0.001", "--resolution", "1e-5"]
     assert stability(capsys, *words)["cases"][0]["limit_n_per_m"] is None
     assert main(["stability", *words]) == 0
@@ -226,7 +227,7 @@ def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -
 def test_an_undamped_loop_has_no_stable_wall() -> None:
     """Without any damping the sampled spring feeds energy in at every stiffness: both limits are 0."""
     (row,) = find_limits([Case(damping_ns_per_m=0.0)])
-    # The search ends a million times below where it began, which is a millionth of m / T^2.
+    # The search ends a million times below its start, which is a millionth of m / T^2.
     assert row["predicted_n_per_m"] == 0.0 and row["limit_n_per_m"] < 1e-6 * 0.2e6
 
 
@@ -271,7 +272,7 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.exhaustive
 def test_verb_draws_maps_that_can_be_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A map has its rows, and its SVG is the same to the byte when made again from kept results."""
+    """A map has its rows, and its SVG is identical to the byte if made again from stored results."""
     first, again, kept = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
     words = ["--map", "all", "--points", "3", "--results", kept]
     rows = stability(capsys, *words, "--plot", str(first))["cases"]

@@ -15,7 +15,7 @@ PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: 
 
 
 def test_marked_tables_are_replaced_and_the_rest_is_kept():
-    """Between its marks a table is replaced, whatever stood there; doing it again changes nothing."""
+    """The table between its marks is replaced; a repetition changes nothing."""
     page = study.insert(PAGE, {"drift": "| new |\n", "orders": "| 2 |\n"})
     assert "| old |" not in page
     assert page.startswith("before\n<!-- study: drift -->\n\n| new |\n\n<!-- end -->\nafter ")
@@ -23,7 +23,7 @@ def test_marked_tables_are_replaced_and_the_rest_is_kept():
 
 
 def test_a_mark_without_a_table_is_an_error():
-    """A name that the study does not make says which there are."""
+    """An unknown name gives an error with the known ones."""
     with pytest.raises(ConfigError, match="study: orders -->: no such table; there are drift"):
         study.insert(PAGE, {"drift": "| new |"})
 

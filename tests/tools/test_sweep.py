@@ -21,7 +21,7 @@ from softfinger.tools.sweep import case_key, run_cases
 
 pytestmark = pytest.mark.plain
 
-# 0.1 and pi have no short decimal form, the others are what encodings lose.
+# 0.1 and pi have no short decimal form; the others are values that encodings lose.
 CASES = [{"x": x, "n": n} for n, x in enumerate([0.1, math.pi, 5e-324, -0.0, 1e308, math.inf, 2.0**-1022] * 3)]
 
 computed: list[int] = []
@@ -57,7 +57,7 @@ def forget() -> None:
 
 
 def test_results_are_in_case_order_whatever_the_block() -> None:
-    """Threads give each case its own result, bit by bit, in blocks of one, five or all."""
+    """Threads return the result of each case, bit by bit, in blocks of one, five or all."""
     expected = bits(roots(CASES))
     for block in (None, 1, 5, 1000):
         assert bits(run_cases(roots, CASES, label="test", block=block)) == expected
@@ -71,13 +71,13 @@ def test_equal_cases_are_computed_once() -> None:
 
 @pytest.mark.exhaustive
 def test_a_local_cluster_gives_the_same_bits() -> None:
-    """Processes of a dask cluster on this machine return what threads do."""
+    """Processes of a dask cluster on this machine return the same results as threads."""
     assert bits(run_cases(roots, CASES, label="test", scheduler="local", block=4)) == bits(roots(CASES))
 
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Address and process of a dask scheduler with two workers, all processes of their own."""
+    """Address and process of a dask scheduler with two workers, each in its own process."""
     where = tmp_path / "scheduler.json"
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     common = [sys.executable, "-m", "dask"]
@@ -115,7 +115,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
             client.wait_for_workers(2, timeout=60.0)
         yield address, processes[0]
     finally:
-        for process in processes:  # not asked to end: a worker may wait for its scheduler for ever
+        for process in processes:  # killed: a worker may wait for its scheduler without end
             process.kill()
             process.wait()
 
@@ -123,9 +123,9 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
     cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half of the cases by threads into a file, the rest by workers elsewhere: the results of one run.
+    """Half of the cases are computed by threads into a file, the others by workers: the results equal those of one run.
 
-    Then the scheduler dies under a longer run: the message says how to go on.
+    Then the scheduler is killed during a longer run, and the error explains how to continue.
     """
     scheduler, process = cluster
     results = tmp_path / "cases.mcap"
@@ -147,7 +147,7 @@ def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
 
 
 def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
-    """When a case fails, what was finished before is not computed again."""
+    """If a case fails, earlier cases are not computed again."""
     results = tmp_path / "cases.mcap"
     with pytest.raises(ArithmeticError, match="case 11"):
         run_cases(failing, CASES, label="test", results=results, block=3)
@@ -160,7 +160,7 @@ def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["cut in a row", "cut at the end", "a bit flipped"])
 def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Cases up to the damage are kept, the others computed again, and the file is whole afterwards."""
+    """Cases before the damage are reused, the others computed again, and the file is complete afterwards."""
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES, label="test", results=results, block=1)
     data = bytearray(results.read_bytes())
@@ -182,7 +182,7 @@ def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, ca
 
 
 def test_another_file_is_not_overwritten(tmp_path: Path) -> None:
-    """A file that holds something else is refused and stays as it is."""
+    """A file with other contents is refused and not changed."""
     results = tmp_path / "notes.txt"
     results.write_text("not a sweep")
     with pytest.raises(RecordingError, match=r"notes\.txt: not a file of sweep results.*name another"):
@@ -216,21 +216,21 @@ def test_a_file_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_scheduler_is_reported(scheduler: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message names the address and what to start."""
+    """The error names the address and the command to start a scheduler."""
     monkeypatch.setattr(sweep, "CONNECT_S", 0.3)
     with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: {message}"):
         run_cases(roots, CASES, label="test", scheduler=scheduler)
 
 
 def test_a_worker_of_another_version_is_refused() -> None:
-    """What a worker with other sources would compute is not taken: it says whose hash differs."""
+    """Results of a worker with other sources are refused, with the name of the worker."""
     with pytest.raises(ConfigError, match="another version of softfinger: its sources have the hash"):
         sweep._compute("0" * 64, roots, CASES)
     assert not computed
 
 
 def test_keys_tell_cases_functions_and_versions_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A key is that of the values, whatever their order, of the function and of the sources."""
+    """A key depends on the values in any order, on the function and on the sources."""
     key = case_key(roots, {"x": 0.1, "n": 1})
     assert case_key(roots, {"n": 1, "x": 0.1}) == key
     others = [case_key(roots, {"x": math.nextafter(0.1, 1.0), "n": 1}), case_key(bits, {"x": 0.1, "n": 1})]
