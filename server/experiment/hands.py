@@ -11,6 +11,7 @@ from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.remote import Client
 
 Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 class Hands:
@@ -26,15 +27,14 @@ class Hands:
         self._is_led.clear()
         self._is_led.update({finger["name"]: finger["led"] for finger in self._client.describe()["fingers"]})
 
-    def lead_to_start(self) -> dict[str, Point]:
-        """Lead hands to the start of their path, or of the trial; return these positions, m."""
-        starts = dict[str, Point]()
+    def lead_to_start(self) -> dict[str, tuple[Point, Quaternion | None]]:
+        """Lead hands to the start of their path, or of the trial; return these positions, m, and orientations."""
+        starts = dict[str, tuple[Point, Quaternion | None]]()
         for name, is_led in self._is_led.items():
             path = self._experiment.motion.get(name or ONE)
             start = path[0][1:] if path else self._experiment.trial.start_m
             if is_led and start is not None:
-                starts[name] = start
-                self._lead(name, start, 0.0)
+                starts[name] = start, self._lead(name, start, 0.0)
         return starts
 
     def lead(self, elapsed_s: float) -> None:
@@ -43,10 +43,12 @@ class Hands:
             if is_led and (path := self._experiment.motion.get(name or ONE)):
                 self._lead(name, interpolate_path(path, elapsed_s), elapsed_s)
 
-    def _lead(self, name: str, position: Point, elapsed_s: float) -> None:
+    def _lead(self, name: str, position: Point, elapsed_s: float) -> Quaternion | None:
+        """Set the goal of a hand; return its orientation, None without [turn]."""
         rotations = self._experiment.turn.get(name or ONE)
         orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
         self._client.hand(position, orientation, finger=name or None)
+        return orientation
 
 
 def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: float) -> Point:
@@ -56,7 +58,7 @@ def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: flo
     return x, y, z
 
 
-def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
+def quaternion(rotation: Point) -> Quaternion:
     """Return the unit quaternion w, x, y, z of a rotation vector, rad.
 
     The function of the kernels is not used, since it would compile during a touch.
@@ -65,3 +67,8 @@ def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, floa
     share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
     x, y, z = (share * part for part in rotation)
     return math.cos(0.5 * angle), x, y, z
+
+
+def angle_between(a: Quaternion, b: Quaternion) -> float:
+    """Return the angle between two orientations (unit quaternions), rad."""
+    return 2.0 * math.acos(min(1.0, abs(sum(x * y for x, y in zip(a, b, strict=True)))))

@@ -13,7 +13,7 @@ from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import numbered, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
-from softfinger.server.experiment.hands import Hands
+from softfinger.server.experiment.hands import Hands, angle_between
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.masses import load_changed_scene, split
 from softfinger.server.experiment.schema import ExperimentFile
@@ -28,7 +28,8 @@ ZERO_FORCE_TIMEOUT_S: Final = 5.0
 """Timeout for zero force. The guard removes the force in milliseconds; a ramp of parameters takes at most 10 s."""
 START_TIMEOUT_S: Final = 2.0
 START_TOLERANCE_M: Final = 0.002
-"""Tolerance of a led hand at the start of a touch, and its timeout: a spring holds the hand, so it sags."""
+START_TOLERANCE_RAD: Final = 0.03
+"""Tolerances of a led hand at the start of a touch, and its timeout: a spring holds the hand, so it sags."""
 HEARTBEAT_S: Final = 0.1
 DISK_TIMEOUT_S: Final = 30.0
 """Timeout for writing the ticks of a touch to disk; shorter than the time that the recorder can buffer in memory."""
@@ -164,9 +165,13 @@ class Haptics:
         starts = self._hands.lead_to_start()
         until = time.monotonic() + START_TIMEOUT_S
         self.wait(seconds)
-        while time.monotonic() < until and any(
-            math.dist(self.latest[name].data.probe.position, start) > START_TOLERANCE_M
-            for name, start in starts.items()
+        while time.monotonic() < until and not all(
+            math.dist(self.latest[name].data.probe.position, position) <= START_TOLERANCE_M
+            and (
+                orientation is None
+                or angle_between(self.latest[name].data.probe.orientation, orientation) <= START_TOLERANCE_RAD
+            )
+            for name, (position, orientation) in starts.items()
         ):
             self.wait(POLL_S)
 
