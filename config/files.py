@@ -47,7 +47,7 @@ def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
         found = os.fstat(fd)
         _check_kind(found.st_mode, "read")
         if size_max is not None and found.st_size > size_max:
-            raise OSError(errno.EFBIG, f"has {found.st_size:,} bytes, {size_max:,} are the most that are read")
+            raise OSError(errno.EFBIG, f"has {found.st_size:,} bytes, at most {size_max:,} are allowed that are read")
     except BaseException:
         os.close(fd)
         raise
@@ -59,7 +59,7 @@ def read_input(path: str | Path, size_max: int) -> bytes:
     with open_input(path, size_max) as file:
         data = file.read(size_max + 1)  # files under /proc have the size 0, and a growing file has an outdated one
     if len(data) > size_max:
-        raise OSError(errno.EFBIG, f"has more than {size_max:,} bytes, the most that are read")
+        raise OSError(errno.EFBIG, f"has more than {size_max:,} bytes, the limit for reading")
     return data
 
 
@@ -106,7 +106,7 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
         return open(os.open(path, flags, 0o666), "wb", buffering=0)
     *parents, name = Path(path).parts or ("",)
     if Path(path).is_absolute() or ".." in (*parents, name) or not name:
-        raise OSError(errno.EACCES, "must be below the folder of recordings: no absolute path and no ..")
+        raise OSError(errno.EACCES, "must be inside the folder of recordings, without .. and not absolute")
     at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         for parent in parents:

@@ -169,7 +169,7 @@ def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str
         body = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, name)
         if body <= 0 or not model.body_mass[body] > 0.0:
             names = ", ".join(model.body(each).name for each in range(1, model.nbody) if model.body_mass[each] > 0.0)
-            raise ValueError(f"mass_kg: {name!r} is no body with a mass; it has {names or 'none'}")
+            raise ValueError(f"mass_kg: {name!r} is not a body with a mass; it has {names or 'none'}")
         model.body_inertia[body] *= mass / model.body_mass[body]
         model.body_mass[body] = mass
     if mass_kg:

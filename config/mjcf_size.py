@@ -57,7 +57,7 @@ class Names(NamedTuple):
 def read_text(path: str | Path, name: str) -> str:
     """Return the text of a model's file; in comments, other encodings than UTF-8 are permitted.
 
-    Raises ConfigError if it is no regular file or too large.
+    Raises ConfigError if it is not a regular file or too large.
     """
     try:
         return read_input(path, SIZE_MAX).decode("utf-8", errors="replace").removeprefix("\ufeff")
@@ -130,9 +130,7 @@ class _Model:
             nonlocal count
             count += 1
             if count > ELEMENTS_MAX:
-                raise ConfigError(
-                    f"world.model {name}: has more than {ELEMENTS_MAX:,} elements, the most that can be read"
-                )
+                raise ConfigError(f"world.model {name}: has more than {ELEMENTS_MAX:,} elements, the limit for reading")
             builder.start(tag, attributes)
 
         def start_doctype(_: str, *declared: object) -> None:
@@ -146,14 +144,14 @@ class _Model:
         text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
         text = COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
         if "\N{REPLACEMENT CHARACTER}" in text:
-            raise ConfigError(f"world.model {name}: is no text in UTF-8: save it as UTF-8")
+            raise ConfigError(f"world.model {name}: is not text in UTF-8: save it as UTF-8")
         try:
             for place in range(0, len(text), CHUNK):  # in chunks, since parsing blocks other threads
                 parser.Parse(text[place : place + CHUNK], False)
             parser.Parse("", True)
         except expat.ExpatError as error:
             raise ConfigError(
-                f"world.model {name}: is no well-formed XML, which is required even if MuJoCo reads it: {error}"
+                f"world.model {name}: is not well-formed XML, which is required even if MuJoCo reads it: {error}"
             ) from error
         return builder.close()
 
@@ -172,7 +170,7 @@ class _Model:
     def _text(self, path: Path) -> str | None:
         """Return the text of a part; None if it cannot be opened, which MuJoCo reports.
 
-        Raises ConfigError if it is no regular file or too large.
+        Raises ConfigError if it is not a regular file or too large.
         """
         if not os.access(path, os.R_OK):
             return None

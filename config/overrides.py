@@ -40,7 +40,7 @@ def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Map
     ways = {dotted: numbered(mapping, dotted) for dotted in overrides}
     if len(set(ways.values())) < len(ways):
         source = sources.get(next(iter(ways)), "override")
-        raise ConfigError(f"{source}: a value is given twice, by a name and by its number")
+        raise ConfigError(f"{source}: a value is set twice, by name and by index")
     for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
         source = sources.get(dotted, "override")
         try:
@@ -97,7 +97,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
                 raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"{key} would be in {shown(at)}, which is no table: give the complete table")
+            raise LookupError(f"{key} would be in {shown(at)}, which is not a table: give the complete table")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):

@@ -80,7 +80,7 @@ def _text(path: Path, name: str) -> str:
         raise ConfigError(f"{name}: is a folder: name a .toml file in it") from error
     except (OSError, ValueError) as error:
         if isinstance(error, OSError) and error.errno == errno.EFBIG:
-            raise ConfigError(f"{name}: larger than {_SIZE_MAX} bytes: this is no scene or rig") from error
+            raise ConfigError(f"{name}: larger than {_SIZE_MAX} bytes: this is not a scene or rig") from error
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{name}: cannot be read: {reason}") from error
     try:

@@ -47,7 +47,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     for _ in range(DEPTH_MAX):
         level = [below for value in level for below in _inside(value)]
     if level:
-        raise ConfigError(f"{name}: tables or lists more than {DEPTH_MAX} deep in one another: this is no scene or rig")
+        raise ConfigError(
+            f"{name}: tables or lists more than {DEPTH_MAX} deep in one another: this is not a scene or rig"
+        )
     return tables
 
 

@@ -218,7 +218,7 @@ def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, s
         struct = cls(**values)
         complaints = list(struct.faults()) if hasattr(struct, "faults") else []
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        # The check of an external driver may fail on UNSET. That is no fault if the field is reported already.
+        # The check of an external driver may fail on UNSET. That is not a fault if the field is reported already.
         return UNSET if len(report.faults) > start else report.add(key, f"{key or 'the whole'}: {error}")
     for name, seen, text in complaints:
         dotted = f"{key}.{name}" if key else name

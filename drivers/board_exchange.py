@@ -255,7 +255,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
             if wake_status < 0:
                 return wake_status
     if was_paused:
-        at[BOARD.read_at] = _now(handle)  # waiting for the device is no pause of the loop
+        at[BOARD.read_at] = _now(handle)  # waiting for the device is not a pause of the loop
     if had_force and at[BOARD.has_force] == 0:
         status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
     for k in range(SAMPLE_SIZE):

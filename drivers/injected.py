@@ -348,4 +348,4 @@ def _action(fault: FaultBase) -> tuple[float, ...]:
             return HOLD_FORCE, HELD
         case Swallowed():
             return HOLD_FORCE, OK
-    raise TypeError(f"{fault!r} is no fault")
+    raise TypeError(f"{fault!r} is not a fault")

@@ -191,7 +191,7 @@ def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
     """Yield the text of each line; `number` is that of the first one, for messages."""
     while line := file.readline(LINE_MAX):
         if len(line) == LINE_MAX:
-            raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is no table of poses")
+            raise RecordingError(f"{path}, line {number}: longer than {LINE_MAX:,} bytes: this is not a table of poses")
         try:
             yield line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
         except UnicodeDecodeError as error:
@@ -372,7 +372,7 @@ def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
 def _check_count(path: Path, before: int) -> None:
     """Raise RecordingError if `before` poses were read and another would exceed POSES_MAX."""
     if before >= POSES_MAX:
-        raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it into parts")
+        raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it into parts")
 
 
 def _make_locator(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:

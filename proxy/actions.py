@@ -48,7 +48,7 @@ def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
             return model.Magnet(effect.force_n, effect.range_m, effect.exponent)
         case schema.StickSlip():
             return model.StickSlip(effect.stiffness_n_per_m, effect.force_max_n)
-    raise TypeError(f"{type(effect).__name__} is no effect of config.schema")
+    raise TypeError(f"{type(effect).__name__} is not an effect of config.schema")
 
 
 def _boundary(effect: schema.Boundary) -> model.BoxBoundary | model.SphereBoundary:

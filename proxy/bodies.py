@@ -169,7 +169,7 @@ class RigidBodies:
             number = int(body)
         if number < 0:
             names = [self.model.body(each).name or str(each) for each in range(1, self.model.nbody)]
-            raise ConfigError(f"motion.body = {body!r} is no body of {self.world.model}; it has {', '.join(names)}")
+            raise ConfigError(f"motion.body = {body!r} is not a body of {self.world.model}; it has {', '.join(names)}")
         return int(number)
 
     def begin(self, period_s: float) -> None:

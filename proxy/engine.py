@@ -336,7 +336,7 @@ class Engine:
             If the scene has other parts than the compiled one.
         """
         if not self._take(scene):
-            raise ValueError("the new scene has other parts than the one compiled: make another engine")
+            raise ValueError("the new scene has other parts than the compiled one: create another Engine")
 
     def _take(self, config: schema.Scene) -> bool:
         """Take the parameters of a scene; return False if it has other parts than the compiled one."""
@@ -455,9 +455,9 @@ class Engine:
 
     def _check_dt(self, dt: float) -> float:
         if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):
-            raise PoseError(f"dt = {dt}: a time step is 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
+            raise PoseError(f"dt = {dt}: must be 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
         if self.scene.bodies is not None and dt != self.dt:
-            raise PoseError(f"dt = {dt}: the bodies of [world] go on by {self.dt:g} s in each tick")
+            raise PoseError(f"dt = {dt}: the bodies of [world] advance by {self.dt:g} s in each tick")
         return float(dt)
 
 
@@ -472,7 +472,7 @@ def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
     checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
     if len({len(each) for each in checked}) > 1:
         counts = ", ".join(f"{len(each)} of {name}" for name, each in zip(fingers, checked, strict=True))
-        raise PoseError(f"poses of several fingers are taken tick by tick: give as many of each, not {counts}")
+        raise PoseError(f"all fingers need the same number of poses, not {counts}")
     return np.ascontiguousarray(np.stack(checked, axis=1))
 
 

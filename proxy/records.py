@@ -18,7 +18,7 @@ STRUCTURE: Final = np.dtype([(field.name, np.float64, (field.size,) if field.siz
 
 
 class NoField(HapticError, KeyError):
-    """Name that is no field of a record."""
+    """Name that is not a field of a record."""
 
     __str__ = Exception.__str__  # KeyError shows its message in quotes
 

@@ -218,7 +218,7 @@ def shape_bodies(thing: Any) -> list[Body]:
     Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
     can support the fingertip simultaneously, one body each.
     """
-    raise TypeError(f"{type(thing).__name__} is no shape: nothing is registered with shape_bodies for it")
+    raise TypeError(f"{type(thing).__name__} is not a shape: nothing is registered with shape_bodies for it")
 
 
 @shape_bodies.register

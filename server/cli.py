@@ -109,7 +109,7 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             return signals.exit_code(signal.SIGINT)
         except BrokenPipeError:
-            # The reader of stdout has closed the pipe (`| head`): this is no error, nor while closing.
+            # The reader of stdout has closed the pipe (`| head`): this is not an error, nor while closing.
             discard(sys.stdout)
             return 0
         except (OSError, MemoryError) as error:

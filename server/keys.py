@@ -60,7 +60,7 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
         If the name is not allowed or one of the files exists.
     """
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"{shown(name)} is no name of a key: up to 64 letters, digits, dots, - and _")
+        raise ConfigError(f"{shown(name)} is not a name of a key: up to 64 letters, digits, dots, - and _")
     files = folder / f"{name}.key", folder / f"{name}.key_secret"
     public, secret = zmq.curve_keypair()
     texts = [f'curve\n    public-key = "{public.decode()}"\n', f'    secret-key = "{secret.decode()}"\n']
@@ -68,7 +68,7 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         for path in files:
             if os.path.lexists(path):
-                raise FileExistsError(None, "is there already, and no key is overwritten: choose another name", path)
+                raise FileExistsError(None, "already exists, and keys are not overwritten: choose another name", path)
         _write(files[1], "".join(texts), 0o600)
         _write(files[0], texts[0], 0o644)
     except OSError as error:
@@ -94,13 +94,13 @@ def read_pair(path: str | Path) -> KeyPair:
     keys, mode = _read(path)
     if mode & _OTHERS_ACCESS:
         raise ConfigError(
-            f"{path}: a secret key that other users may read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
+            f"{path}: a secret key that other users can read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
             "keys if somebody has"
         )
     if "secret" not in keys:
         raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
     if zmq.curve_public(keys["secret"]) != keys["public"]:
-        raise ConfigError(f"{path}: the public key in it is not that of the secret one: make new ones")
+        raise ConfigError(f"{path}: its public key does not belong to its secret key: create new keys")
     return KeyPair(keys["public"], keys["secret"])
 
 
@@ -114,7 +114,7 @@ def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
     if args.server_key is None and args.keys is None:
         return None
     if args.keys is None:
-        raise ConfigError("--server-key requires --keys FILE, your secret key: softfinger keys makes one")
+        raise ConfigError("--server-key requires --keys FILE, your secret key: create one with softfinger keys")
     if args.server_key is None:
         raise ConfigError(f"--keys {args.keys} requires --server-key FILE, the public key of the server")
     return client_keys(args.keys, args.server_key)
@@ -130,8 +130,8 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
             check_owner(each, each_status, "could put another key in the place of this")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise ConfigError(f"{path}: no key can be read: {reason}; softfinger keys makes them") from error
+        raise ConfigError(f"{path}: no key can be read: {reason}; create one with softfinger keys") from error
     keys = {kind.decode(): key for kind, key in _LINE.findall(text)}
     if "public" not in keys:
-        raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; softfinger keys makes them")
+        raise ConfigError(f"{path}: no CURVE certificate: it has no line public-key; create one with softfinger keys")
     return keys, status.st_mode

@@ -271,7 +271,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--count", type=int, default=0, help="so many, drawn by --seed; 0: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", metavar="TEXT", help="those whose file, line or mistake has this in it")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="what became of each; what is there already is kept")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="what became of each; what already exists is kept")
     args = parser.parse_args(words)
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # before numba reads it
     from helpers import plain_exchange, planting

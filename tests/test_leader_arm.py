@@ -256,7 +256,7 @@ def test_the_rig_of_an_so101_is_complete() -> None:
 
 
 def test_refusals(urdf: Path, tmp_path: Path) -> None:
-    """A joint without a servo, a file that is no URDF, a servo in another mode, and one that is not there."""
+    """A joint without a servo, a file that is not a URDF, a servo in another mode, and one that is not there."""
     with emulated() as arm:
         with pytest.raises(ConfigError, match=r"joints on the way to that link .*\['pitch', 'roll', 'yaw'\]"):
             leader.open_device(arm_options(arm, urdf, joint=[{"name": "yaw", "servo": 1}], force_joint=None), RATE_HZ)
@@ -273,5 +273,5 @@ def test_refusals(urdf: Path, tmp_path: Path) -> None:
         arm.servos[3].mute = True
         with pytest.raises(DeviceTimeout, match=r"servo 3 has not answered.*check path, baud"):
             leader.open_device(arm_options(arm, urdf, force_joint=None), RATE_HZ)
-    with pytest.raises(DeviceError, match="is no serial port"):
+    with pytest.raises(DeviceError, match="is not a serial port"):
         leader.open_device(arm_options(str(urdf), urdf), RATE_HZ)

@@ -76,7 +76,7 @@ class Hold:
         off = self._place - place
         if np.linalg.norm(off) > ESCAPE_M:
             raise DeviceError(
-                f"the knob has left its place by {100 * np.linalg.norm(off):.1f} cm: if it ran away by itself, change "
+                f"the knob has moved by {100 * np.linalg.norm(off):.1f} cm: if it ran away by itself, change "
                 "motors_reversed in the rig; if the weight pulled it down, take a lighter one"
             )
         self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * off * dt, -FORCE_MAX_N, FORCE_MAX_N)
@@ -116,9 +116,7 @@ class Hold:
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns the exit code."""
     if not MASS_KG[0] <= args.mass <= MASS_KG[1]:
-        raise ConfigError(
-            f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: take another weight"
-        )
+        raise ConfigError(f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: use another weight")
     rig = load_rig(args.rig)
     config = single_device(rig)
     with open_device(config, rig.servo.rate_hz) as device:
@@ -126,19 +124,19 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
         device.arm()
         hold = Hold(device)
-        print("hold the knob at a position, and release it: it stays there", file=sys.stderr)
+        print("hold the knob still, then release it: it stays in place", file=sys.stderr)
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)
         if bare is None:
-            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang free")
+            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang freely")
         print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
         weight = args.mass * GRAVITY
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
         if loaded is None:
-            raise DeviceError(f"no weight was felt in {args.hang:g} s: hang it on the knob when asked")
+            raise DeviceError(f"no weight was detected in {args.hang:g} s: attach it when prompted")
         used = device.counts_per_nm
     if loaded < bare:
-        raise DeviceError("the weight took force off instead of adding it: the knob was touched: start again")
+        raise DeviceError("the weight reduced the force: the knob was touched: start again")
     result = {
         "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": used,
         "counts_per_nm": used * (loaded - bare) / weight,

@@ -105,7 +105,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         pages = {path: path.read_text(encoding="utf-8") for path in sorted(args.docs.rglob("*.md"))}
         if not pages:
-            raise ConfigError(f"{args.docs}: no pages here: name the folder docs of the repository")
+            raise ConfigError(f"{args.docs}: contains no pages: use the folder docs of the repository")
         tables = make_tables(args.docs / "figures", args.quick)
         for path, page in pages.items():
             changed = insert(page, tables)

@@ -156,7 +156,9 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
             ) from error
         number = len(client.scheduler_info(n_workers=-1)["workers"])
         if not number:
-            raise ConfigError(f"--scheduler {scheduler}: it has no workers: start one with `dask worker {scheduler}`")
+            raise ConfigError(
+                f"--scheduler {scheduler}: no workers are connected: start one with `dask worker {scheduler}`"
+            )
         # Not pure: dask would hash the arguments to find equal calls, which the keys have done already.
         completed = partial(distributed.as_completed, loop=client.loop)
         try:

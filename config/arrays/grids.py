@@ -57,7 +57,7 @@ def read_grid(path: str | Path, even: bool = False) -> Grid:
     read = READERS.get(Path(path).suffix.lower())
     if read is None:
         raise ConfigError(
-            f"{path}: is none of {', '.join(READERS)}: save a picture as grey .png, or any array by "
+            f"{path}: must be one of {', '.join(READERS)}: save a picture as grey .png, or any array by "
             "numpy.save(name, array)"
         )
     try:
@@ -76,13 +76,17 @@ def read_grid(path: str | Path, even: bool = False) -> Grid:
 
 def _check(grid: Grid, even: bool) -> None:
     if grid.ndim != 2 or grid.size == 0:
-        raise ValueError(f"an array of shape {grid.shape}: must have rows and columns; of a colour picture take one")
+        raise ValueError(
+            f"an array of shape {grid.shape}: must have rows and columns; select one channel of a colour picture"
+        )
     if grid.size > limits.GRID_VALUES.high:
-        raise ValueError(f"has {grid.size:,} values, {limits.GRID_VALUES.high:,} are the most: {limits.GRID_VALUES[2]}")
+        raise ValueError(
+            f"has {grid.size:,} values, at most {limits.GRID_VALUES.high:,} are allowed: {limits.GRID_VALUES[2]}"
+        )
     bad = ~(np.abs(grid) <= MAGNITUDE_MAX)
     if bad.any():
         row, column = np.argwhere(bad)[0]
-        raise ValueError(f"row {row}, column {column}: {grid[row, column]}: numbers are finite, at most 1e100")
+        raise ValueError(f"row {row}, column {column}: {grid[row, column]}: must be finite and at most 1e100")
     if grid.size < limits.GRID_VALUES.low:
         raise ValueError("has a single value: must have at least two")
     if not even and grid.min() == grid.max():
@@ -108,13 +112,15 @@ def _csv(path: str | Path) -> NDArray[Any]:
     lines = read_input(path, BYTES_MAX).decode("utf-8-sig").splitlines()
     numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not numbered:
-        raise ValueError("has no numbers: a row is a line, with commas between its numbers")
+        raise ValueError("has no numbers: write one row per line, with commas between the numbers")
     width = numbered[0][1].count(",") + 1
     grid = np.empty((len(numbered), width))
     for row, (number, line) in enumerate(numbered):
         cells = line.split(",")
         if len(cells) != width:
-            raise ValueError(f"line {number} has {len(cells)} numbers, the first row {width}: rows are of one length")
+            raise ValueError(
+                f"line {number} has {len(cells)} numbers, the first row {width}: all rows must have the same length"
+            )
         try:
             grid[row] = [float(cell) for cell in cells]
         except ValueError as error:
@@ -126,14 +132,14 @@ def _pgm(path: str | Path) -> NDArray[Any]:
     data = read_input(path, BYTES_MAX)
     head = _PGM.match(data[:_PGM_HEAD_MAX])
     if head is None:
-        raise ValueError("is no binary grey picture (P5): export it as raw PGM")
+        raise ValueError("is not a binary grey picture (P5): export it as raw PGM")
     columns, rows, white = (int(group) for group in head.groups())
     if not 0 < white < 65536:
         raise ValueError(f"gives {white}: must be 1 to 65535")
     kind = np.dtype(np.uint8 if white < 256 else ">u2")
     there, needed = len(data) - head.end(), rows * columns * kind.itemsize
     if there != needed:
-        raise ValueError(f"has {there:,} bytes of picture: {columns} x {rows} need {needed:,}")
+        raise ValueError(f"has {there:,} bytes of pixel data: {columns} x {rows} need {needed:,}")
     return np.frombuffer(data, kind, offset=head.end()).reshape(rows, columns)
 
 
@@ -149,7 +155,8 @@ def _png(path: str | Path) -> NDArray[Any]:
         columns, rows = picture.size
         if columns * rows > limits.GRID_VALUES.high:  # before decompression
             raise ValueError(
-                f"has {columns} x {rows} pixels, {limits.GRID_VALUES.high:,} are the most: {limits.GRID_VALUES[2]}"
+                f"has {columns} x {rows} pixels, at most {limits.GRID_VALUES.high:,} are allowed: "
+                f"{limits.GRID_VALUES[2]}"
             )
         if picture.mode not in GREY:
             raise ValueError(f"has pixels of {picture.mode}, must be grey without transparency, of 8 or 16 bits")

@@ -100,7 +100,11 @@ class Form(Table, frozen=True, kw_only=True):
             most, why = limits.FINGERTIP_ASPECT.high, limits.FINGERTIP_ASPECT.reason
             yield "radii_m", self.radii_m, f"the longest must be at most {most:g} times the shortest ({why})"
         if self.orientation_wxyz is not None and not any(self.orientation_wxyz):
-            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
+            yield (
+                "orientation_wxyz",
+                self.orientation_wxyz,
+                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
+            )
 
     @property
     def reaches_m(self) -> tuple[float, float]:

@@ -28,7 +28,11 @@ class Tool(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
-            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
+            yield (
+                "orientation_wxyz",
+                self.orientation_wxyz,
+                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
+            )
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
@@ -257,7 +261,7 @@ class Rig(Table, frozen=True, kw_only=True):
                     key,
                     endpoint,
                     f"is open to the network, and it has no keys of clients that may {use}: add [security] with key "
-                    f"and {folder} (softfinger keys makes them), or take tcp://127.0.0.1:PORT or ipc://PATH",
+                    f"and {folder} (create one with softfinger keys), or take tcp://127.0.0.1:PORT or ipc://PATH",
                 )
                 if self.commands.endpoint is None:  # it is derived, and its fault would be a repetition
                     return

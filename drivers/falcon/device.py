@@ -116,7 +116,7 @@ class Falcon(Device):
         ):
             address = allocate(0)
             if not address:
-                raise DeviceError("libusb has no memory for a transfer: close other programs")
+                raise DeviceError("libusb cannot allocate a transfer: close other programs")
             word[field] = address
             transfer = Transfer.from_address(address)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
@@ -170,7 +170,9 @@ class Falcon(Device):
         self._zero_failure = ""
         if not self._until_done(exchange.silence):
             self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
-            log.error("%s: takes no packet for %g s, so no zero either: switch it off", self.info.name, STOP_WAIT_S)
+            log.error(
+                "%s: takes no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
+            )
         elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
             self._zero_failure = self.reason() or "its last packet did not go through"
 
@@ -190,10 +192,10 @@ class Falcon(Device):
                     self._free(int(self._word[field]))
             _active_blocks.pop(self._block.handle, None)
         elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
-            log.error("%s: libusb does not return: the device remains open", self.info.name)
+            log.error("%s: a call of libusb hangs: the device remains open", self.info.name)
             return
         else:  # closing removes them from libusb; they and the block are not freed
-            log.error("%s: libusb does not end its transfers", self.info.name)
+            log.error("%s: libusb does not cancel its transfers", self.info.name)
         self._word[AT.transfer_in] = self._word[AT.transfer_out] = 0
         self._chip.close()
 

@@ -65,7 +65,7 @@ def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> Ser
         raise
     chip.close()
     raise DeviceError(
-        f"the Falcon did not take the firmware {path} in {ATTEMPTS_MAX} tries: {fault}: switch it off and on, "
+        f"the Falcon did not accept the firmware {path} in {ATTEMPTS_MAX} tries: {fault}: switch it off and on, "
         "check the file, then start again"
     )
 

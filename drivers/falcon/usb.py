@@ -178,7 +178,7 @@ def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
         return DeviceBusy(f"{name} is used by another program: close that one first")
     if error.errno in (errno.ENODEV, errno.ENOENT):
         return DeviceNotFound(f"{name} is not there any more: plug in its USB cable and its power")
-    return DeviceError(f"{name} cannot be opened: {error}: unplug it, plug it in again")
+    return DeviceError(f"{name} cannot be opened: {error}: unplug it and plug it in again")
 
 
 def _lost_error(error: usb.core.USBError) -> DeviceLost:

@@ -183,7 +183,8 @@ class ForceDimension(Device):
         stop_thread.join(HANG_WAIT_S)
         if stop_thread.is_alive():
             log.error(
-                "%s: the library hangs and blocks all calls; only the device's watchdog remains: switch the device off",
+                "%s: a call of the library hangs and blocks all others; only the device's watchdog can remove force: "
+                "switch the device off",
                 self._model.full_name,
             )
 
@@ -199,7 +200,8 @@ class ForceDimension(Device):
             word[pointers] = address(call, name)
         if not self._model.name:
             log.warning(
-                "%s: its limits are not known, so it gets the least of any: %g N, no torque; begin with a soft scene",
+                "%s: its limits are unknown, so the lowest of all models apply: %g N, no torque; "
+                "start with a soft scene",
                 self._model.full_name, self._model.limits.force_max_n,
             )  # fmt: skip
         self._choose_pose()
@@ -240,7 +242,7 @@ class ForceDimension(Device):
                 f"{self._model.full_name} is not calibrated: calibrate it with the maker's tools, or set "
                 "calibrate = true in the rig's [device] table; the device then MOVES BY ITSELF: keep clear of it"
             )
-        log.warning("%s calibrates itself now: it moves, keep clear", self._model.full_name)
+        log.warning("%s calibrates itself now and MOVES: keep clear", self._model.full_name)
         self._call_checked("drdAutoInit", self._library.drdAutoInit)
 
     def _set_watchdog(self, seconds: float) -> None:

@@ -81,7 +81,7 @@ def _error_status(handle: int) -> int:
 
 @jit
 def _convert_pose(handle: int, sample: Any) -> None:
-    """Convert the library's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
+    """Convert the library's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
     p = float64_at(handle + 8 * AT.frame)
     sample[0] = p[1]
     sample[1] = -p[0]

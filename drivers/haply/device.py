@@ -81,7 +81,7 @@ class HaplyDevice(Device):
             time.sleep(POLL_S)
         self._zero_failure = self._explain_unconfirmed()
         if self._zero_failure and not was_logged:
-            log.error("%s: no zero is confirmed: %s", self.info.name, self._zero_failure)
+            log.error("%s: zero force is not confirmed: %s", self.info.name, self._zero_failure)
 
     def zero_failure(self) -> str:
         return self._zero_failure

@@ -97,7 +97,7 @@ class ExchangeThread:
             os.eventfd_write(int(self._word[AT.wake]), 1)
         self._thread.join(CLOSE_WAIT_S)
         if self._thread.is_alive():
-            log.error("the thread that speaks to the Inverse Service hangs; it is left behind")
+            log.error("the thread of the Inverse Service hangs and is abandoned")
 
     def _run(self) -> None:
         try:

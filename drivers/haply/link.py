@@ -127,7 +127,7 @@ class Link:
             found = self.receive_handshake(until)
             if self._protocol.handshake_exc is not None:
                 raise DeviceError(
-                    f"the program on the port is no Inverse Service of 3.1 or later: {self._protocol.handshake_exc}"
+                    f"the program on the port is not an Inverse Service of 3.1 or later: {self._protocol.handshake_exc}"
                 )
             if self._protocol.state.name == "OPEN":
                 return found

@@ -201,7 +201,7 @@ def parse_version(version: str) -> tuple[int, int]:
         parsed = int(parts[0]), int(parts[1])
     except (ValueError, IndexError):
         raise DeviceError(
-            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is no number: "
+            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is not a number: "
             "name it with version under [device]"
         ) from None
     if not FIRST_SUPPORTED <= parsed < FIRST_UNSUPPORTED:

@@ -14,7 +14,7 @@ from softfinger.drivers.mounting import Mounting
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
 FORCE_MAX_N: Final = Range(0.0, 20.0, "twice the stated maximum of any of these devices")
-GAIN: Final = Range(0.0, 1.0, "0 is no filter; past 1 nothing is published")
+GAIN: Final = Range(0.0, 1.0, "0 disables the filter; past 1 nothing is published")
 DAMPING: Final = Range(0.0, 10.0, "no page of the maker gives a range")
 GRAVITY: Final = Range(0.0, 2.0, "1 compensates the weight of the device; 2 throws it up")
 SILENCE_S: Final = Range(

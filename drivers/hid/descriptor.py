@@ -35,6 +35,6 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
     known = [name for name, one in library_lengths().items() if announced.includes(one)]
     hint = f'set reports to "{known[0]}", whose they are' if known else "correct [device.reports]"
     raise DeviceError(
-        f"{path} has other reports than the rig: the device announces {announced}; the rig describes {expected}: "
+        f"{path} has different reports from the rig: the device reports {announced}; the rig describes {expected}: "
         f"{hint} (descriptor {descriptor.hex()})"
     )

@@ -111,7 +111,7 @@ class HidDevice(Device):
         """Log that no zero was sent, once: the loop, the daemon and `close` each stop the device."""
         self._zero_failure = self.reason() or f"writes have been pending for {STOP_WAIT_S:g} s"
         if not was_logged:
-            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
+            log.error("%s: zero force has not reached it: %s", self.info.name, self._zero_failure)
 
     def zero_failure(self) -> str:
         return self._zero_failure

@@ -52,5 +52,5 @@ def _descriptor(fd: int, path: str) -> bytes:
         buffer = bytearray(size) + bytearray(_DESCRIPTOR_MAX)
         fcntl.ioctl(fd, _GET_DESCRIPTOR, buffer)
     except OSError as error:
-        raise DeviceError(f"{path} does not give its report descriptor: {error.strerror}") from error
+        raise DeviceError(f"{path} does not return its report descriptor: {error.strerror}") from error
     return bytes(buffer[4 : 4 + struct.unpack("<i", size)[0]])

@@ -116,7 +116,7 @@ class ReportThreads:
         for thread in (self._reader, self._writer):
             thread.join(max(0.0, until - time.monotonic()))
             if thread.is_alive():
-                log.error("%s: a call of hidapi hangs; the device is closed once it returns", thread.name)
+                log.error("%s: a call of hidapi hangs; the device will be closed when it returns", thread.name)
 
     def _run(self, work: Callable[[], None], direction: int) -> None:
         try:

@@ -95,7 +95,9 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
         try:
             descriptor = bytes(device.get_report_descriptor())
         except OSError as error:
-            raise DeviceError(f"{path} does not give its report descriptor: unplug it, plug it in again") from error
+            raise DeviceError(
+                f"{path} does not return its report descriptor: unplug it and plug it in again"
+            ) from error
     except BaseException:
         device.close()
         os.close(lock_fd)

@@ -11,7 +11,7 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
 from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
-RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m is no desktop device")
+RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m is not a desktop device")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
 APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
 TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")

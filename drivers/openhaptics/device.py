@@ -180,7 +180,9 @@ class OpenHaptics(Device):
                 "the rig, or name another device of Touch_Setup as `name`"
             )
         if model not in MODELS:
-            log.warning("%s: its limits are not known, so it gets the least of any: %g N, no torque", model, UNKNOWN[0])
+            log.warning(
+                "%s: its limits are unknown, so the lowest of all models apply: %g N, no torque", model, UNKNOWN[0]
+            )
         return model, serial, style
 
     def _info(self) -> DeviceInfo:
@@ -257,7 +259,7 @@ class OpenHaptics(Device):
                 f"{self.info.name}: the library's thread has not called within {FIRST_FRAMES_S:g} s: {_RETRY_REMEDY}"
             )
         if word[AT.status] < 0:
-            raise DeviceError(f"{self.info.name} gives no pose: {self.reason()}: {_RETRY_REMEDY}")
+            raise DeviceError(f"{self.info.name} returns no pose: {self.reason()}: {_RETRY_REMEDY}")
 
     def _integer(self, what: int) -> int:
         value = ctypes.c_int()

@@ -191,7 +191,7 @@ def _send_wrench(handle: int, wrench: Any) -> None:
 
 @jit
 def _make_pose(handle: int, new_pose: Any) -> None:
-    """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is no rotation."""
+    """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
     word = int64_at(handle)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
     new_pose[0], new_pose[1], new_pose[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M

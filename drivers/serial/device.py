@@ -170,7 +170,7 @@ class SerialDevice(Device):
         was_logged = bool(self._zero_failure)
         self._zero_failure = self._stop(STOP_AGAIN_S if was_logged else STOP_WAIT_S)
         if self._zero_failure and not was_logged:
-            log.error("%s: no zero has reached it: %s", self.info.name, self._zero_failure)
+            log.error("%s: zero force has not reached it: %s", self.info.name, self._zero_failure)
 
     def _stop(self, wait_s: float) -> str:
         """Return why no zero was sent in this time; empty if it was."""

@@ -35,7 +35,7 @@ DRAIN_WAIT_S: Final = 0.2
 def open_port(options: Options) -> tuple[int, str]:
     """Open the device's port, raw, non-blocking, locked and empty, and return its file descriptor and path.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is no port or another device.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is not a port or another device.
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
@@ -44,7 +44,7 @@ def open_port(options: Options) -> tuple[int, str]:
     fd = open_locked(path, _how_to_permit(path, options))
     try:
         if not os.isatty(fd):
-            raise DeviceError(f"{path} is no serial port: name a /dev/ttyACMN, or leave `path` out")
+            raise DeviceError(f"{path} is not a serial port: name a /dev/ttyACMN, or leave `path` out")
         try:
             _set_raw(fd, options.baud)
         except (OSError, termios.error) as error:

@@ -69,7 +69,7 @@ def lead(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPo
     if requested.orientation is not None and info.sensed_dof < 6:
         raise ConfigError(f"hand: {info.name} senses no rotation: leave orientation_wxyz out")
     if requested.orientation is not None and not any(requested.orientation):
-        raise ConfigError("hand: orientation_wxyz all zero is no orientation: [1, 0, 0, 0] turns nothing")
+        raise ConfigError("hand: orientation_wxyz all zero is not an orientation: [1, 0, 0, 0] turns nothing")
     tip = requested.present_orientation if requested.orientation is None else normalize(requested.orientation)
     handle = handle_of(tool, Pose(requested.position, tip))
     x, y, z = (p - o for p, o in zip(handle.position, offset, strict=True))

@@ -265,7 +265,7 @@ def find(options: Options) -> Attached:
     """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
     nodes = list(discovery.hidraw_nodes())
     if options.path is not None:
-        # opening reports whether an unlisted node is missing or is no node
+        # opening reports whether an unlisted node is missing or is not a node
         return next(
             (node for node in nodes if node.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
         )

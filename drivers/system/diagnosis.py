@@ -115,7 +115,7 @@ def diagnose_requirements(
             return Diagnosis("service", str(error), dial.START)
     loaded = answers is not None and answers.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
-        is_named = f"'{firmware}' is no file" if firmware else "no rig named one (--rig)"
+        is_named = f"'{firmware}' is not a file" if firmware else "no rig named one (--rig)"
         return Diagnosis(
             "firmware",
             f"it needs its firmware after every power-up, which does not come with this program, and {is_named}",

@@ -52,10 +52,10 @@ def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -
     info = bytearray(8)
     try:
         if not stat.S_ISCHR(os.fstat(fd).st_mode):
-            raise DeviceError(f"{path} is no device node: name a /dev/hidrawN, or leave `path` out")
+            raise DeviceError(f"{path} is not a device node: name a /dev/hidrawN, or leave `path` out")
         fcntl.ioctl(fd, _GET_INFO, info)
     except OSError as error:
-        raise DeviceError(f"{path} is no hidraw node: {error.strerror}: name a /dev/hidrawN") from error
+        raise DeviceError(f"{path} is not a hidraw node: {error.strerror}: name a /dev/hidrawN") from error
     _, vendor, product = struct.unpack("<IHH", info)
     if (vendor, product) != (wanted_vendor, wanted_product):
         raise DeviceError(

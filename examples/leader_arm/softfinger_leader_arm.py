@@ -372,7 +372,7 @@ def open_device(options: Options, rate_hz: float) -> LeaderArm:
         _set_raw(fd, options.baud)
     except (OSError, termios.error) as error:
         os.close(fd)
-        raise DeviceError(f"{options.path} is no serial port: {error}: name the port of the bus as path") from error
+        raise DeviceError(f"{options.path} is not a serial port: {error}: name the port of the bus as path") from error
     return LeaderArm(options, chain, fd)
 
 

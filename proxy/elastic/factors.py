@@ -121,7 +121,7 @@ class Factors:
         try:
             square = cholesky(matrix[:count, :count], lower=True, check_finite=False)
         except LinAlgError as error:
-            raise ValueError("fixed: the body can still move: name a larger region, in each part of it") from error
+            raise ValueError("fixed: the body can still move: choose a larger region in each of its parts") from error
         below = solve_triangular(square, matrix[count:, :count].T, lower=True, check_finite=False)
         self._write(own, beyond, square, below)
         return beyond, matrix[count:, count:] - below.T @ below

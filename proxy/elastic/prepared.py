@@ -170,7 +170,7 @@ def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elas
         chosen &= region_holds(elastic.reach, points)
     nodes = nodes[chosen]
     if len(nodes) == 0:
-        raise ValueError("reach: no vertex of the surface is there and outside of `fixed`")
+        raise ValueError("reach: it contains no vertex of the surface outside of `fixed`")
     if len(nodes) > limits.ELASTIC_NODES.high:
         raise ValueError(
             f"{len(nodes):,} vertices of the surface give, at most {int(limits.ELASTIC_NODES.high):,} can: take a "

@@ -79,7 +79,7 @@ def read(path: str, key: str) -> Body:
     """
     arrays = _arrays(read_input(path, BYTES_MAX))
     if arrays["hash"].tobytes() != _hash(key, arrays).tobytes():
-        raise ValueError("is damaged, or the solution of other values")
+        raise ValueError("is damaged or the solution for other values")
     nodes, vertices = arrays["nodes"], arrays["vertices"].reshape(-1, 3)
     count = 3 * len(nodes)
     square = np.zeros((count, count))
@@ -99,12 +99,12 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
             members = zipfile.ZipFile(file).infolist()
             stored = all(each.compress_type == zipfile.ZIP_STORED for each in members)
             if not stored or [each.filename for each in members] != [f"{name}.npy" for name in TYPES]:
-                raise ValueError("is no solution of an elastic body")
+                raise ValueError("is not a solution of an elastic body")
             arrays = {name: np.asarray(archive[name]) for name in TYPES}
     except (zipfile.BadZipFile, EOFError, KeyError, OverflowError, SyntaxError, MemoryError) as error:
         raise ValueError(f"is damaged: {error}") from error
     if any(array.dtype.name != TYPES[name] for name, array in arrays.items()):
-        raise ValueError("is no solution of an elastic body")
+        raise ValueError("is not a solution of an elastic body")
     return arrays
 
 

@@ -41,7 +41,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     if not expected <= limits.ELASTIC_TETRAHEDRA.high:
         raise ValueError(
             f"resolution_m = {resolution_m:g}: about {expected:,.0f} tetrahedra, at most "
-            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: take a larger one"
+            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: increase it"
         )
     try:
         import gmsh
@@ -107,7 +107,7 @@ def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:
     """Return the volume without unused vertices. Raises ValueError for inverted, flat or too many tetrahedra."""
     most = int(limits.ELASTIC_TETRAHEDRA.high)
     if not 0 < len(tetrahedra) <= most:
-        raise ValueError(f"{len(tetrahedra):,} tetrahedra: at most {most:,} can be solved; take a larger resolution_m")
+        raise ValueError(f"{len(tetrahedra):,} tetrahedra: at most {most:,} can be solved: increase resolution_m")
     if not np.isfinite(vertices).all():
         raise ValueError("a coordinate is not finite")
     used, corners = np.unique(tetrahedra, return_inverse=True)
@@ -115,7 +115,9 @@ def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:
     measured = quality(volume)
     worst = int(measured.argmin())
     if measured[worst] <= 0.0:
-        raise ValueError(f"tetrahedron {worst} is inverted, with {int((measured <= 0.0).sum())} in all: mesh it again")
+        raise ValueError(
+            f"tetrahedron {worst} is inverted, with {int((measured <= 0.0).sum())} in all: repeat the meshing"
+        )
     if measured[worst] < LEAST_QUALITY:
         raise ValueError(f"tetrahedron {worst} is flat: quality {measured[worst]:.2g}, at least {LEAST_QUALITY:g}")
     return volume

@@ -64,7 +64,7 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
         return None
     except (Unsound, OSError, ValueError, TypeError, KeyError) as error:
         if folder.problem() is None:
-            log.warning("cached mesh %s is not used and is built again: %s", name, error)
+            log.warning("cached mesh %s is invalid and is built again: %s", name, error)
         return None
 
 

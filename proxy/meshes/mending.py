@@ -112,8 +112,8 @@ def _check_size(vertices: Vertices) -> None:
         )
     if reach > limits.COORDINATE_M.high:
         raise ValueError(
-            f"has a coordinate of {reach:g} m, {limits.COORDINATE_M.high:g} is the most: move it to its origin, and "
-            "place it by position_m"
+            f"has a coordinate of {reach:g} m, at most {limits.COORDINATE_M.high:g} is allowed: move it to its "
+            "origin, and place it by position_m"
         )
 
 

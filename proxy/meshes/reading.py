@@ -48,7 +48,9 @@ class Arrays(NamedTuple):
 def read_bytes(path: str | Path) -> bytes:
     """Return the content of a mesh file. Raises ConfigError if it is missing, too large, or of an unknown ending."""
     if _kind(path) not in (*READERS, *TETRAHEDRA):
-        raise ConfigError(f"{path}: is none of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these")
+        raise ConfigError(
+            f"{path}: must be one of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these"
+        )
     try:
         return read_input(path, BYTES_MAX)
     except (OSError, MemoryError, ValueError) as error:
@@ -72,7 +74,7 @@ def arrays_of(path: str | Path, data: bytes) -> Arrays:
     except ValueError as error:
         raise ConfigError(f"{path}: {_line(error)}") from error
     except Exception as error:  # damaged bytes fail in many ways
-        raise ConfigError(f"{path}: is damaged, or no {kind.upper()} file: {_line(error)}") from error
+        raise ConfigError(f"{path}: is damaged or not a {kind.upper()} file: {_line(error)}") from error
     return Arrays(np.ascontiguousarray(faces.points), np.ascontiguousarray(triangles, dtype=np.int32))
 
 
@@ -83,12 +85,12 @@ def _kind(path: str | Path) -> str:
 def _check(faces: Faces) -> None:
     points, corners, counts, promised = faces
     if len(counts) != promised:
-        raise ValueError(f"promises {promised:,} faces, and has {len(counts):,}: it was cut off, or is damaged")
+        raise ValueError(f"promises {promised:,} faces, and has {len(counts):,}: it is truncated or damaged")
     if len(counts) == 0:
-        raise ValueError("has no triangles: it is damaged, or has only points, which have no surface; mesh them first")
+        raise ValueError("has no triangles: it it is damaged or has only points: mesh them first")
     triangles = int(np.maximum(counts - 2, counts > 0).sum())
     if triangles > limits.MESH_TRIANGLES.high:
-        raise ValueError(f"has {triangles:,} triangles, {limits.MESH_TRIANGLES.high:,} are the most: decimate it")
+        raise ValueError(f"has {triangles:,} triangles, {limits.MESH_TRIANGLES.high:,} are the limit: decimate it")
     if not (corners.min(initial=0) >= 0 and corners.max(initial=0) < len(points)):
         bad = int(((corners < 0) | (corners >= len(points))).argmax())
         face = int(np.searchsorted(np.cumsum(counts), bad, side="right"))

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
-            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     if args.viewer == "foxglove":
         if args.recording or args.save or args.connect:
             raise ConfigError("Foxglove opens a recording (.mcap) itself; --save and --connect are for Rerun")

@@ -59,7 +59,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     counted = [row for row in rows if is_counted(row)]
     excluded = excluded_participants(experiment, rows)
     if not counted:
-        raise ConfigError("no trial beyond practice has been answered: there is nothing to draw yet")
+        raise ConfigError("no trial beyond practice has been answered: nothing to draw yet")
     participants = sorted({row["participant"] for row in counted})
     groups = []
     for participant in [*participants, *([ALL] if len(participants) > max(1, len(excluded)) else [])]:

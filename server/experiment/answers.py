@@ -148,7 +148,7 @@ class Participant:
                     self._last_key_s = time.monotonic()
                     self._send_answer(value, number)
         if prompted.number != number or prompted.answer is None:
-            raise ConfigError("another program has set a prompt in the place of the question: let it end first")
+            raise ConfigError("another program has replaced the question by its own prompt: end that program first")
         return Answer(prompted.answer, prompted.after_s)
 
     def _wait_for_release(self, keys: Callable[[], str]) -> None:

@@ -69,7 +69,7 @@ def start_daemon(
             Daemon(load_rig(rig, values | rig_values), scene, scene_name=Path(experiment.scene).stem[:64])
         )
         if daemon.commands_endpoint is None:
-            raise ConfigError(f"{rig}: takes no commands, and an experiment needs them: leave commands.endpoint out")
+            raise ConfigError(f"{rig}: accepts no commands, but an experiment needs them: remove commands.endpoint")
         for where, name, parameters in level_extremes(experiment):
             condition_rig, condition_scene = rigs.split(parameters, where)
             scene_at_level = load_changed_scene(scene_of(name), condition_scene, where)

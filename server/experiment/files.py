@@ -103,19 +103,19 @@ def images(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
 def read_image(name: str, folder: Path) -> str:
     """Return an image of the participant's page as a data URI.
 
-    Raises ConfigError if a file is outside the experiment's folder, is no image, or is too large.
+    Raises ConfigError if a file is outside the folder of the experiment, is not an image, or is too large.
     """
     where = f"screen.image = {shown(name)}"
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
-        raise ConfigError(f"{where}: is outside the experiment's folder {folder.resolve()}: copy it there")
+        raise ConfigError(f"{where}: is outside the folder of the experiment {folder.resolve()}: copy it there")
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{where}: cannot be read: {error.strerror}") from error
     kind = next((kind for kind, start in IMAGES.items() if re.match(start, data, re.DOTALL)), None)
     if kind is None:
-        raise ConfigError(f"{where}: is no image: give a PNG, JPEG or WebP file")
+        raise ConfigError(f"{where}: is not an image: use a PNG, JPEG or WebP file")
     if len(data) > IMAGE_BYTES_MAX:
         raise ConfigError(f"{where}: has {len(data)} bytes: at most {IMAGE_BYTES_MAX}; make it smaller")
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

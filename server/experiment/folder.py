@@ -146,7 +146,7 @@ def _check_same(path: Path, text: bytes) -> None:
     """Raise ConfigError if an existing file has another content than `text`."""
     if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
         raise ConfigError(
-            f"{path}: is of an experiment with other values{_different_keys(path, text)}: name another folder "
+            f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
             "(--out), or run the experiment as it was"
         )
 
@@ -203,7 +203,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def _write_new(path: Path, data: bytes) -> None:
     """Write a new file atomically. Raises ConfigError if it exists."""
     if path.exists():
-        raise ConfigError(f"{path}: is there already, and nothing of a participant is overwritten: move it away")
+        raise ConfigError(f"{path}: already exists, and data of a participant is not overwritten: move it away")
     _write(path, data)
 
 
@@ -234,6 +234,6 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
     except (OSError, msgspec.DecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
-            f"{path}: cannot be read: {reason}: is this a folder that `softfinger experiment` made?"
+            f"{path}: cannot be read: {reason}: was this folder written by `softfinger experiment`?"
         ) from error
     return build(ExperimentFile, values, str(path)), read_trials(sorted(root.glob(JOURNAL)))

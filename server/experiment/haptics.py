@@ -121,7 +121,7 @@ class Haptics:
         while ticks and self._read_recorded_tick() < ticks[-1]["tick"]:
             if time.monotonic() > until:
                 raise RecordingError(
-                    f"the disk has not taken the ticks of the touch within {DISK_TIMEOUT_S:g} s{REPEAT_REMEDY}"
+                    f"the ticks of the touch were not written to disk within {DISK_TIMEOUT_S:g} s{REPEAT_REMEDY}"
                 )
             self.wait(POLL_S)
 

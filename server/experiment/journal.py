@@ -76,7 +76,7 @@ class Journal(Memory, Closeable):
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConfigError(
-                f"{self.path}: another session of this participant is running: wait for its end"
+                f"{self.path}: another session of this participant is running: wait until it ends"
             ) from error
 
 
@@ -98,7 +98,7 @@ def read(path: Path) -> list[Entry]:
             damaged = number
             continue
         if damaged and entry.get("kind") != "started":
-            raise ConfigError(f"{path}: line {damaged} is no entry of a journal: the file is damaged")
+            raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: the file is damaged")
         damaged = 0
         entries.append(entry)
     return entries

@@ -29,7 +29,7 @@ def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: st
         return overridden(scene, others, where) if others else scene
     if scene.world is None:
         raise ConfigError(
-            f"{where}: {PREFIX}{next(iter(masses))}: the scene has no [world], and so no body with a mass"
+            f"{where}: {PREFIX}{next(iter(masses))}: the scene has no [world], so it has no bodies with a mass"
         )
     changed = overridden(scene, {**others, "world.mass_kg": scene.world.mass_kg | masses}, where)
     try:

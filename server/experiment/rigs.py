@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # experiment files are read without importing drivers
 
 PREFIX: Final = "rig."
 FIXED_KEYS: Final = frozenset({"arm", "workspace"})
-"""Keys of the guard that cannot be parameters: the right to arm is no stimulus, and a workspace is compiled."""
+"""Keys of the guard that cannot be parameters: the right to arm is not a stimulus, and a workspace is compiled."""
 CHANGEABLE_KEYS: Final = frozenset(
     f"{PREFIX}guard.{each.name}" for each in fields(Guard) if each.name not in FIXED_KEYS
 )
@@ -30,7 +30,7 @@ def split(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[s
     Raises ConfigError if a value of the rig needs a restart of the daemon.
     """
     faults = [
-        f"{where}: {path}: needs another start of the daemon, so it is no factor: run a session with --rig for "
+        f"{where}: {path}: needs another start of the daemon, so it is not a factor: run a session with --rig for "
         f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
         for path in values
         if (path.startswith(PREFIX) or path.partition(".")[0] in _TABLES) and path not in CHANGEABLE_KEYS

@@ -21,7 +21,7 @@ log: Final = logging.getLogger(__name__)
 def run(args: argparse.Namespace) -> int:
     """Run the session; return 0, or the exit code of a stop by a signal."""
     if args.no_daemon and not args.dry_run:
-        raise ConfigError("--no-daemon: only the simulated observer needs none: give --dry-run too")
+        raise ConfigError("--no-daemon: only the simulated observer works without a daemon: add --dry-run")
     if args.view:
         check_viewer()
     changes: dict[str, Any] = dict(map(parse_parameter, args.set)) | ({"rig": args.rig} if args.rig else {})

@@ -33,7 +33,9 @@ class Addresses(NamedTuple):
     def command_endpoint(self) -> str:
         """Return the command endpoint; raises ConfigError if there is none."""
         if self.commands is None:
-            raise ConfigError(f"the daemon that publishes on {self.telemetry} takes no commands: its rig has them off")
+            raise ConfigError(
+                f"the daemon that publishes on {self.telemetry} accepts no commands: they are off in its rig"
+            )
         return self.commands
 
 

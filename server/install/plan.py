@@ -61,7 +61,7 @@ def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPath
             return Path(value)
         if home is None:
             raise ConfigError(
-                f"this user has no home folder, neither in HOME nor in passwd: set HOME or {name}, or add --system"
+                f"this user has no home folder, in HOME or in passwd: set HOME or {name}, or add --system"
             )
         return home / fallback
 

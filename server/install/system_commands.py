@@ -55,7 +55,7 @@ def run_all(commands: Iterable[Command]) -> None:
     """Run the available commands and print each with its result; a failure does not stop the next."""
     for command in commands:
         if shutil.which(command[0]) is None:
-            print(f"not run, for {command[0]} is not here: {shlex.join(command)}")
+            print(f"not run, because {command[0]} is not installed: {shlex.join(command)}")
             continue
         result = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
         output = (result.stderr or result.stdout).strip().splitlines()

@@ -193,7 +193,7 @@ class Servo:
         handover.loop_ended.set()
         handover.loop_ready.wait()
         if handover.loop is None:
-            raise handover.error or SafetyStop("there was no loop to go on with")
+            raise handover.error or SafetyStop("there was no loop to continue")
         self._loop, self._handover = self._with_continued_limits(handover.loop), None
         self.records.add(self._loop.shared.ring)
         self.shared.stop[0] = 0
@@ -246,7 +246,7 @@ class Servo:
     def check_running(self) -> None:
         """Raise SafetyStop unless the loop is ticking."""
         if not self._armed or self._ended is not None:
-            raise SafetyStop("the servo does not run: there is nothing to be replaced")
+            raise SafetyStop("the servo does not run: nothing can be replaced")
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -341,7 +341,7 @@ class Servo:
         Only one thread may call this at a time.
         """
         if not self.is_compiled_for(tuning):
-            raise ValueError("the new tuning has other parts than the one compiled: replace the loop")
+            raise ValueError("the new scene has other parts than the compiled one: replace the loop")
         # The replaced scene may contain arrays, and the loop reads them until it has accepted the new one. It has done
         # so once two ticks are done since the last write: the second one started after it and read no other scene.
         if self.ticks >= self._tuned_tick + 2:

@@ -126,7 +126,7 @@ def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) ->
 
 
 def _device_error(device: Device, what: str, text: str) -> DeviceError:
-    return DeviceError(f"{device.info.name} could not {what} ({text}): it may still display a force: switch it off")
+    return DeviceError(f"{device.info.name} could not {what} ({text}): it may still apply a force: switch it off")
 
 
 def _call_checked(device: Device, act: Callable[[], None], what: str) -> None:
@@ -150,18 +150,18 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
     if ended.ending == health.NO_POSE:
         return DeviceError(
             f"{name}: no usable pose for {health.NO_FORCE_MAX_S:g} s{because}: zero force was commanded; "
-            "see to its sensors and its cable, then start again"
+            "check its sensors and its cable, then start again"
         )
     if ended.ending == health.JUMPING:
         return DeviceError(
             f"{name}: its pose jumps repeatedly, farther than a hand moves in that time{because}: zero force was "
-            "commanded; see to its sensors and its cable, then start again; where it was a hand, raise "
+            "commanded; check its sensors and its cable, then start again; where it was a hand, raise "
             "guard.speed_max_m_per_s or guard.turn_max_rad_per_s"
         )
     if ended.ending not in (READ_FAILED, WRITE_FAILED):
         return None
     if ended.status == FORCE_OFF:
-        return SafetyStop(f"{name} turned its force off{because}: see to the cause, then start again")
+        return SafetyStop(f"{name} turned its force off{because}: fix the cause, then start again")
     if ended.status == TIMEOUT:
         return DeviceTimeout(
             f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
@@ -178,7 +178,7 @@ def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> H
     if ended.ending == health.NO_FORCE:
         return SafetyStop(
             f"the scene gave no finite force for {health.NO_FORCE_MAX_S:g} s: zero force was commanded; "
-            "softfinger check names values that do not go together, else report the scene"
+            "run softfinger check to find inconsistent values, or report the scene"
         )
     if ended.ending != health.STARVED:
         return None

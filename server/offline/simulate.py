@@ -254,11 +254,9 @@ def _open_simulated(paired: Moved, rate_hz: float) -> Any:
     config = paired.device
     driver = registry.load(config.driver)
     if not hasattr(driver, "make_simulation"):
-        raise ConfigError(
-            f"device '{config.driver}' cannot be run without a clock: take the device `simulated`, or --poses"
-        )
+        raise ConfigError(f"device '{config.driver}' cannot run offline: use the device `simulated`, or --poses")
     options = build(driver.Options, config.options, paired.table)
     if getattr(options, "puck", None) is not None:
-        raise ConfigError("a hand that a puck leads cannot be run without a clock: use `run`, or leave puck out")
+        raise ConfigError("a hand led by a puck cannot run offline: use `run`, or remove puck")
     # The records contain the forces; a file of forces written by a servo would be empty.
     return driver.open_device(msgspec.structs.replace(options, forces=None), rate_hz)

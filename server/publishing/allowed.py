@@ -102,7 +102,7 @@ class Allowed:
                 raise error.__cause__ from None
             if strictly:
                 raise
-            self._warn(f"left out: {error}")
+            self._warn(f"skipped: {error}")
 
     def _warn(self, text: str) -> None:
         """Log a warning once, instead of each time the folder is read."""

@@ -271,7 +271,7 @@ def drop_priority_when_busy() -> None:
         for thread in threads:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-        log.warning("telemetry: the publisher is too busy for a real-time priority, and continues without")
+        log.warning("telemetry: the publisher is too busy for a real-time priority and continues without it")
 
     signal.signal(signal.SIGXCPU, drop_priority)
     resource.setrlimit(resource.RLIMIT_RTTIME, (MAX_BUSY_US, KILL_US))

@@ -24,7 +24,7 @@ GROUP_ROWS: Final = 65536
 def check_output(path: Path) -> None:
     """Raise ConfigError if the suffix is unknown or its library is not installed."""
     if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"--out {path}: a recording is exported as {', '.join(SUFFIXES)}, by the file's ending")
+        raise ConfigError(f"--out {path}: must end in {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
         raise ConfigError(f"--out {path}: pyarrow is not installed: pip install 'softfinger[parquet]'")
 
@@ -130,7 +130,7 @@ def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
         parts.append(part)
         count += len(part.rows)
         if count > RESULTS_MAX:
-            raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the most that an npz is made of: use .parquet")
+            raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the limit of an npz: use .parquet")
     rows = Ticks(parts[0].finger, parts[0].parts, np.concatenate([part.rows for part in parts]))
     arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.parts}
     if not rows.missing():

@@ -123,7 +123,7 @@ class Layout:
                     at += part.size
                 continue
             if field.type not in (field.TYPE_DOUBLE, field.TYPE_SFIXED64):
-                raise ValueError(f"{prefix}{field.name} is no number of eight bytes")
+                raise ValueError(f"{prefix}{field.name} is not a number of eight bytes")
             is_integer = field.type == field.TYPE_SFIXED64
             size = len(inner) if field.is_repeated else 1
             if at + size > COLUMNS_MAX:

@@ -24,7 +24,7 @@ def _create(path: Path) -> Any:
     try:
         return open_recording(path)
     except FileExistsError as error:
-        raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
+        raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
 
 
 class PosesFile(ABC):
@@ -97,6 +97,6 @@ def poses_file(path: Path) -> PosesFile:
     """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:
-        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(SUFFIXES)}, by the file's ending")
+        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(SUFFIXES)}")
     file: PosesFile = kinds[path.suffix.lower()](path)
     return file

@@ -57,7 +57,7 @@ class Ticks(NamedTuple):
         if self.column("force") is None:
             raise RecordingError("it has poses without forces: compute them with `softfinger simulate --poses`")
         if missing := self.missing():
-            raise RecordingError(f"its ticks have no {', '.join(missing[:5])}: it is another version's")
+            raise RecordingError(f"its ticks lack {', '.join(missing[:5])}: they were recorded by another version")
         if [(part.name, part.size) for part in self.parts] == [(field.name, field.size) for field in FIELDS]:
             return self.rows
         columns = [column for field in FIELDS if (column := self.column(field.name)) is not None]
@@ -215,7 +215,7 @@ def _unpack_chunk(data: bytes) -> Iterator[Any]:
             raise ValueError("a record is longer than its chunk")
         if opcode == _MESSAGE:
             if length < 22:
-                raise ValueError("a message without a head")
+                raise ValueError("a message without a header")
             yield data[at] | data[at + 1] << 8, data[at + 22 : at + length]
         elif opcode in (_SCHEMA, _CHANNEL):
             stream = ReadDataStream(io.BytesIO(data[at : at + length]))

@@ -128,7 +128,7 @@ def read_results(path: str | Path, finger: str = "") -> Array:
 
 def _check_count(path: Path, count: int) -> None:
     if count > RESULTS_MAX:
-        raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the most that are read")
+        raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the limit for reading")
 
 
 def _unknown_suffix(path: Path) -> str:
@@ -192,7 +192,7 @@ def _read_csv(path: Path, finger: str) -> Array:
             first = header.index(expected[0]) if expected[0] in header else 0
             if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
                 raise RecordingError(
-                    f"{path}, line 1: not the columns of this version's results{_finger_suffix(finger)}"
+                    f"{path}, line 1: the columns are not those of this version's results{_finger_suffix(finger)}"
                 )
             values = array("d")
             while line := file.readline(LINE_MAX):

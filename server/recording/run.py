@@ -81,7 +81,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
                 blocks.setdefault(part.finger, []).append(dict(_fields(part, fields)))
                 count += len(part.rows)
                 if count > POSES_MAX:
-                    raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the most that are read")
+                    raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the limit for reading")
             case World():
                 worlds.append(part.world)
             case Event():
@@ -95,7 +95,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     fingers = {}
     for finger, each in blocks.items():
         if missing := [name for name in (*_REQUIRED, *fields) if name not in each[0]]:
-            raise RecordingError(f"{path}: its ticks have no {', '.join(missing)}: not a recording of this program")
+            raise RecordingError(f"{path}: its ticks lack {', '.join(missing)}: not a recording of this program")
         fingers[finger] = {name: np.concatenate([block[name] for block in each]) for name in each[0]}
     return Run(_keep_common_ticks(_sort_fingers(fingers, notes)), notes, events, cut, _read_body_poses(worlds))
 

@@ -79,7 +79,7 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
             "fingertip is not turned"
         )
     if ("t" in names) == (rate_hz is not None):
-        raise ConfigError(f"--columns {columns}: times come from a column t or from --rate, one of the two")
+        raise ConfigError(f"--columns {columns}: times need either a column t or --rate")
     for option, value in (("--unit-s", unit_s), ("--unit-m", unit_m), ("--rate", rate_hz)):
         if value is not None and not 0.0 < value < np.inf:
             raise ConfigError(f"{option} {value:g}: must be above 0")
@@ -106,7 +106,7 @@ def read_table(path: Path, layout: Layout) -> Poses:
                 if number <= layout.skip or _is_comment(line, len(layout.columns)):
                     continue
                 if len(numbers) >= POSES_MAX:
-                    raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the most that are read: cut it up")
+                    raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it up")
                 numbers.append(number)
                 values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
     except OSError as error:
@@ -131,7 +131,7 @@ def _without_mark(path: Path, line: bytes) -> bytes:
     if wide := next((name for mark, name in _WIDE.items() if line.startswith(mark)), None):
         raise RecordingError(f"{path}: is text in {wide}: save it as UTF-8")
     if b"\0" in line:
-        raise RecordingError(f"{path}: is no text in UTF-8: save it as CSV in UTF-8")
+        raise RecordingError(f"{path}: is not text in UTF-8: save it as CSV in UTF-8")
     if b"\r" in line.rstrip(b"\r\n"):
         raise RecordingError(f"{path}, line 1: has carriage returns: save it with line feeds")
     return line.removeprefix(b"\xef\xbb\xbf")

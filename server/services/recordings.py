@@ -190,7 +190,7 @@ def _open_new_file(path: Path, folder: Path | None) -> IO[bytes]:
     try:
         return open_recording(path, folder)
     except FileExistsError as error:
-        raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
+        raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise RecordingError(f"{path}: cannot be written: {reason}") from error

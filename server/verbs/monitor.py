@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not (0.0 < value < math.inf):
-            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     try:
         if args.json:
             _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)

@@ -51,9 +51,9 @@ def run(args: argparse.Namespace) -> int:
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
-            raise ConfigError(f"--{name} = {value} is not a time: give seconds above 0")
+            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     if (args.file is None) == (args.poses is None):
-        raise ConfigError("record takes a FILE, or --poses FILE: give one of them")
+        raise ConfigError("record needs either a FILE or --poses FILE")
     stop, lock = Stop(), keys.keys_from_options(args)
     addresses = find_addresses(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
     for (name, file), (other, another) in combinations(files.items(), 2):
         if is_same_file(file, another):
-            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are one file: give two names")
+            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are the same file: use two names")
     topics = CONTACT, FINGERS, EVENT
     with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.request):
         recorded = record(samples, files, args.duration, args.timeout, stop)

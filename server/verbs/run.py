@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     if args.once:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
     if args.record is not None and not (folder := Path(args.record).absolute().parent).is_dir():
-        raise ConfigError(f"--record {args.record}: there is no folder {folder}: make it, or name another file")
+        raise ConfigError(f"--record {args.record}: there is no folder {folder}: create it, or choose another file")
     if args.view:
         check_viewer()
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
@@ -95,16 +95,16 @@ def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
     if not is_page_open:
         log.info(
-            "--view shows it in the browser, with the mouse for a hand: `%s run --view`, `make run ARGS=--view`",
+            "--view opens a browser page on which the mouse moves the hand: `%s run --view`, `make run ARGS=--view`",
             program_name(),
         )
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
     log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
     log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
     if (daemon.commands_endpoint or "").startswith("tcp:"):
-        log.warning("commands by tcp: every user of this machine may command; ipc:///PATH excludes them")
+        log.warning("commands by tcp are open to every user of this machine; ipc:///PATH excludes other users")
     for name, endpoint in daemon.public.items():
-        log.info("%s for other machines on %s, by key", name, endpoint)
+        log.info("%s for other machines on %s, with keys", name, endpoint)
     if daemon.metrics_endpoint is not None:
         log.info("metrics on %s/metrics", daemon.metrics_endpoint)
     log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", monitor_command(telemetry))
@@ -134,7 +134,7 @@ def start_watchers(daemon: Daemon) -> list[Watcher]:
         zero_command = device.last_word()
         if zero_command is None:
             raise ConfigError(
-                f"--watcher: no other process can switch off the force of {device.info.name} "
+                f"--watcher: no other process can remove the force of {device.info.name} "
                 "(see docs/devices/overview.md): leave it out"
             )
         zero_commands.append(zero_command)

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if args.device is not None:
         rig_changes |= {f"{table}.driver": args.device for table in load_rig(rig_name).tables}
     elif args.duration is not None:
-        raise ConfigError("--duration needs --device: a file of poses has a duration")
+        raise ConfigError("--duration needs --device: poses have their own duration")
     scene = load_scene(args.scene, scene_changes, {"rolling.method": "command line --method"})
     sources = {key: f"command line --{'rate' if key == 'servo.rate_hz' else 'device'}" for key in rig_changes}
     rig = load_rig(rig_name, rig_changes, sources)

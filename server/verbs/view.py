@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
             raise
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
-        raise ConfigError(f"--port {args.port} is no port: give 0 to 65535")
+        raise ConfigError(f"--port {args.port} is not a port: must be 0 to 65535")
     from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.door.process import log_address
     from softfinger.server.viewer.live import LivePage
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
                 log_address(page.address)
             if args.host != PAGE_HOST:
                 log.warning(
-                    "everyone with this address may command the daemon, and it crosses the network in plain text"
+                    "anyone with this address can command the daemon, and it is sent over the network in plain text"
                 )
             opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
             with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         except ConfigError as error:  # a package that the scene needs is not installed
             if args.scenes:
                 raise
-            print(f"{name}: left out: {error}")
+            print(f"{name}: skipped: {error}")
             continue
         start_s = time.monotonic()
         with report_compilation(f"scene {number} of {len(names)}, {name}"):

@@ -307,7 +307,7 @@ class Window(Closeable):
         keys: ClientKeys | None = None,
     ) -> None:
         if samples < 1:
-            raise ConfigError(f"a window of {samples} samples is too short: 1 or more")
+            raise ConfigError(f"a window of {samples} samples is too short: must be 1 or more")
         self._size = samples
         # Twice the required length: rows are appended, and moved back when the end is reached, so the latest ones are
         # always one contiguous view.

@@ -73,7 +73,7 @@ def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[b
     except (TypeError, ValueError, OverflowError) as error:  # text that is not valid Unicode raises a ValueError
         raise ConfigError(f"{method}: cannot be sent: {error}") from error
     if len(body) > REQUEST_MAX:
-        raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon takes at most {REQUEST_MAX}")
+        raise ConfigError(f"{method}: a request of {len(body)} bytes: a daemon accepts at most {REQUEST_MAX}")
     return command_id, [b"", body]
 
 
@@ -81,7 +81,7 @@ def _plain(value: Any) -> Any:
     """Convert arrays and numbers of NumPy, as they come from records and telemetry."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"{value!r} is a {type(value).__name__}: give numbers, texts, lists and mappings")
+    raise TypeError(f"{value!r} is a {type(value).__name__}: use numbers, texts, lists and mappings")
 
 
 def decode_answer(frames: list[bytes]) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def check_runtime_folder() -> None:
         raise ConfigError(f"{folder}: {error.strerror}; set XDG_RUNTIME_DIR to a folder that belongs to you") from error
     if not stat.S_ISDIR(status.st_mode):
         raise ConfigError(
-            f"{folder}: is no folder: move it away, or set XDG_RUNTIME_DIR to a folder that belongs to you"
+            f"{folder}: is not a folder: move it away, or set XDG_RUNTIME_DIR to a folder that belongs to you"
         )
     check_owner(folder, status, "could take commands in the place of the daemon")
 
@@ -176,7 +176,7 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
     """
     try:
         if os.path.lexists(path) and not stat.S_ISSOCK(path.lstat().st_mode):
-            raise ConfigError(f"{key} = {endpoint!r}: {path} exists and is no socket; choose another")
+            raise ConfigError(f"{key} = {endpoint!r}: {path} exists and is not a socket; choose another")
         # Another user may have planted a link in its place, to have another file created.
         lock_file = os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW, 0o660)
     except OSError as error:

@@ -291,7 +291,7 @@ class Publisher(Closeable):
     def _send(self, topic: str, content: dict[str, Any]) -> None:
         body = encode(content)
         if len(body) > MAX_BYTES:
-            log.warning("telemetry: a message of %d bytes to %s is longer than any client takes", len(body), topic)
+            log.warning("telemetry: a message of %d bytes to %s is longer than clients accept", len(body), topic)
             return
         if topic == HEALTH:
             self._health_body = body

@@ -183,7 +183,7 @@ def test_an_override_reaches_into_lists(key: str) -> None:
         ),
         ({"object.0.position_m.2": 0.0}, r"override: object\[0\]\.position_m = a table: must be a list of 3"),
         ({"object.0.shape.kind": "x"}, r"object\.0\.shape\.kind: object\[0\]\.shape\.kind would be in 'plane'"),
-        ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: .* would be in 0.01, which is no table"),
+        ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: .* would be in 0.01, which is not a table"),
         ({"fingertop.radius_m": 1.0}, r"override: fingertop is not a key here.*fingertip"),
         ({"object.0.matrial.stiffness_n_per_m": 1.0}, r"override: object\[0\]\.matrial is not a key"),
         (
@@ -203,7 +203,7 @@ def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None
     """The same of rigs."""
     path = tmp_path / "rig.toml"
     path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
-    with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is no table"):
+    with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is not a table"):
         load_rig(path, {"device.recording.name": "x"}, {"device.recording.name": "flag"})
 
 

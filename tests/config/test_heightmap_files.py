@@ -69,7 +69,10 @@ def test_check_says_size_and_heights(tmp_path: Path) -> None:
     ("heights", "said"),
     [
         (np.zeros(()), "an array of shape (): must have rows and columns"),
-        (np.zeros((4, 4, 3)), "an array of shape (4, 4, 3): must have rows and columns; of a colour picture take one"),
+        (
+            np.zeros((4, 4, 3)),
+            "an array of shape (4, 4, 3): must have rows and columns; select one channel of a colour picture",
+        ),
         (np.zeros((1, 1)), "has a single value: must have at least two"),
         (np.array([[0.0, 1.0], [np.nan, 0.0]]), "row 1, column 0: nan: numbers are finite"),
         (np.array([[0.0, np.inf]]), "row 0, column 1: inf: numbers are finite"),

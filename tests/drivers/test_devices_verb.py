@@ -333,7 +333,7 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
     assert "no rig named one" in diagnose_requirements(claim, {}).reason
     found = diagnose_requirements(claim, {"firmware": str(file)})
     assert found.state == "firmware"
-    assert "firmware.bin' is no file" in found.reason
+    assert "firmware.bin' is not a file" in found.reason
     file.write_bytes(b"\0")
     assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
 

@@ -88,7 +88,7 @@ def test_unknown_driver_is_named_with_a_suggestion() -> None:
 
 
 def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An entry point that is no driver, or cannot be imported, is listed; loading it raises DeviceError."""
+    """An entry point that is not a driver, or cannot be imported, is listed; loading it raises DeviceError."""
     info = tmp_path / "outside-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")

@@ -241,7 +241,7 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
 
 
 def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
-    """A gap of exactly 30 ms is no pause."""
+    """A gap of exactly 30 ms is not a pause."""
     usb.clock.now += 30 * MS
     usb.word[AT.sent_at] = usb.clock.now
     assert usb.read()[0] == STALE

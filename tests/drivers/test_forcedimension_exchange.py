@@ -186,7 +186,7 @@ def test_a_device_that_is_closed_is_lost(library: Library) -> None:
 @pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
 def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
     """The library's timeout gives TIMEOUT; any other error gives LOST and the device's status is read. A gripper angle
-    repeated by the time guard is no failure."""
+    repeated by the time guard is not a failure."""
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
     assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"

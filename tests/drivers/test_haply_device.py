@@ -233,7 +233,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     [
         ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
-        ('{"project_version":"new"}', "the version 'new', which is no number"),
+        ('{"project_version":"new"}', "the version 'new', which is not a number"),
         ("[1, 2]", "says no version"), ("{}", "says no version"),
         ('{"project_version":' + 9000 * "[", "says no version"),
     ],
@@ -673,7 +673,7 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
 
 
 class Listener:
-    """Server that is no Inverse Service: it sends fixed bytes to each client, then waits or closes."""
+    """Server that is not an Inverse Service: it sends fixed bytes to each client, then waits or closes."""
 
     def __init__(self, said: bytes, closes: bool) -> None:
         self.end = socket.create_server(("127.0.0.1", 0))

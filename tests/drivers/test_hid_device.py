@@ -504,9 +504,9 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     node = tmp_path / "hidraw9"
     node.write_bytes(b"")
-    with pytest.raises(DeviceError, match="is no device node: name a /dev/hidrawN"):
+    with pytest.raises(DeviceError, match="is not a device node: name a /dev/hidrawN"):
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
-    with pytest.raises(DeviceError, match="is no hidraw node: "):
+    with pytest.raises(DeviceError, match="is not a hidraw node: "):
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)

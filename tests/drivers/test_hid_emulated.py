@@ -150,7 +150,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
             "node",
             {"descriptor": OTHER_DESCRIPTOR},
             4,
-            "/dev/hidraw0 has other reports than the rig: the device announces input 32 bytes, output 64 bytes; "
+            "/dev/hidraw0 has different reports from the rig: the device reports input 32 bytes, output 64 bytes; "
             "the rig describes input 64 bytes, output 64 bytes: correct ",
         ),
         ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has other reports than the rig: .* announces input 32 b"),
@@ -176,7 +176,7 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
     if "short_after" in case or "mute_after" in case:
         assert not any(saw["last"]), "the last report was no zero"
     if "block_after" in case:
-        assert re.search("no zero has reached it: (hid writer: a write|a write|writes) ", done.stderr)
+        assert re.search("zero force has not reached it: (hid writer: a write|a write|writes) ", done.stderr)
 
 
 @pytest.mark.sampled(4)

@@ -208,7 +208,7 @@ def _with(path: str, value: Any) -> dict[str, Any]:
         ("timeout_s", 0.005, "timeout_s = 0.005: must be"),
         ("calibrate", True, "only a chain has a calibration pose"),
         ("through", "usb", "through = 'usb': must be one of 'auto', 'node', 'thread'"),
-        ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is no orientation"),
+        ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is not an orientation"),
         ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must be an output report like the other"),
     ],
 )  # fmt: skip

@@ -170,7 +170,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         linked.device.stop()
         linked.device.stop()
         linked.device.close()  # while the write still hangs
-        assert caplog.text.count("no zero has reached it: a write has been under way for") == 1
+        assert caplog.text.count("zero force has not reached it: a write has been under way for") == 1
         assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"

@@ -94,7 +94,7 @@ def test_impossible_leads_raise_errors() -> None:
             lead(device, None, (0.0, 0.0, 0.0), RequestedPose((0.0, 0.0, 0.5), None, UPRIGHT))
         with pytest.raises(ConfigError, match=r"omega\.3 senses no rotation: leave orientation_wxyz out"):
             lead(wristless, None, (0.0, 0.0, 0.0), RequestedPose(AT, UPRIGHT, UPRIGHT))
-        with pytest.raises(ConfigError, match="all zero is no orientation"):
+        with pytest.raises(ConfigError, match="all zero is not an orientation"):
             lead(device, None, (0.0, 0.0, 0.0), RequestedPose(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
     replay = registry.open_device(rig.device, rig.servo.rate_hz, "[device]")
     with replay, pytest.raises(NoSimulatedHand, match="no program leads the hand on replay"):

@@ -565,7 +565,7 @@ def test_a_frame_reads_eight_errors(library: Library) -> None:
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
 def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Library) -> None:
-    """A rejected first query is no failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
+    """A rejected first query is not a failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 1, OK]

@@ -25,7 +25,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
     for path in ("/dev/null", str(tmp_path / "file")):
         (tmp_path / "file").write_bytes(b"")
-        with pytest.raises(DeviceError, match=f"{path} is no serial port: name a /dev/ttyACMN"):
+        with pytest.raises(DeviceError, match=f"{path} is not a serial port: name a /dev/ttyACMN"):
             open_device(rig_options(path=path), 1000.0)
     with board() as (_, _, cable):
         with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):

@@ -313,7 +313,7 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(
     again = run.clock.now
     run.device.stop()
     assert run.clock.now - again < 200 * MS
-    assert caplog.text.count("no zero has reached it: 8 bytes have been pending") == 1
+    assert caplog.text.count("zero force has not reached it: 8 bytes have been pending") == 1
     run.port.stalled = False
     run.device.stop()
     assert run.device.zero_failure() == ""

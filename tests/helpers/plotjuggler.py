@@ -35,7 +35,7 @@ def _walk(name, value, series, found):
     if isinstance(value, dict):
         for key, child in value.items():
             if not isinstance(key, str):
-                found.append(f"key {key!r} of {name or 'the map'} is no text")
+                found.append(f"key {key!r} of {name or 'the map'} is not text")
             else:
                 _walk(f"{name}/{key}" if name else key, child, series, found)
     elif isinstance(value, list):

@@ -392,7 +392,7 @@ HOSTILE = {
         "<mujoco/><!-- -->",
         "declares a document type",
     ),
-    "a file outside, in a part that is no UTF-8": (
+    "a file outside, in a part that is not a UTF-8": (
         '<mujoco><include file="latin.xml"/></mujoco>',
         "outside of its folder",
     ),
@@ -400,7 +400,7 @@ HOSTILE = {
         '<mujoco><include file="sub/part.xml"/></mujoco>',
         "outside of its folder",
     ),
-    "a name that is no UTF-8": ('<mujoco model="\N{REPLACEMENT CHARACTER}"/>', "is no text in UTF-8"),
+    "a name that is not a UTF-8": ('<mujoco model="\N{REPLACEMENT CHARACTER}"/>', "is not text in UTF-8"),
     "a file outside, included twice": (
         '<mujoco><include file="inner.xml"/></mujoco>',
         "outside of its folder",

@@ -441,7 +441,7 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         ({"kind": "boundary", "stiffness_n_per_m": 300, "force_max_n": 5}, "give either size_m"),
         (WORKSPACE[4] | {"radius_m": 0.2}, "give either size_m"),
         (WORKSPACE[0] | {"region": {}}, "effect[0].region.radius_m: give either size_m"),
-        (WORKSPACE[3] | {"direction": [0, 0, 0]}, "effect[0].direction = [0.0, 0.0, 0.0]: all zero is no direction"),
+        (WORKSPACE[3] | {"direction": [0, 0, 0]}, "effect[0].direction = [0.0, 0.0, 0.0]: all zero is not a direction"),
         (WORKSPACE[1] | {"force_n": [0, 0, -41]}, "from -40 to 40 N"),
         (WORKSPACE[3] | {"frequency_hz": 600}, "effect[0].frequency_hz = 600: must be a number from 0 to 500 Hz"),
         (OBJECT[4], "must be one of"),

@@ -84,7 +84,7 @@ def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
             solution.read(str(file), key)
     packed = tmp_path / "packed.npz"
     np.savez_compressed(packed, **{name: np.zeros(1, kind) for name, kind in solution.TYPES.items()})
-    with pytest.raises(ValueError, match="is no solution"):
+    with pytest.raises(ValueError, match="is not a solution"):
         solution.read(str(packed), key)
 
 

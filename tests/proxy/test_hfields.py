@@ -114,7 +114,7 @@ def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source
             node = half_row % 2 == half_column % 2 == 0
             seen.add(round(way, 6))
             assert abs(gap) < (1e-8 if node else between), (half_row, half_column, gap)
-    assert len(seen) > 50  # it is no plain
+    assert len(seen) > 50  # it is not a plain
 
 
 def test_pixels_that_are_not_square_are_said(tmp_path: Path) -> None:

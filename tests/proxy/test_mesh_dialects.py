@@ -140,7 +140,7 @@ def test_what_an_obj_cannot_give_is_said(tmp_path: Path) -> None:
     assert "names the vertex 0" in refusal(path, f"{box}\nf 0 1 2\n".encode())
     assert "names the vertex -9 where there are 8 before it" in refusal(path, f"{box}\nf -9 -1 -2\n".encode())
     assert "decimal commas" in refusal(path, box.replace(".", ",").encode())
-    assert "'1.5' is no number" in refusal(path, f"{box}\nf 1.5 2 3\n".encode())
+    assert "'1.5' is not a number" in refusal(path, f"{box}\nf 1.5 2 3\n".encode())
     assert "UTF-16" in refusal(path, box.encode("utf-16"))
 
 
@@ -258,11 +258,13 @@ def test_ply_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     assert "promises 12 entries of face, and has 11" in refusal(path, PLYS["little endian"][:-1])
-    assert "has other rows than its head names" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
-    assert "has other rows than its head names: 4 numbers" in refusal(path, ply("ascii", [INDICES], LINES.encode(), 11))
+    assert "has other rows than its header declares" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
+    assert "has other rows than its header declares: 4 numbers" in refusal(
+        path, ply("ascii", [INDICES], LINES.encode(), 11)
+    )
     # The first quad as a triangle: the lists no longer fit.
     wrong = ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 3, *quad) for quad in QUADS), 6)
-    assert "has other rows than its head names" in refusal(path, wrong)
+    assert "has other rows than its header declares" in refusal(path, wrong)
     assert "its vertices have no x" in refusal(path, PLYS["text"].replace(b"float x", b"float u"))
     assert "faces without vertex_indices; they have corners" in refusal(
         path, PLYS["text"].replace(b"vertex_indices", b"corners")

@@ -225,9 +225,9 @@ def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("name", "data", "text"),
     [
-        ("a.ply", b"", "is no PLY file: it starts with b''"),
-        ("a.ply", FILES["stl"][1], "is no PLY file"),
-        ("a.stl", FILES["ply"][1], "it was cut off, or is no STL file"),
+        ("a.ply", b"", "is not a PLY file: it starts with b''"),
+        ("a.ply", FILES["stl"][1], "is not a PLY file"),
+        ("a.stl", FILES["ply"][1], "it is truncated or not an STL file"),
         ("a.glb", FILES["obj"][1], "no GLB file"),
         ("a.obj", FILES["stl by hand"][1], "has no triangles: it is damaged"),
         ("a.obj", b"hello\n", "has no triangles: it is damaged"),
@@ -245,10 +245,10 @@ def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtu
         ("a.ply", ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)), "must be 1e-06 to 1000"),
         ("a.ply", ply_text(Mesh(BALL.vertices + 2e3, BALL.triangles)), "move it to its origin"),
         ("a.ply", ply_text(Mesh(BALL.vertices[:3] * [1, 0, 0], np.array([[0, 1, 2]]))), "has no triangle with an area"),
-        ("a.ply", FILES["ply by hand"][1][:-30], "it was cut off, or is damaged"),
-        ("a.ply", FILES["ply"][1][:-1], "it was cut off, or is damaged"),
+        ("a.ply", FILES["ply by hand"][1][:-30], "it is truncated or damaged"),
+        ("a.ply", FILES["ply"][1][:-1], "it is truncated or damaged"),
         ("a.stl", FILES["stl"][1][:-1], "it was cut off"),
-        ("a.stl", FILES["stl text"][1][:-500], "has no endsolid at its end: it was cut off"),
+        ("a.stl", FILES["stl text"][1][:-500], "has no endsolid at its end: it is truncated"),
         ("a.glb", FILES["glb"][1][:-1], "is damaged, or no GLB file"),
     ],
 )  # fmt: skip

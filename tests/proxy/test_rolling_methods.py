@@ -178,7 +178,7 @@ def test_rolling_over_the_edge_of_a_box(method: str) -> None:
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_no_rotation_moves_nothing(method: str, name: str) -> None:
-    """The identity is no roll and no spin, and leaves the centre where it is, to rounding."""
+    """The identity is not a roll and no spin, and leaves the centre where it is, to rounding."""
     center, normal = touching(SHAPES[name], np.random.default_rng(15))
     out = roll(METHODS[method], SHAPES[name], RADIUS, center, normal, (1.0, 0.0, 0.0, 0.0))
     assert (out.motion, out.theta, out.spin) == ((0.0, 0.0, 0.0), 0.0, 0.0)

@@ -246,7 +246,7 @@ def test_gradient_of_the_gap_is_the_normal(shape: Any) -> None:
             (compiled_closest(shape, triple(x + h * e)), compiled_closest(shape, triple(x - h * e))) for e in np.eye(3)
         ]
         turned = max(float(np.linalg.norm(np.subtract(side[2], normal))) for pair in steps for side in pair)
-        # Where the normal jumps there is no gradient; where it turns fast the difference is no derivative.
+        # Where the normal jumps there is no gradient; where it turns fast the difference is not a derivative.
         if turned > 1e-2:
             continue
         gradient = np.array([(plus[0] - minus[0]) / (2.0 * h) for plus, minus in steps])

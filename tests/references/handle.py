@@ -68,7 +68,7 @@ def _tick(
         events = []
         if h.friction > 0.0:
             if way:
-                # A start from rest is no stop: the event is found slightly late, by rounding.
+                # A start from rest is not a stop: the event is found slightly late, by rounding.
                 events = [lambda t, y, way=way: way * y[1] + 1e-15]
                 events[0].direction = -1.0
             else:

@@ -56,7 +56,7 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no key is overwritten"):
         make_pair(tmp_path, "link")
     for name in ("", "../rig", ".hidden", "a/b", "a\n", "x" * 65):
-        with pytest.raises(ConfigError, match="is no name of a key"):
+        with pytest.raises(ConfigError, match="is not a name of a key"):
             make_pair(tmp_path, name)
 
 
@@ -69,8 +69,8 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
     told = subprocess.run([*words[:-3], "ben"], capture_output=True, text=True, check=True).stdout
     assert (
-        f"{tmp_path}/new/keys/ben.key: public: give it to the other side" in told
-        and "ben.key_secret: secret: share it with no one" in told
+        f"{tmp_path}/new/keys/ben.key: public key: copy it to the other side" in told
+        and "ben.key_secret: secret key: do not share it" in told
     )
 
 

@@ -66,7 +66,7 @@ def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
 
 
 def test_one_displaced_pose_is_not_too_fast():
-    """The largest step that is no jump, once or back and forth, gives at most d / (tau + T) = 0.91 m/s."""
+    """The largest step that is not a jump, once or back and forth, gives at most d / (tau + T) = 0.91 m/s."""
     guard, passed = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT
     step = 10.0 * T
     for moved in (step, 0.0, -step, step, 0.0):

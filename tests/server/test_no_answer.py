@@ -214,10 +214,10 @@ def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
     """Each error is one sentence; numbers of NumPy are valid."""
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
         for what, says in (
-            ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon takes at most 262144"),
+            ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon accepts at most 262144"),
             ({"a": 10**30}, "mark: cannot be sent: "),
             ({"a": "\udcff"}, "mark: cannot be sent: "),
-            ({"a": object()}, "give numbers, texts, lists and mappings"),
+            ({"a": object()}, "use numbers, texts, lists and mappings"),
         ):
             with pytest.raises(ConfigError, match=says):
                 control.mark("x", what)

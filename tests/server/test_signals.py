@@ -185,7 +185,7 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
         until(lambda: board.force == ZERO, 1.0, "the zero")
         assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
     refused = called("run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t")
-    assert refused.returncode == 2 and "no other process can switch off the force of replay" in refused.stderr
+    assert refused.returncode == 2 and "no other process can remove the force of replay" in refused.stderr
 
 
 def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
@@ -445,5 +445,5 @@ def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
     finally:
         process.kill()
     assert process.returncode == DeviceError.exit_code, said
-    assert re.search(r"could not be stopped \(it has not come back for 2 s\): it may still display a force", said)
+    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still display a force", said)
     assert "Traceback" not in said

@@ -440,7 +440,7 @@ def test_a_plain_file_at_an_ipc_path_is_unchanged(tmp_path):
     """A file that is not a socket is refused and not modified."""
     path = tmp_path / "notes.txt"
     path.write_text("mine")
-    with pytest.raises(ConfigError, match="is no socket"):
+    with pytest.raises(ConfigError, match="is not a socket"):
         Publisher(f"ipc://{path}")
     assert path.read_text() == "mine"
 

@@ -45,7 +45,7 @@ def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) 
     """A recording with too few poses is deleted."""
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
     done = called("record", "a.csv", "--duration", "0.05", *to)
-    assert done.returncode == 3 and "is there already" in done.stderr and (here / "a.csv").read_text() == POSES
+    assert done.returncode == 3 and "already exists" in done.stderr and (here / "a.csv").read_text() == POSES
     done = called("record", "short.csv", "--duration", "0.0005", *to)
     assert done.returncode == 3 and "at least 2" in done.stderr and not (here / "short.csv").exists()
     done = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)

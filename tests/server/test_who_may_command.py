@@ -240,8 +240,8 @@ def _of_another(folder: Path) -> None:
     ("plant", "said"),
     [
         (_writable, "other users may write to it"),
-        (_link, "is no folder"),
-        (Path.touch, "is no folder"),
+        (_link, "is not a folder"),
+        (Path.touch, "is not a folder"),
         pytest.param(_of_another, "belongs to another user", marks=needs_root),
     ],
 )

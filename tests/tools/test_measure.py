@@ -22,7 +22,7 @@ pytestmark = pytest.mark.plain
 def test_a_stall_spoils_the_percentiles_of_one_block_only() -> None:
     """Five blocks of 1 to 100, one of them a hundred times as long: it changes the overall value, but no median."""
     block = np.arange(1.0, 101.0)
-    # the remainder is no block
+    # the remainder is not a block
     found = quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
     assert found["max"] == 10_000.0 and found["p99"] > 100.0
     # Percentiles of 1 to 100 by linear interpolation: 1 + 99 q.

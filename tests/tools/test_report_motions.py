@@ -115,7 +115,7 @@ def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str,
         assert found is not None
         assert found["axis"] == "+z" and found["moved_axis"] == "y"
         assert said in found["seen"], found
-        assert found["share"] > 0.8  # a free mass also drifts off, which is no part of the fit
+        assert found["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
 
 
 def test_a_motion_of_the_hand_is_not_taken_for_a_push() -> None:

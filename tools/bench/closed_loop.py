@@ -91,7 +91,9 @@ def time_ticks(
 def run(args: argparse.Namespace) -> int:
     scene, blocks = load_scene(args.scene), max(args.blocks, 1)
     if len(scene.fingers) > 1:
-        raise ConfigError(f"--scene {args.scene}: one plant moves one finger, and this has several: take another scene")
+        raise ConfigError(
+            f"--scene {args.scene}: the simulation moves one finger, but this scene has several: choose another scene"
+        )
     tuning = make_tuning(scene, load_rig("replay").guard)
     turns: list[list[dict[str, Any]]] = []
     with progress("measuring the closed loop", ROUNDS) as done:

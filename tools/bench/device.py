@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
             raise failure
         name, settings = device.info.name, exchange.settings
     if len(rows) == 0:
-        raise ConfigError(f"--rig {args.rig}: the recording ended before the first exchange: let it loop")
+        raise ConfigError(f"--rig {args.rig}: the recording ended before the first exchange: use a looping one")
     result: dict[str, Any] = {"rig": args.rig, "device": name, "rate_hz": rate} | figures(rows, rate)
     result["without_pauses"] = burst_figures(burst) if len(burst) else None
     result["realtime"] = {setting.name: setting.ok for setting in settings}

@@ -53,7 +53,7 @@ WARM_S: Final = 600.0
 GROWTH_MAX: Final = {"resident_mb": 1.0, "descriptors": 1.0, "threads": 1.0}
 """Allowed growth per hour; less cannot be distinguished from the steps of an allocator."""
 LIMITED: Final = {"resident_mb": 0.5, "descriptors": 1.0, "threads": 1.0}
-"""Allowed growth in the complete run, however short; a page of memory is no leak."""
+"""Allowed growth in the complete run, however short; a page of memory is not a leak."""
 BLOCKS: Final = 120
 """Number of medians that the samples are reduced to."""
 NORMAL_95: Final = 1.645

@@ -144,7 +144,7 @@ def compile_reference(folder: Path) -> list[str] | None:
     maps = os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines()
     libraries = {line.split(maxsplit=5)[5] for line in maps if "libzmq" in line}  # pyzmq has loaded one
     if not libraries:
-        raise ConfigError("the libzmq that pyzmq uses is part of it: install pyzmq from its wheel")
+        raise ConfigError("pyzmq has its own libzmq here: install pyzmq from its wheel")
     program = folder / "reference_sender"
     subprocess.run([compiler, "-O2", "-o", str(program), str(SOURCE), "-ldl"], check=True)
     return [str(program), libraries.pop()]

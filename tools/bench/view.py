@@ -107,7 +107,7 @@ def cases(args: argparse.Namespace) -> dict[str, Case]:
         found[f"{args.viewers} viewers"] = Case(args.viewers, 0)
     if args.browsers:
         if shutil.which("chromium") is None:
-            raise ConfigError("--browsers: there is no chromium here: install it (Debian: apt install chromium)")
+            raise ConfigError("--browsers: chromium is not installed (Debian: apt install chromium)")
         found["1 page"] = Case(1, 1)
     if args.browsers > 1:
         found[f"{args.browsers} pages"] = Case(1, args.browsers)

@@ -29,7 +29,7 @@ _START: Final = r"(?:(?<=ipc://)|(?<![\w./~>])(?!//))(?!/(?:dev|sys|proc|usr|etc
 _QUOTED: Final = re.compile(rf"""(?<=['"]){_START}[^'"\n]*(?=['"])""")
 _PATH: Final = re.compile(rf"""{_START}[^\s'"<>,;:()=]+""")
 _RELATIVE: Final = re.compile(r"(?<![\w./~>-])(?!docs/|softfinger/)(?:[\w.+-]+/)+(?=[\w+-]+\.[A-Za-z])")
-"""Folders in front of a file name with a suffix; `N/m` is no path."""
+"""Folders in front of a file name with a suffix; `N/m` is not a path."""
 
 _BY_ID: Final = re.compile(r"(/dev/\S*by-id/)\S+")
 _SERIAL: Final = re.compile(

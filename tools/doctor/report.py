@@ -112,7 +112,9 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
     if not 0.0 < force_n <= limit:
         raise ConfigError(f"--with-force {force_n:g}: must be above 0 and at most guard.force_max_n = {limit:g} N")
     if seconds < FORCE_MIN_S:
-        raise ConfigError(f"--seconds {seconds:g}: with --with-force at least {FORCE_MIN_S:g}: a push is to be slow")
+        raise ConfigError(
+            f"--seconds {seconds:g}: with --with-force at least {FORCE_MIN_S:g}: the force must change slowly"
+        )
 
 
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
@@ -208,7 +210,7 @@ def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-forc
         raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: leave it out")
     if force_n > device.info.force_max_n:
         raise ConfigError(
-            f"{option} {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: ask for less"
+            f"{option} {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: use less"
         )
     return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
 

@@ -60,7 +60,7 @@ REACH: Final = 30.0
 DEAD: Final = 1e-9
 """Fraction of the knock's speed below which the swing is over; rounding is at 1e-13."""
 LIMIT_CYCLE: Final = 1.0
-"""The same with encoder steps: a swing of a few steps never ends, and is no instability until it exceeds the knock."""
+"""The same with encoder steps: a swing of a few steps never ends, and is unstable only if it exceeds the knock."""
 DEPTH: Final = 100.0
 """Depth of the equilibrium in knocks, at least, so that a swing of REACH remains in contact."""
 WEIGHT_MAX_N: Final = 1e5

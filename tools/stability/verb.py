@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"command line --{flag}: {value}: must be an integer of at least {low}")
     if args.cases is not None:
         if args.plot:
-            raise ConfigError("command line --plot: random runs have no plot: leave out --plot or --cases")
+            raise ConfigError("command line --plot: random runs have no plot: remove --plot or --cases")
         result = runs.measure(args.cases, args.ticks, args.seed, args.scheduler, args.results)
         show({"runs": result}, args.json, runs.table(result))
         return 0
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         return run_bodies(args)
     if args.extremes:
         if args.plot:
-            raise ConfigError("command line --plot: the extremes have no plot: leave out --plot or --extremes")
+            raise ConfigError("command line --plot: the extremes have no plot: remove --plot or --extremes")
         return run_extremes(args)
     rows = measure(case, args)
     show({"cases": rows}, args.json, table(rows))

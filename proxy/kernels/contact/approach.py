@@ -55,7 +55,7 @@ class Approach(NamedTuple):
 def has_ended(active: ActiveSet) -> bool:
     """Return True if no constraint pushes.
 
-    The probe's position is no criterion: after passing through a thin body it is outside, with the contact active.
+    The probe's position is not a criterion: after passing through a thin body it is outside, with the contact active.
     """
     return not (active[0].depth > 0.0 or active[1].depth > 0.0 or active[2].depth > 0.0)
 

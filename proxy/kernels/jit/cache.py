@@ -108,7 +108,7 @@ class Folder:
 
     def reject(self, name: str, why: Exception) -> None:
         """Log that a cached file is not used."""
-        log.warning("cached kernel %s is not used and is compiled again: %s", name, _reason(why))
+        log.warning("cached kernel %s is invalid and is compiled again: %s", name, _reason(why))
 
     def write(self, name: str, body: bytes) -> None:
         """Store `body` under a name, for `read`."""
@@ -157,7 +157,7 @@ def make_private(folder: Path) -> None:
             ways += reversed(way.parts[1:] if way.is_absolute() else way.parts)
             at = Path("/") if way.is_absolute() else at.parent
         elif not stat.S_ISDIR(found.st_mode):
-            raise Unsound(f"{at} is no folder: {OWN_FOLDER}")
+            raise Unsound(f"{at} is not a folder: {OWN_FOLDER}")
     if why := _complaint(found, at):
         raise Unsound(why)
 

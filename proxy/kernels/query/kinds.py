@@ -63,7 +63,7 @@ SEVERAL_PATCHES: Final = "several patches"
 def by_patches(declaration: Callable[..., Any]) -> Any:
     """Declare a kernel chosen by how many patches of contact the objects of a scene can have with a fingertip.
 
-    .of(ONE_PATCH)        a single object that is no mesh
+    .of(ONE_PATCH)        a single object that is not a mesh
     .of(SEVERAL_PATCHES)  a mesh, or many objects
     """
 

@@ -48,7 +48,7 @@ def read(data: bytes) -> Faces:
                 continue
             promised += file.count_triangles(primitive)
             if promised > limits.MESH_TRIANGLES.high:
-                raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the most: decimate it")
+                raise ValueError(f"has more than {limits.MESH_TRIANGLES.high:,} triangles, the limit: decimate it")
             points, triangles = file.triangles(primitive)
             if (place != np.eye(4)).any():  # a copy costs as much as the reading
                 points = points @ place[:3, :3].T + place[:3, 3]
@@ -66,20 +66,20 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the JSON and the binary chunk."""
     magic, version, size = struct.unpack_from("<4sII", data.ljust(12, b"\0"))
     if magic != b"glTF" or version != 2:
-        raise ValueError(f"is no GLB file of glTF 2.0: it starts with {data[:8]!r}")
+        raise ValueError(f"is not a GLB file of glTF 2.0: it starts with {data[:8]!r}")
     if size > len(data):
-        raise ValueError(f"is damaged, or no GLB file: {size:,} bytes, and has {len(data):,}: it was cut off")
+        raise ValueError(f"is damaged or not a GLB file: {size:,} bytes, and has {len(data):,}: it was cut off")
     length, kind = struct.unpack_from("<II", data, 12)
     if kind != _JSON:
-        raise ValueError("is damaged, or no GLB file: its first chunk is no JSON")
+        raise ValueError("is damaged or not a GLB file: its first chunk is not JSON")
     start = 20 + length
     binary = struct.unpack_from("<I", data, start)[0] if size >= start + 8 else 0
     try:
         head = json.loads(data[20:start])
     except ValueError as error:
-        raise ValueError(f"is damaged, or no GLB file: its JSON: {error}") from error
+        raise ValueError(f"is damaged or not a GLB file: its JSON: {error}") from error
     if not isinstance(head, dict):
-        raise ValueError("is damaged, or no GLB file: its JSON is no object")
+        raise ValueError("is damaged or not a GLB file: its JSON is not an object")
     return head, data[start + 8 : start + 8 + binary]
 
 
@@ -101,13 +101,11 @@ def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.floa
         if "mesh" not in node:
             continue
         if "skin" in node:
-            raise ValueError(
-                f"is bent by a skeleton (the skin of node {number}): export it without, as it shall be felt"
-            )
+            raise ValueError(f"is bent by a skeleton (the skin of node {number}): apply it before the export")
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
             raise ValueError("has copies by EXT_mesh_gpu_instancing: export them as nodes")
         if any(node.get("weights") or head["meshes"][node["mesh"]].get("weights") or []):
-            raise ValueError(f"has morph targets with weights (node {number}): export it without, as it shall be felt")
+            raise ValueError(f"has morph targets with weights (node {number}): apply it before the export")
         yield int(node["mesh"]), place
 
 
@@ -163,7 +161,7 @@ class _File:
         accessor = self._head["accessors"][number]
         count, component = int(accessor["count"]), np.dtype(_COMPONENTS[accessor["componentType"]])
         if accessor["type"] != kind or not 0 <= count <= COUNT_MAX:
-            raise ValueError(f"is damaged, or no GLB file: {count:,} {accessor['type']}, must be {kind}")
+            raise ValueError(f"is damaged or not a GLB file: {count:,} {accessor['type']}, must be {kind}")
         if "bufferView" not in accessor and "sparse" not in accessor:
             raise ValueError(
                 f"has no data for accessor {number}: it is compressed or cut off; export it without compression"
@@ -196,7 +194,7 @@ class _File:
             or stride < row
             or end > min(len(data), view.get("byteOffset", 0) + view["byteLength"])
         ):
-            raise ValueError(f"is damaged, or no GLB file: buffer view {number} ends before its {count:,} entries")
+            raise ValueError(f"is damaged or not a GLB file: buffer view {number} ends before its {count:,} entries")
         return np.ndarray((count, width), component, data, start, (stride, component.itemsize))
 
     def _data(self, number: int) -> bytes:

@@ -68,7 +68,7 @@ def read(data: bytes) -> Faces:
         tables[element.name], at = _rows(element, body, at, order)
     if behind := body[at:].strip(b"\0 \t\r\n"):
         rest = f"{(len(body) - at) // 8:,} numbers" if is_text else f"{len(behind):,} bytes"
-        raise ValueError(f"has other rows than its head names: {rest} are left over")
+        raise ValueError(f"has other rows than its header declares: {rest} are left over")
     if not rows.get("vertex"):
         return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), 0)
     points = np.stack([_scalar(tables, axis) for axis in "xyz"], axis=1)
@@ -87,10 +87,10 @@ def read(data: bytes) -> Faces:
 def _head(data: bytes) -> tuple[str, list[Element], bytes]:
     """Return the byte order, empty for text, the elements, and what follows the head."""
     if not data.startswith(b"ply"):
-        raise ValueError(f"is no PLY file: it starts with {data[:8]!r}")
+        raise ValueError(f"is not a PLY file: it starts with {data[:8]!r}")
     end = _END.search(data, 0, HEAD_MAX)
     if end is None:
-        raise ValueError(f"has no end_header within {HEAD_MAX:,} bytes: it was cut off, or is no PLY file")
+        raise ValueError(f"has no end_header within {HEAD_MAX:,} bytes: it is truncated or not a PLY file")
     elements, encoding = list[Element](), ""
     for line in data[: end.start()].decode("latin-1").splitlines():
         match line.split():
@@ -103,9 +103,9 @@ def _head(data: bytes) -> tuple[str, list[Element], bytes]:
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append(Property(name, _TYPES[kind], None))
             case ["element" | "property" | "format", *_]:
-                raise ValueError(f"is damaged, or no PLY file: its head has {line.strip()[:60]!r}")
+                raise ValueError(f"is damaged or not a PLY file: its header has {line.strip()[:60]!r}")
     if encoding not in _ORDERS:
-        raise ValueError(f"is damaged, or no PLY file: its head has no format of {', '.join(_ORDERS)}")
+        raise ValueError(f"is damaged or not a PLY file: its header has no format of {', '.join(_ORDERS)}")
     return _ORDERS[encoding], elements, data[end.end() :]
 
 
@@ -156,7 +156,7 @@ def _row_by_row(element: Element, body: bytes, at: int, order: str) -> tuple[Tab
             at += count_size
             if at + count * size > len(body):
                 there = f"promises {element.rows:,} entries of {element.name}, and has {row:,}"
-                raise ValueError(f"{there}: it was cut off, or is damaged")
+                raise ValueError(f"{there}: it is truncated or damaged")
             starts[number, row], counts[number, row] = at, count
             at += count * size
     codes, table = np.frombuffer(body, np.uint8), dict[str, Column]()

@@ -40,9 +40,9 @@ def read(data: bytes) -> Faces:
         there = f"states {count:,} triangles, but has {len(data) - HEAD:,} bytes of 50 each for them"
         if len(data) < HEAD:
             there = f"has {len(data)} bytes, fewer than the head of an STL file"
-        raise ValueError(f"{there}: it was cut off, or is no STL file")
+        raise ValueError(f"{there}: it is truncated or not an STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
-        raise ValueError("has no endsolid at its end: it was cut off")
+        raise ValueError("has no endsolid at its end: it is truncated")
     corners = numbers(b" ".join(chain.from_iterable(_FACET.findall(text))), np.float64)
     return _faces(corners, text.lower().count(b"endfacet"))  # a quarter of the time of a search for whole words
 

@@ -34,7 +34,7 @@ def numbers(text: bytes, dtype: Any) -> NDArray[Any]:
             return np.fromstring(text, dtype, sep=" ")
         except (DeprecationWarning, ValueError) as error:
             bad = next((word for word in text.split() if not _is_number(word, dtype)), b"")
-            raise ValueError(f"is damaged: {bad[:40].decode('latin-1')!r} is no number") from error
+            raise ValueError(f"is damaged: {bad[:40].decode('latin-1')!r} is not a number") from error
 
 
 def words_per_line(text: bytes) -> Indices:

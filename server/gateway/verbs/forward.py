@@ -29,7 +29,7 @@ log: Final = logging.getLogger(__name__)
 def run(args: argparse.Namespace) -> int:
     """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
-        raise ConfigError("nothing to do: give --to, --commands-to or --lsl")
+        raise ConfigError("nothing to do: add --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.keys_from_options(args)
     origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
@@ -87,7 +87,7 @@ def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> 
     if folder is not None:
         if own is None:
             raise ConfigError(
-                f"{folder_flag} {folder}: a connection with keys needs one on this side, too: add --keys FILE"
+                f"{folder_flag} {folder}: a connection with keys also needs a key on this side: add --keys FILE"
             )
         return KeyLock(keys.read_pair(own), Allowed(folder))
     if is_public(endpoint):

@@ -15,5 +15,5 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in made.items()}))
     else:
         for public, secret in made.values():
-            print(f"{public}: public: give it to the other side\n{secret}: secret: share it with no one")
+            print(f"{public}: public key: copy it to the other side\n{secret}: secret key: do not share it")
     return 0

@@ -66,7 +66,7 @@ def record_live(job: RecordingJob, path: Path) -> str:
         try:
             file = open_recording(path)
         except FileExistsError as error:
-            raise RecordingError(f"{path}: is there already: a recording takes the place of no file") from error
+            raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         recorder = Recorder(file, fingers, about, lambda text, _: log.warning(text))

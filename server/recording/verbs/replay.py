@@ -37,7 +37,7 @@ POINTS_MAX: Final = 4000
 def run(args: argparse.Namespace) -> int:
     """Compare a recording with today's results; return 0. Raises Different, with its exit code, if a tick differs."""
     if not args.tolerance >= 0.0:
-        raise ConfigError(f"--tolerance {args.tolerance} is no tolerance: give 0 or more")
+        raise ConfigError(f"--tolerance {args.tolerance} is not a tolerance: must be 0 or more")
     path = Path(args.recording)
     recorded = path.suffix.lower() == ".mcap"
     rig = load_rig(args.rig or "replay", {} if args.rate is None else {"servo.rate_hz": args.rate})
@@ -46,13 +46,15 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError("--rate is for poses: a recording contains its rate")
         past = load_run(path, FIELDS)
         if past.notes.get("every", 1) != 1:
-            raise RecordingError(f"{path}: has one tick in {past.notes['every']}: a replay needs all, so set every = 1")
+            raise RecordingError(
+                f"{path}: has one tick in {past.notes['every']}: a replay needs every tick: set every = 1"
+            )
         scene = _scene(args.scene, past, path)
         if args.rig is None and "rig" in past.notes:
             rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
     else:
         if args.scene is None or args.against is None:
-            raise ConfigError(f"{path}: poses contain neither scene nor forces: give --scene and --against")
+            raise ConfigError(f"{path}: poses contain neither scene nor forces: add --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
     replayed = replay(past, scene, rig)
     against = _recorded_values(past) if args.against is None else _from_file(args.against, past)
@@ -68,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.compared:
         raise RecordingError(
-            f"{path}: no tick of it can be compared: it starts in contact, is too short, or has a command in each touch"
+            f"{path}: no tick can be compared: it starts in contact, is too short, or has a command in each touch"
         )
     return 0
 
@@ -77,7 +79,7 @@ def _scene(name: str | None, past: Run, path: Path) -> schema.Scene:
     if name is not None:
         return load_scene(name)
     if "scene" not in past.notes:
-        raise ConfigError(f"{path}: does not contain its scene: give --scene")
+        raise ConfigError(f"{path}: does not contain its scene: add --scene")
     return build(schema.Scene, past.notes["scene"], f"{path}: scene")
 
 

@@ -157,7 +157,9 @@ class Access:
         finally:
             setattr(websockets_server, name, original)
         if not calls:
-            raise ConfigError("the page cannot be guarded with this viser: pip install 'softfinger[viewer]' has one")
+            raise ConfigError(
+                "the page cannot be protected with this version of viser: pip install 'softfinger[viewer]' has one"
+            )
 
 
 def limit_browsers(handler: Handler) -> Handler:
@@ -173,7 +175,7 @@ def limit_browsers(handler: Handler) -> Handler:
             await handler(connection)
         except Exception as error:  # of many classes, as viser decodes untrusted bytes
             error_text = " ".join(f"{type(error).__name__}: {error}".split())[:ERROR_TEXT_MAX]
-            log.warning("a browser of the page was disconnected: it sent an unknown message (%s)", error_text)
+            log.warning("disconnected a browser that sent an unknown message (%s)", error_text)
             await connection.close(CloseCode.INVALID_DATA, "no message of this page: load the scene again")
         finally:
             browsers.discard(connection)

@@ -39,7 +39,7 @@ def open_browser(address: str) -> Iterator[None]:
         path = runtime_folder() / f"page-{secrets.token_hex(8)}.html"
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     except (ConfigError, OSError) as error:
-        log.warning("no browser is opened: %s; open the page's address", error)
+        log.warning("no browser was opened: %s; open the address of the page", error)
         yield
         return
     try:

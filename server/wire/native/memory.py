@@ -98,7 +98,7 @@ def make_memory(capacity: int, width: int) -> Memory:
             os.close(fd)
             raise
     except OSError as error:
-        log.warning("telemetry: local readers cannot have the ticks as memory: %s: %s", FOLDER, error.strerror)
+        log.warning("telemetry: local readers cannot use shared memory: %s: %s", FOLDER, error.strerror)
         fd, name = os.memfd_create("softfinger"), ""
         words = _allocate(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
@@ -193,14 +193,14 @@ class Local(Closeable):
 
     def __init__(self, name: str) -> None:
         if not name.startswith(PREFIX) or "/" in name:
-            raise ConfigError(f"{name!r} is no name of a daemon's ticks: ask it for one (softfinger ctl describe)")
+            raise ConfigError(f"{name!r} is not a name of a daemon's ticks: get it with softfinger ctl describe")
         with ExitStack() as opened:
             try:
                 self._fd = os.open(FOLDER / name, os.O_RDONLY | os.O_CLOEXEC)
                 opened.callback(os.close, self._fd)
                 words = np.frombuffer(mmap.mmap(self._fd, 0, prot=mmap.PROT_READ), np.int64)
             except (OSError, ValueError) as error:
-                raise ConfigError(f"the ticks {name} cannot be read: {error}: does the daemon still run?") from error
+                raise ConfigError(f"the ticks {name} cannot be read: {error}: is the daemon still running?") from error
             if len(words) * 8 <= PAGE_BYTES or (words[_MAGIC], words[_LAYOUT]) != (MAGIC, LAYOUT):
                 raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
             opened.pop_all()

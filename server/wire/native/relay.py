@@ -277,7 +277,7 @@ class Relay:
         except Exception:
             self._failed.set()
             self._asleep_on = self._idle_feed.wake_fd
-            log.exception("telemetry: the thread that hands ticks on failed")
+            log.exception("telemetry: the thread that forwards ticks failed")
             self._end()
 
     def _end(self) -> None:

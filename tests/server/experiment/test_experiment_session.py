@@ -147,7 +147,9 @@ def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
     """Changed values raise an error with their keys, for a new participant and for a resumed session."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
-        with pytest.raises(ConfigError, match=r"is of an experiment with other values \(task.reference, design.seed\)"):
+        with pytest.raises(
+            ConfigError, match=r"belongs to an experiment with other values \(task.reference, design.seed\)"
+        ):
             Experiment(small(), {"task.reference": 600.0, "design.seed": 6}).run(tmp_path, participant, OFFLINE)
 
 
@@ -204,7 +206,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     assert not list(table.parent.iterdir())
     folder.ticks(1, 1, rows)
     assert len(table.read_text().splitlines()) == 1001
-    with pytest.raises(ConfigError, match="is there already, and nothing of a participant is overwritten"):
+    with pytest.raises(ConfigError, match="already exists, and data of a participant is not overwritten"):
         folder.ticks(1, 1, rows)
 
 
@@ -229,7 +231,7 @@ def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
     """An invalid line before the last one is reported with its number."""
     (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
-    with pytest.raises(ConfigError, match="line 2 is no entry"):
+    with pytest.raises(ConfigError, match="line 2 is not an entry"):
         read(tmp_path / "j.jsonl")
 
 
@@ -264,7 +266,7 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"mine\.toml: no such file"):
         Experiment(file).run(out, 1, OFFLINE)
     scene.write_text((tmp_path / "moved.toml").read_text() + "# another\n")
-    with pytest.raises(ConfigError, match=r"files\.json: is of an experiment with other values \(mine\.toml\)"):
+    with pytest.raises(ConfigError, match=r"files\.json: belongs to an experiment with other values \(mine\.toml\)"):
         Experiment(file).run(out, 1, OFFLINE)
     (tmp_path / "moved.toml").rename(scene)
     assert Experiment(file).run(out, 1, OFFLINE) == rows

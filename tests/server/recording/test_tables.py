@@ -170,7 +170,7 @@ def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
         (b"0 0 0 0\n\xff 0 0 0\n", "line 2: not a text file"),
         ("0;0;0;0,01\n".encode("utf-16"), "is text in UTF-16: save it as UTF-8"),
         ("0;0;0;0,01\n".encode("utf-32"), "is text in UTF-32: save it as UTF-8"),
-        ("0;0;0;0,01\n".encode("utf-16-le"), "is no text in UTF-8: save it as CSV in UTF-8"),
+        ("0;0;0;0,01\n".encode("utf-16-le"), "is not text in UTF-8: save it as CSV in UTF-8"),
         (b"0 0 0 0\r1 0 0 0\r", "line 1: has carriage returns: save it with line feeds"),
         (b"0,0,0,0\n1,,0,0\n", "line 2, column 'x': the cell is empty: fill it, or delete the line$"),
         (b"0 0 0 0\n1 0 0 1e9\n", "outside"),

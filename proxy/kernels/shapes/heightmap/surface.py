@@ -43,7 +43,7 @@ decrease."""
 LEAST = 1e-3
 """Lower bound of the second derivative of D in a Newton step, 1 on a flat map."""
 SQUARE = 1e-6
-"""Sine of the angle between the normal and the direction to p above which a point is no foot point: too few steps."""
+"""Sine of the angle between normal and direction to p, above which a point is not a foot point (too few steps)."""
 
 
 Four = tuple[float, float, float, float]
