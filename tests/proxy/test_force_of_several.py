@@ -188,7 +188,8 @@ def test_sticking_contacts_fix_the_proxy_at_any_depth(name: str, cases: Cases) -
 def test_the_force_is_continuous(name: str) -> None:
     """With equal static and kinetic friction, the force changes per tick by at most K times the motion.
 
-    The motion is that of the hand and the roll, about 1.5 mm deep; on a sphere of 20 mm the factor is up to 1 / (1 - d / (R + r)) = 1.1 at depth d.
+    The motion is that of the hand and the roll, about 1.5 mm deep. On a sphere of 20 mm the factor is up to 1 / (1 - d
+    / (R + r)) = 1.1 at depth d.
     """
     poses = closed_path(name, 3, 0.05)
     records = engine(name, 0.6, 0.6).run(poses)
