@@ -246,7 +246,7 @@ def test_a_roll_at_a_fixed_position_turns_the_normal(method: str, company: bool)
 @pytest.mark.parametrize("kind", ["box", "mesh"])
 @pytest.mark.parametrize("deep", [1e-3, 3e-3, 5e-3, 6e-3])
 def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, company: bool, tmp_path: Path) -> None:
-    """A drag across an edge, below its bisector, gives -K e; without friction the proxy would swing by d e / (r - d)."""
+    """A drag across an edge, below its bisector, gives -K e; a frictionless proxy would swing by d e / (r - d)."""
     half = 0.02
     if kind == "box":
         it = {"name": "it", "shape": "box", "size_m": [2 * half] * 3, "material": STICKY}
