@@ -291,7 +291,7 @@ SHAPES = """
 
 @PLAIN_ONLY
 def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
-    """Distances of points from each shape on a moved body equal those from MuJoCo's geoms."""
+    """For points around each shape on a moved body, distances equal MuJoCo's."""
     path = tmp_path / "shapes.xml"
     path.write_text(SHAPES)
     engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
