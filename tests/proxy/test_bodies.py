@@ -125,10 +125,8 @@ def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path)
 
 
 def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
-    """Released at 90 degrees, 8 mm off its centre, the box swings about the contacts with the period of a pendulum.
-
-    The reference is the elliptic integral.
-    """
+    """Released at 90 degrees, 8 mm off its centre, the box swings about the contacts with the period of a pendulum. The
+    reference is the elliptic integral."""
     material = {name: part for name, part in RUBBER.items() if name != "torsion"}
     engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
     way = pinch(2000, 3.0, beside=arm)
@@ -150,9 +148,7 @@ def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
 )
 def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path) -> None:
     """Pulled with 60 % of the cone and twisted, it slips at the torsional limit, or at the limit surface's remainder.
-
-    Pulled without a twist, it slips at the cone. To 1 %.
-    """
+    Pulled without a twist, it slips at the cone. To 1 %."""
     press, static, length = 2.0, 0.8, 0.004
     step = 2  # ticks: at the rates below a step is at most 0.4 % of the limit
     material = RUBBER | {

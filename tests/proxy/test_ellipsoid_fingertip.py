@@ -170,10 +170,8 @@ CASES = [
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("name", "method", "ticks", "order"), CASES)
 def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: Any, ticks: int, order: int) -> None:
-    """A roll of 1.5 rad matches (W_o + W_f) p' = w x n, integrated to the eighth order.
-
-    Methods with step control reach their tolerance, methods with fixed steps converge with their order.
-    """
+    """A roll of 1.5 rad matches (W_o + W_f) p' = w x n, integrated to the eighth order. Methods with step control reach
+    their tolerance, methods with fixed steps converge with their order."""
     rng, shape = np.random.default_rng(3), SHAPES[name]
     for _ in range(2):
         _, foot, _ = closest(shape, tuple(rng.normal(0.0, 0.04, 3)))
@@ -195,10 +193,8 @@ def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: A
 
 
 def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
-    """A spheroid rolled about its axis by theta moves the contact by a theta at constant height.
-
-    A hand that follows gets the normal force and no tangential force or torque.
-    """
+    """A spheroid rolled about its axis by theta moves the contact by a theta at constant height. A hand that follows
+    gets the normal force and no tangential force or torque."""
     a, theta = 0.008, np.linspace(0.0, 3.0, 300)
     x = np.stack([a * theta, 0.0 * theta, 0.0 * theta + a - 1e-3], axis=1)
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
@@ -213,10 +209,8 @@ def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
 
 
 def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
-    """A roll about axis b at a fixed position moves the contact by the arc of the ellipse, an elliptic integral.
-
-    The normal force follows the support height, and its moment is the derivative of the springs' energy.
-    """
+    """A roll about axis b at a fixed position moves the contact by the arc of the ellipse, an elliptic integral. The
+    normal force follows the support height, and its moment is the derivative of the springs' energy."""
     a, _, c = AXES
     theta = np.linspace(0.0, 1.2, 601)
     x = np.tile([0.0, 0.0, 0.0075], (601, 1))
@@ -241,10 +235,8 @@ def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
 
 
 def test_rolling_round_a_parallel_turns_the_finger() -> None:
-    """Holonomy: a roll round a parallel of a spheroid draws a circle of radius rho / cos beta on the plane.
-
-    The finger turns by 2 pi cos beta about the normal: 2 pi less the area enclosed by the normals (Gauss and Bonnet).
-    """
+    """Holonomy: a roll round a parallel of a spheroid draws a circle of radius rho / cos beta on the plane. The finger
+    turns by 2 pi cos beta about the normal: 2 pi less the area enclosed by the normals (Gauss and Bonnet)."""
     a, c, beta = 0.008, 0.011, 0.6
     height = np.hypot(a * np.sin(beta), c * np.cos(beta))
     rho = a * a * np.sin(beta) / height
@@ -387,10 +379,8 @@ def test_a_hollow_box_becomes_six_planes() -> None:
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 @pytest.mark.parametrize("kind", SHAPES)
 def test_curvature_is_the_derivative_of_the_normal(kind: str) -> None:
-    """Along both principal directions, the normal's central difference over 2 um equals the curvature.
-
-    The difference leaves 1e-6 of third derivatives and 1e-10 of rounding, over 1e-6 m.
-    """
+    """Along both principal directions, the normal's central difference over 2 um equals the curvature. The difference
+    leaves 1e-6 of third derivatives and 1e-10 of rounding, over 1e-6 m."""
     random, step, behind = np.random.default_rng(8), 1e-6, 0.009
     for _ in range(10):
         q = random.normal(size=4)

@@ -33,9 +33,7 @@ def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
 @pytest.mark.parametrize(("coupling", "aside"), [(K_N, 1e-3), (3000.0, 1e-3), (300.0, -1e-3)])
 def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside: float, several: bool) -> None:
     """Pressed, dragged, rolled over the sphere, released and rolled back, the hand gains (K depth - f_N) e psi.
-
-    Sampling adds an error that halves with the step. A far object changes nothing.
-    """
+    Sampling adds an error that halves with the step. A far object changes nothing."""
     depth, turn = 1e-3, 0.3
     psi = turn * R / MIDDLE
     material = {"stiffness_n_per_m": K_N, "friction": {"static": 10.0, "kinetic": 10.0}}
@@ -68,10 +66,8 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
-    """A path along the sphere at one depth and back at another gains K a (1 - cos theta) times the difference.
-
-    The sign depends on the direction.
-    """
+    """A path along the sphere at one depth and back at another gains K a (1 - cos theta) times the difference. The sign
+    depends on the direction."""
     stiffness, shallow, deep, angle = 300.0, 0.0005, 0.004, 0.45
     effect = {"kind": "stick_slip", "stiffness_n_per_m": stiffness, "force_max_n": 5.0}
     running = Engine(scene({"material": {"stiffness_n_per_m": K_N}, "effect": [effect]}))

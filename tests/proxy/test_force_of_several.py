@@ -115,10 +115,8 @@ def gap(thing: Mapping[str, Any], points: Array) -> Array:
 
 
 def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
-    """Check that the proxy is outside of all objects and all contact forces are within their cones.
-
-    In ticks that are `at_rest` the forces add up to K (c - x).
-    """
+    """Check that the proxy is outside of all objects and all contact forces are within their cones. In ticks that are
+    `at_rest` the forces add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
     for thing in SCENES[name]:
@@ -224,10 +222,8 @@ def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
 @pytest.mark.parametrize("static", [0.6, 50.0])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_closed_path_with_rolls_gains_at_most_the_stored_friction(name: str, static: float) -> None:
-    """A roll back can return the energy K e^2 / 2 of a deflection e a second time, a known limit of the model.
-
-    Friction of one object holds the proxy off another, which takes over its load: see docs/model/patches.md.
-    """
+    """A roll back can return the energy K e^2 / 2 of a deflection e a second time, a known limit of the model. Friction
+    of one object holds the proxy off another, which takes over its load: see docs/model/patches.md."""
     poses = closed_path(name, 3, 0.05)
     records = engine(name, static, static).run(poses)
     assert gained(records, poses) <= 0.5 / K * records["contact.tangential_force"].max() ** 2

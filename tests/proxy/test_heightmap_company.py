@@ -86,10 +86,8 @@ def some_of(cases: Cases, *numbers: int) -> list[str]:
 
 
 def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys: Any) -> None:
-    """Drag, throw and press on maps next to such an object; check that the proxy is finite and outside of both.
-
-    Without friction the force is at most three times the spring force, one for each of three contacts.
-    """
+    """Drag, throw and press on maps next to such an object; check that the proxy is finite and outside of both. Without
+    friction the force is at most three times the spring force, one for each of three contacts."""
     for name in names:
         pitch, heights = MADE[name]()
         points, tables = way(heights, pitch, count), {"rolling": None} if keys else {}
@@ -140,10 +138,8 @@ def test_hostile_maps_with_many_rolling_steps(tmp_path: Path, cases: Cases) -> N
 
 
 def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) -> None:
-    """Lookups are counted in plain Python on hostile maps: single maps with montana_rk45, and pairs of objects.
-
-    Without counting, in `make test-all` compiled, the same ticks give the same proxies.
-    """
+    """Lookups are counted in plain Python on hostile maps: single maps with montana_rk45, and pairs of objects. Without
+    counting, in `make test-all` compiled, the same ticks give the same proxies."""
     scenes, most = [], []
     for situation in ("alone", "map", *(("plane", "ball") if cases(0, 1) else ())):
         for name in some_of(cases, 3, 6, 7):

@@ -86,11 +86,8 @@ def made(path: Path, **tables: Any) -> Engine:
 @pytest.mark.parametrize("source", ["elevation", "binary", "picture"])
 @pytest.mark.parametrize("joint", ["<freejoint/>", ""], ids=["that moves", "that stands"])
 def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: Path) -> None:
-    """At the nodes heights match to 32 bits; between them the surfaces differ by the curvature.
-
-    MuJoCo has two triangles per pixel, our surface is smooth: they differ by up to p^2 / 4 (1 / a^2 + 1 / b^2) times
-    the amplitude.
-    """
+    """At the nodes heights match to 32 bits; between them the surfaces differ by the curvature. MuJoCo has two
+    triangles per pixel, our surface is smooth: they differ by up to p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
     engine = made(written(tmp_path, source, joint))
     if joint:
         engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]

@@ -152,10 +152,8 @@ def test_the_proxy_is_never_inside(tmp_path, name):
 
 
 def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
-    """In a hollow sphere just wider than the fingertip, all triangles are equally near: the proxy stays outside.
-
-    It follows when the hand moves.
-    """
+    """In a hollow sphere just wider than the fingertip, all triangles are equally near: the proxy stays outside. It
+    follows when the hand moves."""
     vertices, triangles = meshes.geodesic(60, 0.0101)
     running = engine(thing("socket", "mesh", file=saved(tmp_path, vertices, triangles), inside=True))
     out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
@@ -168,10 +166,8 @@ def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
 
 
 def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
-    """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`.
-
-    Away from the hole the forces are those of the hollow sphere.
-    """
+    """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`. Away from the hole
+    the forces are those of the hollow sphere."""
     ball = meshes.geodesic(16, 0.03)
     kept = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
     file = saved(tmp_path, ball.vertices, ball.triangles[kept])

@@ -24,10 +24,8 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
 
 
 def turned(running: Engine, speed: float) -> Array:
-    """Turn of the force per tick, rad, which equals N per N.
-
-    The hand presses down, then drags at a speed (m/s) of the proxy along a great circle, oblique to the triangles.
-    """
+    """Turn of the force per tick, rad, which equals N per N. The hand presses down, then drags at a speed (m/s) of the
+    proxy along a great circle, oblique to the triangles."""
     angles = np.concatenate([np.zeros(PRESSED), np.arange(round(WAY / (speed * DT))) * speed * DT / (BALL + R)])
     heights = np.full(len(angles), BALL + R - DEPTH)
     heights[:PRESSED] = np.linspace(BALL + R + 0.1 * DEPTH, BALL + R - DEPTH, PRESSED)
@@ -58,10 +56,8 @@ def test_a_shaded_mesh_turns_the_force_like_a_sphere(balls: dict[str, Engine], s
 
 @pytest.mark.parametrize("speed", [0.004, 0.02])
 def test_an_unshaded_mesh_turns_the_force_at_its_edges(balls: dict[str, Engine], speed: float) -> None:
-    """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere.
-
-    There the probe is at r - d from the edge. It is also more than four times as fast as on the shaded mesh.
-    """
+    """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere. There the probe is
+    at r - d from the edge. It is also more than four times as fast as on the shaded mesh."""
     steps, shaded = turned(balls["none"], speed), turned(balls["normals"], speed)
     way = speed * DT * (BALL + R - DEPTH) / (BALL + R)
     # The maximum is for a path straight over an edge; a chord differs from its arc by the square of the angle.

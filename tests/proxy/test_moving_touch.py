@@ -117,9 +117,7 @@ PADDLE = {"shape": "box", "size_m": [0.2, 0.05, 0.001]}
 
 def test_a_swinging_paddle_pushes_a_still_finger() -> None:
     """A thin paddle rotates through the origin by phi under a finger at (length, 0, h); the force is K times the depth.
-
-    The finger is h cos phi - length sin phi above the paddle's midplane and stays on that face at any depth.
-    """
+    The finger is h cos phi - length sin phi above the paddle's midplane and stays on that face at any depth."""
     length, h, angle = 0.06, 0.03, 2.0 * DT * np.arange(1, 501)
     records = Engine(scene(PADDLE | {"motion": SWING})).run(np.tile([length, 0.0, h, *UPRIGHT], (500, 1)), DT)
     depth = np.maximum(0.0005 + R - h * np.cos(angle) + length * np.sin(angle), 0.0)

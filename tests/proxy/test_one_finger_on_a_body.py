@@ -61,10 +61,8 @@ def finger_on_a_plate(folder: Path, floor: float) -> Engine:
 
 
 def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
-    """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3).
-
-    Check that the force on the plate is the opposite, to 1e-12 N.
-    """
+    """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3). Check that the
+    force on the plate is the opposite, to 1e-12 N."""
     force, mode, speed = np.zeros((len(way), 3)), np.zeros(len(way)), np.zeros(len(way))
     for tick, center in enumerate(way):
         records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
@@ -83,9 +81,7 @@ def down(depth: float, ticks: int = 120) -> Array:
 
 def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path) -> None:
     """On a frictionless floor, a finger with force N drags with an acceleration j t; the plate slips at a = mu_s N / m.
-
-    Afterwards the plate accelerates with mu_k N / m.
-    """
+    Afterwards the plate accelerates with mu_k N / m."""
     engine, jerk, press = finger_on_a_plate(tmp_path, 0.0), 40.0, down(1e-3)
     force, _, _ = go(engine, press)
     normal = force[-1, 2]
@@ -95,9 +91,8 @@ def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path)
     force, mode, speed = go(engine, way)
     first = int(np.flatnonzero(mode == SLIDING)[0])
     assert np.max(-force[:first, 0] / force[:first, 2]) == pytest.approx(STATIC, rel=0.01)  # a tick adds 0.5 %
-    assert jerk * t[first] == pytest.approx(
-        STATIC * normal / MASS, abs=5.0 * jerk * DT
-    )  # the plate swings for some ticks
+    # The plate swings for some ticks.
+    assert jerk * t[first] == pytest.approx(STATIC * normal / MASS, abs=5.0 * jerk * DT)
     after = slice(first + 5, first + 45)
     assert np.all(mode[after] == SLIDING)
     acceleration = np.polyfit(t[after], speed[after], 1)[0]
@@ -105,10 +100,8 @@ def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path)
 
 
 def test_a_pushed_plate_resists_by_floor_friction_and_inertia(tmp_path: Path) -> None:
-    """Pushed from the side, the plate resists with mu m g in a slow slide, and with m a more in an accelerated one.
-
-    To 2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres.
-    """
+    """Pushed from the side, the plate resists with mu m g in a slow slide, and with m a more in an accelerated one. To
+    2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
     floor, more, slow, faster = 0.2, 2.0, 400, 150
     engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
     t = DT * np.arange(slow + faster)

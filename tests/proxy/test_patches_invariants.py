@@ -79,10 +79,8 @@ def running(kind, even=False, back=False, unequal=False):
 
 
 def handling(kind, found, count):
-    """Poses of a path through several goals within some mm of a place and back.
-
-    First and last pose are free, except in a pinch, which leaves no room.
-    """
+    """Poses of a path through several goals within some mm of a place and back. First and last pose are free, except in
+    a pinch, which leaves no room."""
     # Offset from the point at which both walls are touched exactly, where rounding decides.
     goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * found[:count, :3]
     return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * found[:count, 3:])
@@ -113,10 +111,8 @@ def softly(kind):
 @examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
-    """The work of spin is never less than the energy f R phi^2 / 2 stored in all patches, under changing loads.
-
-    The tolerance is the change of the load within a tick, because the record contains the load at its end.
-    """
+    """The work of spin is never less than the energy f R phi^2 / 2 stored in all patches, under changing loads. The
+    tolerance is the change of the load within a tick, because the record contains the load at its end."""
     engine_of, way = softly(kind), handling(kind, found, count)
     engine_of.reset()
     records = engine_of.run(way)
@@ -148,11 +144,8 @@ def test_unequal_walls_give_no_energy(kind, found, count):
 @examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, found, count):
-    """As on planes, with a tolerance for the turn of the normals.
-
-    Per tick the proxy and the roll move two patches by l each, and the normals turn by l / D: see
-    test_closed_cycle_on_a_ball_with_friction_gives_no_energy.
-    """
+    """As on planes, with a tolerance for the turn of the normals. Per tick the proxy and the roll move two patches by l
+    each, and the normals turn by l / D: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy."""
     engine_of = running(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))

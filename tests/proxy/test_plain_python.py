@@ -86,10 +86,8 @@ def test_logic_part_runs_plain_kernels_and_its_programs_machine_code() -> None:
 
 @pytest.mark.exhaustive
 def test_rows_of_objects_and_a_single_object_compile() -> None:
-    """Objects of equal type are stored in rows, a single one directly; contacts of both compile.
-
-    Both have friction and torsion.
-    """
+    """Objects of equal type are stored in rows, a single one directly; contacts of both compile. Both have friction and
+    torsion."""
     wood = {
         "stiffness_n_per_m": 1000.0,
         "friction": {"static": 0.6, "kinetic": 0.5},

@@ -20,7 +20,7 @@ SETTLED = 18
 
 
 def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None:
-    """From left to right, the normal force is K d, and the force along the stroke peaks at mu_s K d, then is mu_d K d."""
+    """From left to right, the normal force is K d, and the friction peaks at mu_s K d and then is mu_d K d."""
     scene, poses = load_scene("plates"), load_poses("plates")
     records = Engine("plates").run(np.hstack([poses.position, poses.orientation]))
     touched = records["contact.object"]
@@ -38,7 +38,6 @@ def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None
         slides = records["contact.mode"][pressed] == 2
         friction = values["friction"]
         assert slides.sum() > 30
-        assert along.max() == pytest.approx(
-            friction["static"], rel=1e-6
-        )  # the peak before a slide is exactly the limit
+        # The peak before a slide is exactly the limit.
+        assert along.max() == pytest.approx(friction["static"], rel=1e-6)
         assert np.median(along[slides]) == pytest.approx(friction["kinetic"], rel=1e-6)

@@ -64,10 +64,8 @@ def paper_step() -> Array:
 
 @pytest.mark.parametrize("held", [False, True])
 def test_paper_experiment_along_a_line(plane_scene: SceneFactory, held: bool) -> None:
-    """With constant world rates, the decomposition deviates by 2.1 and 3.1 um from a line to (20, -30) mm.
-
-    The engine computes the path of eqs. 5-7 on matrices, whether the probe follows or is at a fixed position.
-    """
+    """With constant world rates, the decomposition deviates by 2.1 and 3.1 um from a line to (20, -30) mm. The engine
+    computes the path of eqs. 5-7 on matrices, whether the probe follows or is at a fixed position."""
     table, w = published(), paper_step()
     dt, n = table["sampling_time"], round(table["duration"] / table["sampling_time"])
     times = np.linspace(0, table["duration"], n + 1)

@@ -107,10 +107,8 @@ def test_drag_along_a_groove_has_no_ripple():
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
-    """The reported contact switches to another wall only if that wall bears clearly more load.
-
-    It stays while the depths differ by 1 nm either way, switches at twice the load and stays when they are equal again.
-    """
+    """The reported contact switches to another wall only if that wall bears clearly more load. It stays while the
+    depths differ by 1 nm either way, switches at twice the load and stays when they are equal again."""
     floor, left = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)

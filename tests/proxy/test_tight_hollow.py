@@ -112,10 +112,8 @@ def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant
 
 
 def test_a_far_object_does_not_change_a_hollow() -> None:
-    """Pressed 1.5 mm into a bowl with 1 mm of clearance and moved round it, the force is that of the bowl.
-
-    A plane metres away is in the scene.
-    """
+    """Pressed 1.5 mm into a bowl with 1 mm of clearance and moved round it, the force is that of the bowl. A plane
+    metres away is in the scene."""
     clearance, depth = 0.001, 0.0015
     bowl = {"name": "bowl", "shape": "sphere", "radius_m": R + clearance, "inside": True}
     floor = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -9.0]}
@@ -179,10 +177,8 @@ NEARLY_FILLED: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", NEARLY_FILLED)
 def test_proxy_in_a_hollow_is_the_nearest_point_to_the_probe(name: str, clearance: float, cases: Cases) -> None:
-    """At rest, the force is that of the spring to the nearest allowed centre, in closed form.
-
-    The probe jumps to one random position and then to another, up to ten clearances from the middle.
-    """
+    """At rest, the force is that of the spring to the nearest allowed centre, in closed form. The probe jumps to one
+    random position and then to another, up to ten clearances from the middle."""
     objects, nearest = NEARLY_FILLED[name]
     hollow, *others = objects(clearance)
     material = {"material": {"stiffness_n_per_m": K}}
@@ -208,10 +204,8 @@ ALONE: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
 def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point.
-
-    The force has no tangential part.
-    """
+    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
+    has no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

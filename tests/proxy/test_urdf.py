@@ -73,10 +73,8 @@ def test_geoms_have_the_names_of_links_and_meshes_are_found(beside: str, tmp_pat
 
 @pytest.mark.parametrize("prefix", ["package://toys", "package:///toys", "model://toys"])
 def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path) -> None:
-    """The search covers all folders up to the root, with the package's name and without.
-
-    MuJoCo permits white space before the XML. A root that would contain the package is suggested.
-    """
+    """The search covers all folders up to the root, with the package's name and without. MuJoCo permits white space
+    before the XML. A root that would contain the package is suggested."""
     folder = tmp_path / "toys" / "robots" / "urdf"
     folder.mkdir(parents=True)
     model = Path(written(folder, f"{prefix}/meshes/lid.stl", "../../meshes/lid.stl"))
@@ -91,10 +89,8 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
 
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
-    """Pressed from above, the lid gains I theta' + c theta, which equals force times arm times time.
-
-    A URDF has no time step, so that of a tick is used.
-    """
+    """Pressed from above, the lid gains I theta' + c theta, which equals force times arm times time. A URDF has no time
+    step, so that of a tick is used."""
     scene = {
         "fingertip": {"radius_m": R},
         "world": {"model": written(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},
