@@ -567,7 +567,7 @@ def test_a_scene_without_a_world_does_not_import_mujoco() -> None:
         Engine("paper-plane").data  # noqa: B018
 
 
-def test_a_world_without_mujoco_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_without_mujoco_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigError, match="softfinger\\[world\\]"):
         load_scene({"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "material": RUBBER}})

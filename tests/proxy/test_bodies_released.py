@@ -77,7 +77,7 @@ def visit(random: np.random.Generator, above: bool) -> Array:
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kind", GEOMS)
-def test_once_clear_of_a_body_nothing_is_felt(kind: str, tmp_path: Path, cases: Any) -> None:
+def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, cases: Any) -> None:
     """Clear means farther from the geom's middle than geom and fingertip reach, or above a height field's maximum."""
     random, engine = np.random.default_rng(7), made(tmp_path, kind)
     for _ in range(cases(2, 40)):

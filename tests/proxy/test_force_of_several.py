@@ -159,7 +159,7 @@ def test_frictionless_force_does_not_exceed_the_spring(name: str) -> None:
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.scaled
 def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, cases: Cases) -> None:
-    """Holds if the hand passes through objects too. Without rolls, sticking contacts are in equilibrium."""
+    """Also true if the hand passes through objects. Without rolls, sticking contacts are in equilibrium."""
     for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, reach_of(name), turn)
         records = engine(name, 0.6, 0.5).run(poses)
@@ -223,7 +223,7 @@ def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_a_closed_path_with_rolls_gains_at_most_the_stored_friction(name: str, static: float) -> None:
     """A roll back can return the energy K e^2 / 2 of a deflection e a second time, a known limit of the model. Friction
-    of one object holds the proxy off another, which takes over its load: see docs/model/patches.md."""
+    of one object carries the proxy above another, which takes over the load later: see docs/model/patches.md."""
     poses = closed_path(name, 3, 0.05)
     records = engine(name, static, static).run(poses)
     assert gained(records, poses) <= 0.5 / K * records["contact.tangential_force"].max() ** 2

@@ -332,7 +332,7 @@ def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> N
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the friction law, which decides what is compiled, has only the parts that the scene specifies."""
+    """The type of the friction law, which selects the compiled code, has only the parts that the scene specifies."""
     assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
     assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
     stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})

@@ -19,7 +19,7 @@ HEAVY, SOFT = 1.0, 200.0
 def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path: Path) -> None:
     """A rotation b across the line of the contacts shears each by (h - d) b, with half width h and depth d.
 
-    The forces N = K d, whose normals turn with the body and whose probes are h + r - d from its middle, turn it back:
+    The forces N = K d have normals that turn with the body and probes at h + r - d from its middle; they turn it back:
         I b'' + 2 c (h - d)^2 b' + (2 N (h + r - d) + 2 K (h - d)^2) b = 0
 
     The damping is therefore small if d is close to h, for any c. The shears of the two tips are opposite, so the middle

@@ -35,7 +35,7 @@ def hashed_with(file: str, module: str) -> bool:
 
 
 def unseen(file: str, text: str) -> list[str]:
-    """Names in a file's kernels that are imported from modules whose edits would not invalidate the cache."""
+    """Names in a file's kernels that come from modules outside of the cache key."""
     tree, found = ast.parse(text), []
     names = {
         alias.asname or alias.name: node.module
@@ -53,7 +53,7 @@ def unseen(file: str, text: str) -> list[str]:
 
 @pytest.mark.plain
 def test_names_in_kernels_are_from_hashed_sources() -> None:
-    """Holds for every file of the program."""
+    """Checks every file of the program."""
     files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     texts = {str(path.relative_to(ROOT)): path.read_text("utf-8") for path in files}
     with_kernels = {file: text for file, text in texts.items() if f"{OURS}proxy.kernels.jit" in text}
@@ -106,7 +106,7 @@ for edited in sys.stdin:
 
 
 def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> None:
-    """An edit in a kernel folder changes the whole cache's key, one in `tools` that of its folder, others nothing."""
+    """An edit in a kernel folder changes the key of the cache, one in `tools` the key of its folder, others none."""
     package = tmp_path / "softfinger"
     for folder in PACKAGES:
         shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))

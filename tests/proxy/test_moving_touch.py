@@ -186,7 +186,7 @@ def test_an_object_that_returns_touches_again() -> None:
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
 def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
-    """While the finger presses on a floor, a wall that moves in from the side adds a force of K times its own depth."""
+    """While the finger presses on a floor, a wall that moves in from the side adds K times its depth."""
     floor = {"shape": "plane", "motion": None}
     wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
     driver = Driver(scene(floor, wall))

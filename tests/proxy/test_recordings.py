@@ -83,7 +83,7 @@ def test_all_modes_occur() -> None:
 
 
 def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
-    """A roll of 1 rad that the hand follows never slides, and its tangential force stays near zero."""
+    """A roll of 1 rad that the hand follows never slides, and its tangential force is near zero."""
     records, _ = rolled(engine)
     assert causes(records) == ["touch", "release"]
     # positions rounded to 0.1 um, and slerp against cubic between 100 Hz samples: 0.2 um at 1000 N/m
@@ -166,7 +166,7 @@ def test_letter_slips_in_the_recorded_roll(letter: Engine) -> None:
 
 
 def test_rolling_is_detected_under_a_tangential_force(engine: Engine) -> None:
-    """Second failure absent: after a drag of 0.4 mm and under its force, the whole recorded roll is rolling."""
+    """Second failure absent: after a drag of 0.4 mm and under its force, the recorded roll is rolling to its end."""
     roll = recorded_roll(engine, aside=0.4e-3)
     assert roll.force[200:].min() > 0.39
     assert (roll.mode == ROLLING).all()

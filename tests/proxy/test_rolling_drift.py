@@ -26,7 +26,7 @@ SHORT = 1000
 @pytest.mark.sampled(12)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
-def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
+def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
     """At every step the contact point is on the object within 1e-12 m, and the normal has unit length."""
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     ticks = cases(SHORT, 10 * MILLION if name in LONG else MILLION // 5)

@@ -93,7 +93,7 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SHAPES)
 def test_step_control_reaches_its_tolerance(name: str) -> None:
-    """montana_rk45 at 1e-12 stays within 1e-10 of the radius for up to half a turn, also across edges."""
+    """montana_rk45 at 1e-12 has an error below 1e-10 of the radius for up to half a turn, also across edges."""
     rng, shape = np.random.default_rng(13), SHAPES[name]
     for _ in range(2):
         center, normal = touching(shape, rng)
@@ -157,7 +157,7 @@ def test_euler_zxz_is_exact_without_spin(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_rolling_over_the_edge_of_a_box(method: str) -> None:
-    """A roll round an edge and down the side stays on the offset surface; the normal turns without a jump."""
+    """A roll round an edge and down the side is on the offset surface; the normal turns without a jump."""
     box, center, normal = SHAPES["box"], (0.0, 0.0148, 0.02), (0.0, 0.0, 1.0)
     turn = rotations.exp((-1e-3, 0.0, 0.0))
     angles = []

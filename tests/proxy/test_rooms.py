@@ -32,7 +32,7 @@ def rendered(package: Path) -> str:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("room", ["heightmap", "mesh"])
-def test_the_plane_is_rendered_without_the_room(tmp_path: Path, room: str) -> None:
+def test_the_plane_is_rendered_without_another_shape(tmp_path: Path, room: str) -> None:
     """Only the shape's folder and its name in `shapes/__init__.py` are removed."""
     package = tmp_path / "softfinger"
     for folder in ("config", "drivers", "proxy", "server", "tools"):

@@ -69,7 +69,7 @@ def force(records):
 
 
 def test_corner_of_three_planes():
-    """Behind three walls, the proxy is in the corner and each wall pushes with its own spring."""
+    """Behind three walls, the proxy is in the corner and each wall pushes with K times its depth."""
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
     records = go(
         corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
@@ -107,8 +107,8 @@ def test_drag_along_a_groove_has_no_ripple():
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
-    """The reported contact switches to another wall only if that wall bears clearly more load. It stays while the
-    depths differ by 1 nm either way, switches at twice the load and stays when they are equal again."""
+    """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
+    depth causes no switch, twice the load does, and equal depths do not switch back."""
     floor, left = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
@@ -145,7 +145,7 @@ def test_sphere_rests_between_three_spheres():
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_thin_object_is_not_jumped_over(shape, keys, tilt):
-    """A probe that crosses a thin object in a single tick gets a proxy on the side it came from."""
+    """A probe that crosses a thin object in a single tick leaves the proxy on its first side."""
     passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = go(passing, [start, start, end, end, end])
@@ -233,7 +233,7 @@ def test_turning_table_spins_the_contact():
 
 
 def test_relative_rotation_of_a_rolling_ball_drives_rolling():
-    """A ball that turns under a still fingertip rolls the contact as far as a fingertip that turns the other way."""
+    """A ball that turns under a still fingertip rolls the contact as far as a fingertip that turns oppositely."""
     grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
     tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
     turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
@@ -267,7 +267,7 @@ def test_proxy_never_oscillates_at_rest(cases):
 
 @pytest.mark.scaled
 def test_proxy_is_outside_every_object_on_random_walks(cases):
-    """For random walks of the probe among several objects, the proxy's distance to each is at least its radius."""
+    """For random walks of the probe between several objects, the proxy's distance to each is at least its radius."""
     rng = np.random.default_rng(6)
     balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
     scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), -0.02)]

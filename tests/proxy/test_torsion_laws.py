@@ -196,7 +196,7 @@ def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> Non
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the torsion law, which decides what is compiled, has only the parts that the scene specifies."""
+    """The type of the torsion law, which selects the compiled code, has only the parts that the scene specifies."""
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
         (None, None),
