@@ -1,4 +1,4 @@
-"""Bodies that move by themselves: MuJoCo moves them, and our contacts push them; against closed forms and MuJoCo."""
+"""MuJoCo bodies pushed by our contacts, compared with closed forms and with MuJoCo."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, wh
 
 
 def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", height: float = 0.0) -> str:
-    """A box as a model's file."""
+    """Write the model of a box and return its path."""
     path = folder / "box.xml"
     path.write_text(BOX.format(mass=mass, gravity=gravity, floor=floor, height=height), encoding="utf-8")
     return str(path)
@@ -80,14 +80,14 @@ def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", 
 def held_by_two(
     path: str, material: dict[str, Any] = RUBBER, coupling: dict[str, Any] = DAMPED, **world: Any
 ) -> Engine:
-    """Two fingers for the bodies of a model."""
+    """Engine with two fingers for the bodies of a model."""
     fingers = [{"name": name, "radius_m": R} for name in ("thumb", "index")]
     tables = {"finger": fingers, "coupling": coupling, "rolling": {"method": "midpoint"}}
     return Engine(tables | {"world": {"model": path, "material": material, **world}})
 
 
 def pinch(ticks: int, force: float, beside: float = 0.0, height: float = 0.0, press: int = 100) -> dict[str, Array]:
-    """Poses of two fingers that take the box along x, each with `force` N after `press` ticks, and then hold it."""
+    """Poses of two fingers that press the box along x, each with `force` N after `press` ticks, and then stop."""
     u = np.clip(np.arange(ticks) / press, 0.0, 1.0)
     depth = force / STIFFNESS * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     poses = {}
@@ -105,7 +105,7 @@ def tilt(engine: Engine) -> float:
 
 
 def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path) -> None:
-    """8 mm beside its centre of mass it turns by theta = m g d cos(theta) / (2 k_z), and no more than 5 degrees."""
+    """Lifted 8 mm off its centre of mass it turns by theta = m g d cos(theta) / (2 k_z), at most 5 degrees."""
     engine, rise = held_by_two(box(tmp_path, floor=FLOOR, height=HALF)), 1200
     way = pinch(200 + rise + 400, 3.0, beside=0.008, height=HALF)
     u = np.clip((np.arange(len(way["thumb"])) - 200) / rise, 0.0, 1.0)
@@ -120,12 +120,13 @@ def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path)
     assert tilt(engine) == pytest.approx(theta, rel=0.01)
     assert math.degrees(most) < 5.0
     sag = MASS * G / (2.0 * STIFFNESS)  # two springs carry it
-    soft = 0.2e-3  # MuJoCo's floor: it was taken so much lower
+    soft = 0.2e-3  # MuJoCo's floor is soft: the box was grasped that much lower
     assert engine.data.qpos[2] == pytest.approx(0.12 - sag - 0.008 * math.sin(theta), abs=soft)
 
 
-def test_without_torsion_it_swings_as_a_pendulum_does(tmp_path: Path) -> None:
-    """About the line of the contacts, 8 mm from its centre, let go at 90 degrees: period by the elliptic integral."""
+def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
+    """Released at 90 degrees, 8 mm off its centre, the box swings about the contacts with the period of a pendulum. The
+    reference is the elliptic integral."""
     material = {name: part for name, part in RUBBER.items() if name != "torsion"}
     engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
     way = pinch(2000, 3.0, beside=arm)
@@ -139,15 +140,15 @@ def test_without_torsion_it_swings_as_a_pendulum_does(tmp_path: Path) -> None:
     inertia = MASS * ((2 * HALF) ** 2 / 6.0 + arm**2)
     period = 4.0 * math.sqrt(inertia / (MASS * G * arm)) * ellipk(0.5)
     assert 2.0 * turns[0] * 2e-3 == pytest.approx(period, rel=0.02)
-    assert abs(tilt(engine)) > 0.5 or len(turns) > 1  # it swings on
+    assert abs(tilt(engine)) > 0.5 or len(turns) > 1  # it continues to swing
 
 
 @pytest.mark.parametrize(
     "model_of_torsion", [pytest.param("independent", marks=pytest.mark.exhaustive), "limit_surface"]
 )
 def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path) -> None:
-    """Pulled with 60 % of the friction cone and twisted more and more: at the torsional limit, or at what the limit
-    surface leaves of it; and pulled alone, at the cone. To 1 %."""
+    """Pulled with 60 % of the cone and twisted, it slips at the torsional limit, or at the limit surface's remainder.
+    Pulled without a twist, it slips at the cone. To 1 %."""
     press, static, length = 2.0, 0.8, 0.004
     step = 2  # ticks: at the rates below a step is at most 0.4 % of the limit
     material = RUBBER | {
@@ -179,8 +180,8 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
     assert slips_at(0.6 * cone, 0.0, 0.01)[1] == pytest.approx(left * length * press, rel=0.01)
 
 
-def test_what_a_finger_feels_its_body_is_given(tmp_path: Path) -> None:
-    """Each tick minus the sum of the wrenches on the hands acts on the box, about any point; to 1e-12."""
+def test_body_gets_the_opposite_wrench_of_the_fingers(tmp_path: Path) -> None:
+    """Each tick the wrench on the box is minus the sum of the wrenches on the fingers, about any point, to 1e-12."""
     engine = held_by_two(box(tmp_path, floor=FLOOR, height=HALF))
     way = pinch(160, 3.0, beside=0.006, height=HALF - 0.003)
     pressed = 0
@@ -207,7 +208,7 @@ BODIES = [
 @pytest.mark.parametrize(("mass", "substeps"), BODIES)
 @pytest.mark.parametrize("stiffness", [*(pytest.param(each, marks=REST) for each in (200.0, 1000.0)), 3000.0])
 def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float, tmp_path: Path) -> None:
-    """10 g to 1 kg at 1 kHz, 1 g with four substeps, from soft to hard: taken and struck, it swings less and less."""
+    """From 10 g to 1 kg at 1 kHz, and 1 g with four substeps, a grasped and struck body swings less and less."""
     path = box(tmp_path, mass, gravity=0.0)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
     coupling = DAMPED | {"stiffness_n_per_m": stiffness}
@@ -231,8 +232,8 @@ def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float,
     ("mass", "stiffness"),
     [(1.0, 3000.0), *(pytest.param(*case, marks=REST) for case in ((1.0, 1000.0), (0.3, 3000.0)))],
 )
-def test_dampers_that_fit_a_heavy_body_bring_it_to_rest(mass: float, stiffness: float, tmp_path: Path) -> None:
-    """c = 0.2 sqrt(K m), and sqrt(k_z I) for torsion: within two seconds of the blow it is slower by a thousand."""
+def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tmp_path: Path) -> None:
+    """With c = 0.2 sqrt(K m), and sqrt(k_z I) for torsion, a blow decays a thousandfold within two seconds."""
     damping, inertia = 0.2 * math.sqrt(stiffness * mass), mass * (2.0 * HALF) ** 2 / 6.0
     coupling = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping}
     coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
@@ -247,7 +248,7 @@ def test_dampers_that_fit_a_heavy_body_bring_it_to_rest(mass: float, stiffness: 
 
 
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
-    """Again after a reset, and in another engine; a parameter that is set leaves the bodies where they are."""
+    """Runs after a reset and in another engine are identical; setting a parameter does not move the bodies."""
     way = pinch(150, 3.0, beside=0.008, height=HALF)
     engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
     first = engine.run(way)["thumb"].copy()
@@ -285,8 +286,8 @@ SHAPES = """
 
 
 @PLAIN_ONLY
-def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
-    """Distances of points from each of our shapes, on a body that has moved, and from MuJoCo's geoms."""
+def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
+    """For points around each shape on a moved body, distances equal MuJoCo's."""
     path = tmp_path / "shapes.xml"
     path.write_text(SHAPES)
     engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
@@ -304,15 +305,15 @@ def test_geoms_are_touched_where_mujoco_has_them(tmp_path: Path) -> None:
             mujoco.mj_kinematics(engine.model, engine.data)
             theirs = mujoco.mj_geomDistance(engine.model, engine.data, geom, engine.model.geom("point").id, 1.0, None)
             ours = closest_on(placed.shape, placed.pose, tuple(x))[0]
-            # MuJoCo searches ellipsoids and cylinders to its tolerance of 1e-6 m; inside it measures another distance
+            # MuJoCo searches ellipsoids and cylinders to a tolerance of 1e-6 m; inside it measures another distance
             if theirs > 0.0:
                 assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
 
 
 @PLAIN_ONLY
 @pytest.mark.parametrize("free", [True, False], ids=["on a body", "that stands"])
-def test_a_mesh_is_touched_where_mujoco_has_it(free: bool, tmp_path: Path) -> None:
-    """MuJoCo moves a mesh to its centre of mass and axes of inertia: its vertices and ours are in the same places."""
+def test_a_mesh_has_the_position_of_mujoco(free: bool, tmp_path: Path) -> None:
+    """MuJoCo moves a mesh to its centre of mass and principal axes; the vertices of both are in the same places."""
     blob = trimesh.creation.icosphere(subdivisions=1)
     blob.apply_scale([30.0, 20.0, 10.0])
     blob.apply_translation([5.0, 3.0, 1.0])
@@ -331,11 +332,11 @@ def test_a_mesh_is_touched_where_mujoco_has_it(free: bool, tmp_path: Path) -> No
         x = tuple(vertex.tolist())
         place = deepest(placed, x, 1.0, NOBODY, BUDGET).place
         gap, point, _, _ = closest_to_within(placed, place, x, BUDGET)
-        assert abs(gap) < 1e-8 and np.abs(np.array(point) - vertex).max() < 1e-8  # they are kept in 32 bits
+        assert abs(gap) < 1e-8 and np.abs(np.array(point) - vertex).max() < 1e-8  # vertices are stored in 32 bits
 
 
-def test_how_each_geom_was_taken_is_said(tmp_path: Path) -> None:
-    """By name, by group, by class of defaults, the last that fits; and what does not collide is not touched."""
+def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
+    """Rules select geoms by name, group or class of defaults; geoms that do not collide are left out."""
     path = tmp_path / "some.xml"
     path.write_text(
         '<mujoco><default><default class="soft"><geom rgba="1 0 0 1"/></default></default><worldbody>'
@@ -479,8 +480,8 @@ HOSTILE = {
 
 @pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_model_that_cannot_be_used_is_one_clear_error(name: str, tmp_path: Path) -> None:
-    """Before the first tick, with the file and what is wrong."""
+def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> None:
+    """The error is raised before the first tick, names the file and the cause, and is one line."""
     text, said = HOSTILE[name]
     path = tmp_path / "hostile.xml"
     path.write_text(text)
@@ -540,8 +541,8 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
     assert "\n" not in str(error.value)
 
 
-def test_an_object_of_the_scene_stands_for_a_geom_and_rides_on_a_body(tmp_path: Path) -> None:
-    """A geom's name taken by the scene; a shape that MuJoCo has not, on the body: both pushed as the box is."""
+def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None:
+    """An object with a geom's name replaces it, and a shape MuJoCo lacks can be attached to a body; both are pushed."""
     ring = {"name": "ring", "shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.005, "material": RUBBER}
     engine = Engine(
         {
@@ -552,11 +553,11 @@ def test_an_object_of_the_scene_stands_for_a_geom_and_rides_on_a_body(tmp_path: 
     )
     assert [thing.name for thing in engine.config.object] == ["ring", "box"]
     engine.run([[0.03, 0.0, 0.02 - 1e-4 * k, 1.0, 0.0, 0.0, 0.0] for k in range(120)])
-    assert engine.data.qvel[2] < 0.0 and engine.data.qvel[4] > 0.0  # pushed down, and turned by the arm
+    assert engine.data.qvel[2] < 0.0 and engine.data.qvel[4] > 0.0  # pushed down, and turned by the lever arm
 
 
-def test_a_scene_without_a_world_does_without_mujoco() -> None:
-    """It is not imported; and `model` and `data` are of no such scene."""
+def test_a_scene_without_a_world_does_not_import_mujoco() -> None:
+    """Such a scene has no `model` and `data`: access raises ConfigError."""
     code = (
         "import sys; from softfinger import Engine; e = Engine('paper-plane'); "
         "e.step([0, 0, 0.0095], [1, 0, 0, 0]); assert 'mujoco' not in sys.modules"
@@ -566,15 +567,15 @@ def test_a_scene_without_a_world_does_without_mujoco() -> None:
         Engine("paper-plane").data  # noqa: B018
 
 
-def test_a_world_without_mujoco_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_without_mujoco_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigError, match="softfinger\\[world\\]"):
         load_scene({"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "material": RUBBER}})
 
 
 @PLAIN_ONLY
-def test_a_world_that_diverges_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A velocity without end: MuJoCo's warnings are counted from the next step on, and leave no file."""
+def test_a_diverging_world_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo's warnings of an infinite velocity are counted from the next step on, and no log file is written."""
     monkeypatch.chdir(tmp_path)
     bodies = RigidBodies(load_scene("lift-a-box").world)  # type: ignore[arg-type]
     bodies.begin(0.001)
@@ -584,8 +585,8 @@ def test_a_world_that_diverges_is_seen(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
-def test_an_engine_says_that_its_bodies_failed(substeps: int, tmp_path: Path) -> None:
-    """An error in MuJoCo's words in the call that met it, and in each until a reset; three times in one engine."""
+def test_an_engine_reports_failed_bodies(substeps: int, tmp_path: Path) -> None:
+    """The failing call and all further calls until a reset raise MuJoCo's error; repeated three times in one engine."""
     path = box(tmp_path, floor=FLOOR, height=HALF)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
     engine = held_by_two(path, substeps=substeps)
@@ -606,8 +607,8 @@ def test_an_engine_says_that_its_bodies_failed(substeps: int, tmp_path: Path) ->
         np.testing.assert_array_equal(engine.run(way)["thumb"], good)
 
 
-def test_memory_that_is_full_is_an_error(tmp_path: Path) -> None:
-    """MuJoCo drops all contacts then, with a warning that nobody reads: boxes would fall through each other."""
+def test_full_memory_is_an_error(tmp_path: Path) -> None:
+    """MuJoCo only warns and drops all contacts if its memory is full, so boxes would fall through each other."""
     path = tmp_path / "many.xml"
     boxes = "".join(
         f'<body pos="0 0 {0.3 + 0.05 * k}"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>'
@@ -625,7 +626,7 @@ def test_memory_that_is_full_is_an_error(tmp_path: Path) -> None:
 
 @PLAIN_ONLY
 def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
-    """Fingers inside the box feel nothing, the world stands still, and no wrench is not a number."""
+    """Fingers inside a failed box get zero force, the world does not advance, and no wrench is NaN."""
     engine = held_by_two(box(tmp_path, gravity=0.0))
     way = pinch(120, 3.0)
     assert np.abs(engine.run(way)["thumb"]["force"][-1]).max() > 1.0
@@ -640,8 +641,8 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
 
 
 @PLAIN_ONLY
-def test_most_steps_have_to_keep_to_the_budget(tmp_path: Path) -> None:
-    """A step that was interrupted comes alone; where most take too long the bodies are let go, and it is said why."""
+def test_most_steps_must_be_within_the_budget(tmp_path: Path) -> None:
+    """A single slow step is tolerated; if most steps exceed the budget, the bodies are released with an error."""
     scene = load_scene(
         {"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}}
     )

@@ -1,4 +1,4 @@
-"""Once the probe is clear of a body and moves away it feels nothing: each kind of geom, on a body that moves."""
+"""A probe that is clear of a moving body and retreats gets zero force, for each kind of geom."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.plain
 
 Array = NDArray[np.float64]
 R, SIZE, STEP = 0.006, 0.02, 0.001
-"""m: fingertip, the farthest that a geom reaches from its middle, and the probe's way in a tick."""
+"""m: radius of the fingertip, largest distance of a geom's surface from its middle, path of the probe per tick."""
 GRIP = {
     "stiffness_n_per_m": 1000.0,
     "damping_ns_per_m": 2.0,
@@ -38,7 +38,7 @@ GEOMS = {
 
 
 def made(folder: Path, kind: str) -> Engine:
-    """The geom on a free body without weight, above a floor that is far; the model's file is in `folder`."""
+    """Engine with the geom on a free weightless body, far above a floor; the model's file is in `folder`."""
     assets = {"hfield": f"<{HILLS.format(ELEVATIONS)}/>", "mesh": '<mesh name="blob" file="blob.stl"/>'}
     blob = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
     blob.apply_scale([0.02, 0.014, 0.01])
@@ -55,8 +55,8 @@ def made(folder: Path, kind: str) -> Engine:
 
 
 def visit(random: np.random.Generator, above: bool) -> Array:
-    """Poses (n, 7): to 4 to 7 mm from the body's middle, some drag and roll, and away within 40 degrees of where it
-    came from; `above` is a way from the side of +z."""
+    """Poses (n, 7) to 4 to 7 mm from the body's middle, with some drag and roll, and away within 40 degrees. If
+    `above`, the path starts on the side of +z."""
     start = random.normal(size=3)
     if above:
         start[2] = abs(start[2]) + 2.0
@@ -77,8 +77,8 @@ def visit(random: np.random.Generator, above: bool) -> Array:
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kind", GEOMS)
-def test_once_clear_of_a_body_nothing_is_felt(kind: str, tmp_path: Path, cases: Any) -> None:
-    """Clear: farther from the geom's middle than it and the fingertip reach, of a height field above its highest."""
+def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, cases: Any) -> None:
+    """Clear means farther from the geom's middle than geom and fingertip reach, or above a height field's maximum."""
     random, engine = np.random.default_rng(7), made(tmp_path, kind)
     for _ in range(cases(2, 40)):
         engine.reset()

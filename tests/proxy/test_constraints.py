@@ -1,4 +1,4 @@
-"""The multi-contact solve against an independent quadratic programme."""
+"""Solver of multiple contacts, compared with non-negative least squares."""
 
 import numpy as np
 import pytest
@@ -24,12 +24,12 @@ def unit(rng):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_agrees_with_non_negative_least_squares(count):
-    """For a goal x behind constraints through a point c, x + d is what Lawson and Hanson's method finds."""
+    """The displacement equals the solution of Lawson and Hanson's method, for one to three constraints."""
     rng = np.random.default_rng(count)
     for _ in range(2000):
         normals = [unit(rng) for _ in range(3)]
         if count == 3 and abs(np.linalg.det(np.array(normals))) < 1e-3:
-            continue  # nearly coplanar normals: both solutions are right to fewer digits
+            continue  # nearly coplanar normals: both solutions are accurate to fewer digits
         if any(normals[i] @ normals[j] < FACING for i in range(count) for j in range(i)):
             continue  # walls that face each other are a pinch
         deflection = rng.normal(size=3)  # c - x
@@ -41,14 +41,14 @@ def test_agrees_with_non_negative_least_squares(count):
 
 
 def test_corner_of_a_box():
-    """Three walls at right angles: every demand is met separately."""
+    """Three perpendicular walls: every demand is met separately."""
     axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
     push, _ = solve(3, *axes, 1.0, 2.0, 3.0)
     assert push == (1.0, 2.0, 3.0)
 
 
-def test_demand_that_another_meets_gets_no_weight():
-    """A wall that is satisfied by the push from the floor carries no force."""
+def test_a_demand_met_by_another_wall_gets_no_weight():
+    """A wall that is satisfied by the push from the floor gets no force."""
     slanted = (0.6, 0.0, 0.8)
     push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)
     assert push == (1.0, 0.0, 0.0) and d == (0.0, 0.0, 1.0)
@@ -56,24 +56,22 @@ def test_demand_that_another_meets_gets_no_weight():
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 2e-6, 1e-5, 3e-5, 1e-4, 2e-3])
 def test_nearly_parallel_walls_push_as_one(angle):
-    """Whatever little there is between two normals, and between the demands: the sum is the greater demand.
-
-    Up to what the second asks for aside, no more than the difference of the demands.
-    """
+    """For tiny differences of normals and demands, the weights add up to the greater demand. The sideways part of the
+    second demand adds at most the difference of the demands."""
     up, tilted = (0.0, 0.0, 1.0), (float(np.sin(angle)), 0.0, float(np.cos(angle)))
     for more in (0.0, 1e-18, -1e-18, 1e-12, -1e-12, 1e-9, -1e-9):
         for normals, demands in (((up, tilted, up), (0.04, 0.04 + more)), ((tilted, up, up), (0.04 + more, 0.04))):
             for count in (2, 3):
                 push, d = solve(count, *normals, *demands, 0.04)
                 assert min(push) >= 0.0
-                # A demand may be missed by 1e-9 of itself where the normals are as good as parallel.
+                # A demand may be missed by 1e-9 of itself if the normals are almost parallel.
                 for n, b in zip(normals, demands, strict=False):
                     assert np.dot(n, d) > b - 1e-10
                 assert sum(push) < max(*demands) + 0.04 * angle**2 + abs(more) + 1e-10
 
 
 def test_parallel_and_opposite_normals_give_finite_weights():
-    """Two walls with one normal, and a gap too narrow, are solved without a division by nothing."""
+    """Two walls with one normal, and a gap that is too narrow, are solved without division by zero."""
     up, down = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
     assert solve(2, up, up, up, 1.0, 1.0, 0.0)[1] == (0.0, 0.0, 1.0)
     push, d = solve(2, up, down, up, 1.0, 0.5, 0.0)

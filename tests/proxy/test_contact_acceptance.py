@@ -1,7 +1,7 @@
-"""What a fingertip on a plane must do, row by row, in numbers that can be worked out by hand.
+"""Fingertip on a plane: acceptance cases with results worked out by hand.
 
-Plane z = 0, r = 10 mm, K_n = K_t = k_tau = 1000 N/m, pressed 1 mm so that f_N = 1 N, mu 0.6 / 0.5,
-k_z = 0.05 N m/rad, mu_t = 4 mm, no damping, 1 kHz. Force is the force on the hand.
+Plane z = 0, r = 10 mm, K_n = K_t = k_tau = 1000 N/m, pressed 1 mm so that f_N = 1 N, mu 0.6 / 0.5, k_z = 0.05 N m/rad,
+mu_t = 4 mm, no damping, 1 kHz. Forces act on the hand.
 
 EXACT covers the rounding of at most a few hundred additions of order 1e-2 m times 1000 N/m.
 """
@@ -23,12 +23,12 @@ EXACT = 1e-12
 
 
 def pressed(depth: float = 0.001) -> Hand:
-    """A hand that was free on its first tick and is pressed in from its second."""
+    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
     return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 def test_press(plane_scene: SceneFactory) -> None:
-    """A finger pressed in by 1 mm feels 1 N along the normal and nothing else."""
+    """A depth of 1 mm gives 1 N along the normal and no other force or torque."""
     trace = drive(Engine(plane_scene()), pressed().go(100))
     assert trace.force[0] == pytest.approx([0, 0, 0], abs=0)
     assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (101, 1)), abs=EXACT)
@@ -37,8 +37,8 @@ def test_press(plane_scene: SceneFactory) -> None:
 
 
 @pytest.mark.parametrize("ticks", [1, 10, 200])
-def test_roll_with_the_probe_held_winds_the_coupling(plane_scene: SceneFactory, ticks: int) -> None:
-    """A roll of 0.05 rad moves the proxy by r times as much and the coupling pulls the held probe after it."""
+def test_roll_at_a_fixed_position_winds_the_coupling(plane_scene: SceneFactory, ticks: int) -> None:
+    """A roll of 0.05 rad moves the proxy by r times as much, and the coupling pulls the probe towards it."""
     trace = drive(Engine(plane_scene()), pressed().go(ticks, turn=[0.05, 0, 0]))
     last = trace.steps[-1]
     assert last.force == pytest.approx([0, -0.5, 1], abs=EXACT)
@@ -55,11 +55,11 @@ def test_roll_with_the_probe_held_winds_the_coupling(plane_scene: SceneFactory, 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("k_tau", "angle"), [(None, 0.06), (250.0, 0.24)])
 def test_roll_past_theta_max_slides(plane_scene: SceneFactory, k_tau: float | None, angle: float) -> None:
-    """A held probe slides at theta_max = mu_s f_N / (k_tau r): peak mu_s f_N, then mu_d f_N."""
+    """A roll at a fixed position slides at theta_max = mu_s f_N / (k_tau r): peak mu_s f_N, then mu_d f_N."""
     trace = drive(Engine(plane_scene(rolling={"torque_stiffness_n_per_m": k_tau})), pressed().go(501, turn=[0.5, 0, 0]))
     assert trace.causes == ["touch", "theta_max"]
     tick = trace.events[1][0]
-    # 501 ticks for 0.5 rad: theta_max falls between two ticks, never on one.
+    # 501 ticks for 0.5 rad: theta_max is between two ticks.
     assert tick == 1 + int(np.ceil(angle * 501 / 0.5))
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
     assert trace.tangential[tick] == pytest.approx(0.6, rel=EXACT)
@@ -68,7 +68,7 @@ def test_roll_past_theta_max_slides(plane_scene: SceneFactory, k_tau: float | No
 
 
 def test_roll_with_the_probe_following(plane_scene: SceneFactory) -> None:
-    """A roll of 1 rad that the hand follows has no tangential force, moves 10 mm and never slides."""
+    """A roll of 1 rad that the hand follows gives no tangential force, moves the proxy by 10 mm and never slides."""
     trace = drive(Engine(plane_scene()), pressed().go(1000, move=[0, -R, 0], turn=[1, 0, 0]))
     assert trace.tangential.max() < 1e-12
     assert trace.proxy[-1] == pytest.approx([0, -R, R], abs=EXACT)
@@ -77,7 +77,7 @@ def test_roll_with_the_probe_following(plane_scene: SceneFactory) -> None:
 
 
 def test_drag_stop_and_drag_again(plane_scene: SceneFactory) -> None:
-    """Both drags peak at mu_s f_N, slide at mu_d f_N with the proxy 0.5 mm behind; the stop between them sticks."""
+    """Both drags peak at mu_s f_N and slide at mu_d f_N, with the proxy 0.5 mm behind; the stop sticks."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     first_end = hand.at
     hand.go(300)
@@ -92,12 +92,12 @@ def test_drag_stop_and_drag_again(plane_scene: SceneFactory) -> None:
         assert trace.force[slip + 1 : end + 1, 0] == pytest.approx(-0.5, rel=EXACT)
         lag = trace.poses[slip + 1 : end + 1, 0] - trace.proxy[slip + 1 : end + 1, 0]
         assert lag == pytest.approx(0.5e-3, rel=1e-10)
-    # The rest between them keeps the stored force: nothing is released by stopping.
+    # The stop does not release the stored force.
     assert trace.force[first_end:second_start, 0] == pytest.approx(-0.5, rel=EXACT)
 
 
 def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
-    """A reversal unwinds the coupling, peaks at mu_s f_N the other way, and never drives the hand along."""
+    """A reversal unwinds the coupling and peaks at mu_s f_N in the other direction, without a gain of energy."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     turn = hand.at
     hand.go(500, move=[-0.025, 0, 0])
@@ -105,13 +105,13 @@ def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
     assert trace.causes == ["touch", "drag", "reverse", "drag"]
     assert trace.force[: turn + 1, 0].min() == pytest.approx(-0.6, rel=EXACT)
     assert trace.force[turn:, 0].max() == pytest.approx(0.6, rel=EXACT)
-    # The force on the hand leaves -0.5 N at once and rises by K times the way back until the peak.
+    # The force on the hand rises from -0.5 N by K times the distance moved back, until the peak.
     peak = int(trace.force[:, 0].argmax())
     rise = np.diff(trace.force[turn:peak, 0])
     assert rise == pytest.approx(1000 * 50e-6, abs=1e-10)
-    # Only the 0.5 mm stored by the drag come back; after that the force opposes the motion.
+    # Only the 0.5 mm stored by the drag unwind; after that the force opposes the motion.
     assert (trace.force[turn + 11 :, 0] > 0).all()
-    # Work of the hand against the coupling; what it gets back is never more than what it has put in.
+    # Work of the hand against the coupling: it never gets back more than it has put in.
     work = -np.cumsum(trace.force[1:, 0] * np.diff(trace.poses[:, 0]))
     assert work.min() > -1e-12
     stored = 0.5 * 1000 * (0.5e-3) ** 2
@@ -121,7 +121,7 @@ def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("angle", "torque"), [(0.05, -0.0025), (0.5, -0.004), (-0.05, 0.0025), (-0.5, 0.004)])
 def test_spin(plane_scene: SceneFactory, angle: float, torque: float) -> None:
-    """Spin about the normal winds a torsional spring, which yields at mu_t f_N."""
+    """A spin about the normal winds a torsional spring, which yields at mu_t f_N."""
     trace = drive(Engine(plane_scene()), pressed().go(500, turn=[0, 0, angle]))
     assert trace.steps[-1].torque == pytest.approx([0, 0, torque], abs=EXACT)
     assert trace.force[1:] == pytest.approx(np.tile([0, 0, 1], (501, 1)), abs=EXACT)
@@ -132,34 +132,34 @@ def test_spin(plane_scene: SceneFactory, angle: float, torque: float) -> None:
 
 
 def test_spin_and_back(plane_scene: SceneFactory) -> None:
-    """After slipping at the torsional limit the anchor stays: 0.16 rad back is the limit the other way."""
+    """The anchor follows the slip at the torsional limit: 0.16 rad back reaches the limit in the other direction."""
     trace = drive(Engine(plane_scene()), pressed().go(500, turn=[0, 0, 0.5]).go(160, turn=[0, 0, -0.16]))
     assert trace.steps[-1].torque == pytest.approx([0, 0, 0.004], abs=EXACT)
 
 
 def test_roll_and_back(plane_scene: SceneFactory) -> None:
-    """A roll undone leaves no tangential force."""
+    """A roll and its reversal leave no tangential force."""
     trace = drive(Engine(plane_scene()), pressed().go(200, turn=[0.05, 0, 0]).go(200, turn=[-0.05, 0, 0]))
     assert trace.tangential[-1] < 1e-12
     assert trace.causes == ["touch"]
 
 
 def test_roll_then_drag_against_it(plane_scene: SceneFactory) -> None:
-    """A roll of 0.03 rad has used half the cone: dragging against it slides after 0.3 mm."""
+    """A roll of 0.03 rad uses half of the cone: a drag that adds to it slides after 0.3 mm."""
     hand = pressed().go(100, turn=[0.03, 0, 0])
     start = hand.at
     hand.go(143, move=[0, 1e-3, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
     tick = trace.events[1][0]
-    # 143 ticks for 1 mm: 0.3 mm falls between two ticks.
+    # 143 ticks for 1 mm: 0.3 mm is between two ticks.
     assert tick - start == int(np.ceil(0.3 * 143))
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
     assert trace.tangential[tick + 1 :] == pytest.approx(0.5, rel=EXACT)
 
 
 def test_tiny_counter_tilt_does_not_disable_sliding(plane_scene: SceneFactory) -> None:
-    """A tilt of one micro-radian before a drag changes nothing: the peak is still mu_s f_N."""
+    """A tilt of one micro-radian before a drag changes nothing: the peak is mu_s f_N."""
     for tilt in ([0, 1e-6, 0], [0, -1e-6, 0], [1e-6, 0, 0]):
         hand = pressed().go(1, turn=tilt).go(497, move=[0.025, 0, 0])
         trace = drive(Engine(plane_scene()), hand)
@@ -169,11 +169,11 @@ def test_tiny_counter_tilt_does_not_disable_sliding(plane_scene: SceneFactory) -
 
 
 def test_slip_and_spin_share_the_limit_surface(plane_scene: SceneFactory) -> None:
-    """Slipping at 20 mm/s while spinning at 5 rad/s, the two share one limit: 0.223607 N and -0.00357771 N m."""
+    """Slip at 20 mm/s and spin at 5 rad/s share one limit: 0.223607 N and -0.00357771 N m."""
     scene = plane_scene(material={"torsion": {"model": "limit_surface"}})
     trace = drive(Engine(scene), pressed().go(400, move=[0.4 * 0.02, 0, 0], turn=[0, 0, 0.4 * 5.0]))
     assert trace.causes == ["touch", "drag"]
-    # (F v, tau_max omega) = (0.5 * 0.02, 0.004 * 5) = (0.01, 0.02): the shares of the two are 1 and 2 of sqrt(5).
+    # (F v, tau_max omega) = (0.5 * 0.02, 0.004 * 5) = (0.01, 0.02): shares of 1 and 2 in sqrt(5).
     assert trace.tangential[-1] == pytest.approx(0.5 / np.sqrt(5), abs=1e-9)
     assert trace.torque[-1, 2] == pytest.approx(-0.004 * 2 / np.sqrt(5), abs=1e-11)
     assert (round(trace.tangential[-1], 6), round(trace.torque[-1, 2], 8)) == (0.223607, -0.00357771)
@@ -182,7 +182,7 @@ def test_slip_and_spin_share_the_limit_surface(plane_scene: SceneFactory) -> Non
 @pytest.mark.parametrize("time_constant", [0.0, 0.002])
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.4])
 def test_withdraw_under_damping_releases_once(plane_scene: SceneFactory, speed: float, time_constant: float) -> None:
-    """However fast it leaves, a damped contact ends once, at the surface, and never pulls."""
+    """At any speed of withdrawal, a damped contact ends once, at the surface, and never pulls."""
     scene = plane_scene(
         material={"damping_ns_per_m": 3.0},
         coupling={"damping_ns_per_m": 3.0},
@@ -197,14 +197,14 @@ def test_withdraw_under_damping_releases_once(plane_scene: SceneFactory, speed: 
     assert trace.poses[out, 2] >= R > trace.poses[out - 1, 2]
     assert trace.normal_force.min() >= 0.0
     assert trace.force[:, 2].min() >= 0.0
-    # Moving out, damping takes B v off K delta, where that is more than nothing.
+    # While the finger moves out, damping reduces K delta by B v, but not below zero.
     if time_constant == 0.0:
         depth = R - trace.poses[start + 1 : out, 2]
         assert trace.normal_force[start + 1 : out] == pytest.approx(np.maximum(1000 * depth - 3 * speed, 0), abs=1e-9)
 
 
 def test_sliding_under_ripple_does_not_stick(plane_scene: SceneFactory) -> None:
-    """Sliding at 50 mm/s while f_N swings by 20 % at 20 Hz stays sliding, at mu_d times the momentary f_N."""
+    """A slide at 50 mm/s whose f_N varies by 20 % at 20 Hz does not stick; the force is mu_d times the current f_N."""
     hand = pressed().go(100, move=[0.005, 0, 0])
     for i in range(1, 501):
         depth = 0.001 * (1 + 0.2 * np.sin(2 * np.pi * 20 * i / 1000))

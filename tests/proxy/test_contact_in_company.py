@@ -1,7 +1,7 @@
-"""One contact model: an object out of reach changes no bit, and a contact that sticks keeps its normal.
+"""Objects out of reach change no bit, and a contact that sticks has a constant normal.
 
 Forces are compared with closed forms, r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. If a contact sticks while the proxy is
-at c, the force on a probe at x is K (c - x): pressed d deep and dragged e aside, K d n - K e.
+at c, the force on a probe at x is K (c - x): pressed d deep and dragged by e, K d n - K e.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ FAR = [
     {"name": "far plane", "shape": "plane", "position_m": [0.0, 0.0, -3.0]},
 ]
 SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
-"""Fields with an object's number, which is another one behind other objects."""
+"""Fields with an object index, which changes if other objects precede the object."""
 
 
 def far(material: dict[str, Any]) -> list[dict[str, Any]]:
@@ -91,7 +91,7 @@ def thing(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
 
 
 def handling(ticks: int, seed: int, reach: float) -> Array:
-    """Poses (n, 7) of a hand that goes in and out of what is `reach` m about the origin, and turns."""
+    """Poses (n, 7) of a hand that turns and moves in and out of an object `reach` m about the origin."""
     rng = np.random.default_rng(seed)
     t = np.arange(ticks)[:, None] * 1e-3
 
@@ -111,12 +111,12 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
     for name in SHIFTED:
         field = company[:, NAMED[name].at]
         field[field >= 0.0] -= before
-    # + 0.0: whether a zero is negative depends on the pose of many objects, which a single one may not have.
+    # + 0.0: the sign of a zero depends on the pose of objects, which a single object may not have.
     np.testing.assert_array_equal((company + 0.0).view(np.int64), (alone + 0.0).view(np.int64))
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    """Far objects before and after it in the list: records are those of the object alone, bit for bit."""
+    """Check that far objects before and after it in the list leave its records unchanged, bit for bit."""
     it, others = thing(shape, folder, material), far(material)
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape == "plane":
@@ -166,7 +166,7 @@ def test_an_object_out_of_reach_changes_no_bit_under_any_law(shape: str, law: st
 
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder"])
 def test_an_object_out_of_reach_changes_no_bit_for_an_ellipsoid(shape: str, tmp_path: Path) -> None:
-    others = [each | {"material": GRIP} for each in FAR if each["shape"] != "box"]  # which no ellipsoid may touch
+    others = [each | {"material": GRIP} for each in FAR if each["shape"] != "box"]  # an ellipsoid cannot touch boxes
     it, form = thing(shape, tmp_path, GRIP), {"radii_m": [0.01, 0.008, 0.012]}
     poses = handling(300, 11, 0.016)[::2] + np.array([0.0, 0.0, R if shape == "plane" else 0.0, 0.0, 0.0, 0.0, 0.0])
     alone, company = engine([it], "midpoint", fingertip=form), engine([*others, it], "midpoint", fingertip=form)
@@ -178,7 +178,7 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
     check_out_of_reach("ellipsoid", "midpoint", tmp_path, GRIP, finger=fingers)
 
 
-# --- the values of a contact that sticks -----------------------------------------------------------
+# --- forces of a contact that sticks ---------------------------------------------------------------
 
 
 COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
@@ -207,7 +207,7 @@ CURVED = {
 @pytest.mark.parametrize("deep", [1e-3, 3e-3])
 @pytest.mark.parametrize("shape", list(CURVED))
 def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: float, company: bool) -> None:
-    """Dragged 0.4 mm aside, the force is K (c - x): K d up, -K e aside, whatever the depth and the curvature."""
+    """Dragged by e = 0.4 mm, the force is K (c - x): K d upwards and -K e sideways, at any depth and curvature."""
     keys, height = CURVED[shape]
     beside = 0.03 if shape == "torus" else 0.0
     it = {"name": "it", **keys, "material": STICKY}
@@ -220,9 +220,9 @@ def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: flo
 
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "midpoint"])
-def test_a_roll_that_is_held_takes_its_normal_along(method: str, company: bool) -> None:
-    """A ball of 20 mm, 3 mm deep, rolled by 0.03 rad: the centre goes 0.3 mm round the ball, so the normal turns by
-    0.01 rad; the force is K (c - x), and the torque r times its tangential part."""
+def test_a_roll_at_a_fixed_position_turns_the_normal(method: str, company: bool) -> None:
+    """On a sphere of 20 mm, 3 mm deep, a roll of 0.03 rad moves the centre by 0.3 mm and turns the normal by 0.01 rad.
+    The force is K (c - x), and the torque r times its tangential part."""
     it = {"name": "it", **SHAPES["sphere"], "material": STICKY}
     top, deep, turn = BALL + R, 3e-3, 0.03
     down = line((0.0, 0.0, top + 1e-3), (0.0, 0.0, top - deep))
@@ -243,8 +243,8 @@ def test_a_roll_that_is_held_takes_its_normal_along(method: str, company: bool) 
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("kind", ["box", "mesh"])
 @pytest.mark.parametrize("deep", [1e-3, 3e-3, 5e-3, 6e-3])
-def test_an_edge_holds_what_sticks_to_it_at_any_depth(deep: float, kind: str, company: bool, tmp_path: Path) -> None:
-    """Across an edge, under its bisector: -K e, where the frictionless rest swings round by d e / (r - d)."""
+def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, company: bool, tmp_path: Path) -> None:
+    """A drag across an edge, below its bisector, gives -K e; a frictionless proxy would swing by d e / (r - d)."""
     half = 0.02
     if kind == "box":
         it = {"name": "it", "shape": "box", "size_m": [2 * half] * 3, "material": STICKY}
@@ -259,8 +259,8 @@ def test_an_edge_holds_what_sticks_to_it_at_any_depth(deep: float, kind: str, co
 
 
 @pytest.mark.exhaustive
-def test_a_ball_of_triangles_holds_what_sticks_to_it(tmp_path: Path) -> None:
-    """At a vertex of the mesh, which lies on the ball, 3 mm deep, dragged 0.4 mm: -0.4 N."""
+def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
+    """At a mesh vertex on the sphere, 3 mm deep, a drag of 0.4 mm gives -0.4 N."""
     ball = meshes.geodesic(24, BALL)
     it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *ball), "material": STICKY}
     n = ball.vertices[0] / BALL
@@ -276,7 +276,7 @@ def test_a_ball_of_triangles_holds_what_sticks_to_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("company", COMPANY)
 def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> None:
-    """Held between two fingertips that stick, 1 mm deep each, a ball of mass m swings across with sqrt(2 K_t / m)."""
+    """A sphere of mass m between two sticking fingertips, 1 mm deep each, swings sideways with sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
     fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
@@ -290,7 +290,7 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
     }
     records = running.run(pinch, dt)
     held = {name: poses[-1:] for name, poses in pinch.items()}
-    # Of the force on the ball at a small displacement, against 2 K_t: the frequency's square.
+    # The squared frequency follows from the force on the sphere at a small displacement, compared with 2 K_t.
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
     records = running.run(held, dt)
@@ -303,7 +303,7 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
 
 
 def closed_path(seed: int, top: float, ticks: int) -> Array:
-    """Places (n, 3) m from above down to a random closed polyline and back up."""
+    """Positions (n, 3) m from above down to a random closed polyline and back up."""
     rng = np.random.default_rng(seed)
     begin = np.array([0.0, 0.0, top + 1e-3])
     below = np.array([0.0, 0.0, top - 2e-3]) + rng.uniform(-1.0, 1.0, (4, 3)) * [6e-4, 6e-4, 8e-4]
@@ -315,7 +315,7 @@ def closed_path(seed: int, top: float, ticks: int) -> Array:
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder", "ellipsoid", "torus", "box"])
 def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company: bool) -> None:
-    """The force is K (c - x) with c at rest, so the trapezoidal rule over the legs is exact, except at the touch."""
+    """The force is K (c - x) with constant c, so the trapezoidal rule is exact, except in the tick of the touch."""
     keys = SHAPES[shape] if shape != "cylinder" else CURVED["cylinder"][0]
     tops = {"plane": 0.0, "box": 0.015, "torus": 0.012, "ellipsoid": 0.015}
     top, beside = tops.get(shape, BALL) + R, 0.03 if shape == "torus" else 0.0
@@ -327,18 +327,18 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
         force = records["force"]
         touching = (records["contact.mode"] > 0) & np.roll(records["contact.mode"] > 0, 1)
         work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0), axis=1)
-        # Within the ticks of the touch and of the release the force is bent: the exact work of the springs counts.
+        # In the ticks of touch and release the force has a kink: the exact work of the springs is used.
         inside = touching[1:] & touching[:-1]
         first, last = np.flatnonzero(inside)[[0, -1]]
         stored = 0.5 / K * np.sum(force**2, axis=1)
         assert abs(work[first : last + 1].sum() + stored[last + 1] - stored[first]) < 1e-9
 
 
-# --- a mesh of a box is the box --------------------------------------------------------------------
+# --- a mesh of a box equals the box ----------------------------------------------------------------
 
 
 def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array:
-    """Places (n, 3) m of a probe that goes round a box at random, over faces, edges and corners, up to 1.7 mm deep."""
+    """Positions (n, 3) m of a random path round a box, over faces, edges and corners, up to 1.7 mm deep."""
     rng, t = np.random.default_rng(seed), np.arange(ticks) * 1e-3
     size, rate, phase = rng.normal(0.0, 1.0, (3, 3)), rng.uniform(0.3, 1.5, 3), rng.uniform(0.0, 6.0, 3)
     out = np.sin(2.0 * np.pi * np.outer(t, rate) + phase) @ size
@@ -353,10 +353,12 @@ def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_box_of_triangles_is_the_box_with_friction(seed: int, company: bool, tmp_path: Path) -> None:
-    """Touched, stuck, sliding and released over faces, edges and corners: the same forces as of the shape, which knows
-    no triangles, up to the float32 vertices, 1e-9 m, times 1000 N/m. No way of a tick enters and leaves an edge, which
-    is a touch of the shape and none of the mesh."""
+def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, tmp_path: Path) -> None:
+    """Touch, stick, slide and release over faces, edges and corners give the forces of the shape box.
+
+    The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge, which
+    is a touch of the shape and none of the mesh.
+    """
     half = (0.02, 0.0175, 0.015)
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
     mesh = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(*half)), "material": GRIP}

@@ -1,4 +1,4 @@
-"""The engine against a slow reference of one tick in plain numpy, on random scenes and random motion."""
+"""Engine compared with a slow NumPy reference of one tick, on random scenes and random motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DT = 1e-3
 
 
 def random_case(rng: np.random.Generator, make: Any) -> tuple[Scene, Parameters]:
-    """A scene of one plane in any place, with materials over some decades, and the reference's parameters."""
+    """A scene of one plane at a random pose, with materials over some decades, and the reference's parameters."""
     k_n, k_t = 10 ** rng.uniform(2, 4, 2)
     k_tau = k_t * rng.choice([1.0, rng.uniform(0.1, 1.0)])
     mu_s = rng.uniform(0.1, 1.5)
@@ -61,9 +61,9 @@ def random_case(rng: np.random.Generator, make: Any) -> tuple[Scene, Parameters]
 
 
 def random_motion(rng: np.random.Generator, q: Parameters) -> Hand:
-    """Some 600 ticks of pressing, dragging, rolling (followed, held, dragged against), spinning, resting, leaving."""
+    """About 600 ticks of pressing, dragging, rolling (followed, in place, against a drag), spinning and rest."""
     depth = 1e-3
-    # The length over which a contact pressed this deep sticks: motions around it meet every transition.
+    # Length over which a contact at this depth sticks: motions around it cause every transition.
     stick = q.mu_s * q.k_n * depth / q.k_t
     hand = Hand(q.origin + (q.radius + depth) * q.normal)
     hand.go_to(1, q.origin + (q.radius - depth) * q.normal)
@@ -92,7 +92,7 @@ def random_motion(rng: np.random.Generator, q: Parameters) -> Hand:
 
 SEEDS = range(12)
 FEW = 6
-"""Of them in `make test`."""
+"""Number of seeds in `make test`."""
 
 
 @pytest.mark.sampled(3)
@@ -100,12 +100,12 @@ FEW = 6
     "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
 )
 def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> None:
-    """On every tick: the same mode and cause, and the same proxy, force, torque, roll and spin up to rounding."""
+    """Mode and cause are equal on every tick; proxy, force, torque, roll and spin agree to rounding."""
     rng = np.random.default_rng(seed)
     scene, q = random_case(rng, plane_scene)
     engine, reference = Engine(scene), ReferenceContact(q)
-    # Positions carry a rounding of some 1e-16 m, which adds up over 600 ticks and is felt times
-    # the stiffness, or times the damping over the time step.
+    # Positions are rounded by some 1e-16 m, which accumulates over 600 ticks and is multiplied by the stiffness, or by
+    # the damping over the time step.
     length = 1e-12
     force = max(q.k_n, q.k_t, (q.damping + q.b_t) / DT) * length
     for tick, pose in enumerate(random_motion(rng, q).poses):
@@ -121,7 +121,7 @@ def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> No
 
 @pytest.mark.scaled
 def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: Cases) -> None:
-    """The comparison above covers all causes, so that agreeing means something."""
+    """The random motions contain every cause at least five times."""
     seen: dict[str, int] = {}
     for seed in SEEDS[: cases(FEW, len(SEEDS))]:
         rng = np.random.default_rng(seed)
@@ -129,12 +129,12 @@ def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: 
         records = Engine(scene).run(np.array(random_motion(rng, q).poses), DT)
         for cause in records[:, AT.contact_cause]:
             seen[CAUSE_NAMES[int(cause)]] = seen.get(CAUSE_NAMES[int(cause)], 0) + 1
-    of_one_object = set(CAUSE_NAMES) - {"restart"}  # which is for meshes
+    of_one_object = set(CAUSE_NAMES) - {"restart"}  # restarts occur only on meshes
     assert all(seen.get(cause, 0) >= 5 for cause in of_one_object), seen
 
 
 def test_large_rotations_in_one_tick(plane_scene: SceneFactory) -> None:
-    """Up to half a turn in one tick, the roll and the spin are still those of the Euler angles."""
+    """For rotations of up to half a turn in one tick, roll and spin equal the Euler angles."""
     friction = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
     torsion = {"torsion": {"stiffness_nm_per_rad": 1e-3, "friction_length_m": 0.01}}
     engine = Engine(plane_scene(material=friction | torsion))

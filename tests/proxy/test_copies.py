@@ -1,4 +1,4 @@
-"""Copies and pickles of an Engine: each continues with the same bits, of memory of its own."""
+"""Copies and pickles of an Engine continue with the same bits, in separate memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSE = [0.001, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]
 @pytest.mark.parametrize("scene", ["paper-plane", "heightmap", "plates", "roll-a-pencil"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
 def test_a_copy_continues(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
-    """In contact, with arrays (heightmap) and with bodies; a change of the copy is not one of the original."""
+    """Holds in contact, with arrays (heightmap) and with bodies; changes of the copy do not affect the original."""
     engine = Engine(scene)
     engine.step(*POSE)
     other = duplicate(engine)

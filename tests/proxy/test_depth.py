@@ -1,4 +1,4 @@
-"""The depth of the record, `contact.penetration`: random handling of every shape under every law."""
+"""Penetration depth in the record, `contact.penetration`, for random motions on all shapes with all laws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FRICTION: Final[list[dict[str, Any]]] = [
 
 
 def handled(rng: np.random.Generator, ticks: int) -> Array:
-    """Poses (ticks, 7) that go in and out of what is at the origin, up to 5 mm a tick, and turn by up to 0.2 rad."""
+    """Poses (ticks, 7) in and out of an object at the origin, by up to 5 mm and 0.2 rad per tick."""
     t = 0.001 * np.arange(ticks)[:, None]
     rates, phases = rng.uniform(2.0, 40.0, (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
     points = sum(np.sin(rates[k] * t + phases[k]) for k in range(3)) * rng.uniform(0.002, 0.02) + [0.0, 0.0, 0.012]
@@ -64,8 +64,8 @@ def handled(rng: np.random.Generator, ticks: int) -> Array:
 def test_the_depth_is_never_negative(
     shape: str, count: int, cases: Cases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A force comes of a depth: alone and beside another of its kind, with friction that holds the proxy far behind,
-    and in the ticks of a release."""
+    """The depth is never negative and is positive with a force, also next to a second object of the same kind. This
+    includes friction that displaces the proxy far from the probe, and ticks of a release."""
     monkeypatch.chdir(tmp_path)
     write_ply(Path("ball.ply"), icosphere(1, 0.012))
     np.save("hills.npy", np.random.default_rng(1).uniform(0.0, 0.005, (9, 9)))
@@ -82,7 +82,7 @@ def test_the_depth_is_never_negative(
         depth, force = records["contact.penetration"], records["contact.normal_force"]
         assert (depth >= 0.0).all(), (number, depth.min())
         assert (depth[records["contact.mode"] == 0] == 0.0).all()
-        if count == 1:  # a second object bears the rest, or all
+        if count == 1:  # a second object may bear all of the force
             assert (depth[force > 0.0] > 0.0).all()
         touched += int((force > 0.0).sum())
     assert touched >= 20

@@ -239,7 +239,7 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.exhaustive
 def test_an_unused_surface_does_not_change_compiled_code() -> None:
-    """Registering another surface leaves the instructions of other scenes unchanged."""
+    """Registering another surface does not change the instructions of other scenes."""
     names = ["bare", "whole"]
     found = in_a_process(REGISTER, COMPILE % names, USE)
     for name in names:

@@ -1,4 +1,4 @@
-"""Effects: forces compared with closed forms, bounds, energy, and the way from a scene file to the hand."""
+"""Effects: forces compared with closed forms, bounds, energy, scene file and rendering."""
 
 from __future__ import annotations
 
@@ -322,11 +322,11 @@ def test_vibration_keeps_its_phase_over_a_month() -> None:
     states: Any = (model.Phase(0.0),)
     for _ in range(1001):
         _, states = apply_effects((effect,), states, moment(dt=4000.0011))
-    # The whole turns of 4000 s cancel; 1001 times 250 Hz times 1.1 ms are 275.275 turns.
+    # Full turns in 4000 s cancel; 1001 times 250 Hz times 1.1 ms are 275.275 turns.
     assert states[0].turns == pytest.approx(0.275, abs=1e-6)
 
 
-def test_changing_the_frequency_does_not_make_the_force_jump() -> None:
+def test_a_change_of_frequency_keeps_the_force_continuous() -> None:
     """A vibration tuned from 10 to 11 Hz after a long run continues from its phase."""
     slow, fast = model.Vibration(1.0, 10.0, UP, None), model.Vibration(1.0, 11.0, UP, None)
     states: Any = start_states((slow,))
@@ -337,7 +337,7 @@ def test_changing_the_frequency_does_not_make_the_force_jump() -> None:
     assert np.abs(np.diff(forces)).max() <= 2 * np.pi * 11.0 * DT
 
 
-# --- all together --------------------------------------------------------------------------------
+# --- several effects -----------------------------------------------------------------------------
 
 
 def test_forces_add_up_and_states_are_separate() -> None:
@@ -375,7 +375,7 @@ def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: 
     st.lists(st.tuples(anywhere, anywhere, finite.map(abs), st.booleans(), finite, normals()), min_size=1, max_size=3),
     st.sampled_from([None, CARRIER]),
 )
-def test_any_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], carrier: Any) -> None:
+def test_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], carrier: Any) -> None:
     """At any position, velocity and tick length the force is finite, also in the next tick."""
     states = start_states(EVERY)
     for x, v, dt, touched, gap, normal in ticks:
@@ -385,7 +385,7 @@ def test_any_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], 
     assert all(math.isfinite(f) for f in calm)
 
 
-# --- from the file -------------------------------------------------------------------------------
+# --- scene file ----------------------------------------------------------------------------------
 
 
 WORKSPACE: list[dict[str, Any]] = [
@@ -447,9 +447,7 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         (OBJECT[4], "must be one of"),
     ],
 )
-def test_a_faulty_effect_is_refused_with_what_to_do(
-    plane_scene: SceneFactory, effect: dict[str, Any], said: str
-) -> None:
+def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], said: str) -> None:
     """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
     the workspace are faults."""
     with pytest.raises(ConfigError) as refused:
@@ -504,7 +502,7 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
     assert np.abs(force[:, :2]).max() < 1e-12
 
 
-def test_a_texture_is_felt_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
+def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
     """Dragged over a frictionless table with stick-slip, the finger has only the normal force and the sawtooth."""
     ridges = {"kind": "stick_slip", "stiffness_n_per_m": 1000.0, "force_max_n": 0.5}
     scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)

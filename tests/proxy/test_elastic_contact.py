@@ -80,7 +80,7 @@ def test_the_spring_of_the_finger_is_in_series_with_the_surface(folder: Path) ->
     engine, depth = Engine(scene(folder / "pad.obj")), 0.0004
     for _ in range(3):
         load = engine.step(at(0.001, 0.002, depth)[:3], [1.0, 0.0, 0.0, 0.0]).normal_force
-    # The surface yields sideways, too, so that the contact is a little beside the probe.
+    # The surface yields sideways, too, so that the contact is slightly to the side of the probe.
     x, y = 0.001, 0.002
     for _ in range(20):
         found = compliance_at(engine, facet_below(engine, x, y), (x, y, HEIGHT))
@@ -133,7 +133,7 @@ def path(count: int) -> Any:
 
 
 @pytest.mark.parametrize("friction", [False, True])
-def test_a_stiff_body_is_felt_as_the_rigid_mesh(folder: Path, friction: bool) -> None:
+def test_a_stiff_body_gives_the_forces_of_the_rigid_mesh(folder: Path, friction: bool) -> None:
     stiff = scene(folder / "pad.obj", youngs_pa=1e15, friction=friction)
     surface = body_of(stiff.object[0]).surface
     lines = ["v {!r} {!r} {!r}".format(*each) for each in surface.vertices.tolist()]
@@ -165,7 +165,7 @@ def test_a_sliding_contact_is_solved_in_three_rounds(folder: Path, monkeypatch: 
     assert found[0]["force"] == pytest.approx(found[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
 
 
-def test_two_fingers_feel_each_other_through_the_body(folder: Path) -> None:
+def test_two_fingers_are_coupled_by_the_body(folder: Path) -> None:
     engine = Engine(scene(folder / "pad.obj", fingers=2))
     held, beside, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
     records = engine.run({"a": np.tile(held, (10, 1)), "b": np.array([away] * 5 + [beside] * 5)})

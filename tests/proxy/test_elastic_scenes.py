@@ -1,4 +1,4 @@
-"""The shipped scenes with an elastic object, which run without mesher and solver from the solutions beside them."""
+"""Shipped scenes with an elastic object, which run from shipped solutions without mesher and solver."""
 
 import contextlib
 import sys
@@ -41,13 +41,13 @@ def identity(thing: Mesh, elastic: Elastic) -> str:
     return solution.identity(thing, elastic, read_bytes(thing.file))
 
 
-def test_the_meshes_are_those_of_the_tool(tmp_path: Path) -> None:
+def test_shipped_meshes_match_the_tool(tmp_path: Path) -> None:
     for written in elastic_scenes.write_meshes(tmp_path):
         assert written.read_bytes() == (FOLDERS[Scene] / written.name).read_bytes()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_solution_is_small_and_of_the_values_in_the_scene(name: str) -> None:
+def test_shipped_solutions_are_small_and_match_the_scene(name: str) -> None:
     thing, elastic = shipped(name)
     assert Path(str(elastic.solution)).stat().st_size < 300_000
     body = solution.read(str(elastic.solution), identity(thing, elastic))
@@ -55,7 +55,7 @@ def test_a_solution_is_small_and_of_the_values_in_the_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_solution_is_what_the_solver_finds(name: str) -> None:
+def test_shipped_solutions_match_the_solver(name: str) -> None:
     pytest.importorskip("skfem")
     pytest.importorskip("gmsh")
     thing, elastic = shipped(name)
@@ -76,7 +76,7 @@ def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
     file, random = tmp_path / "pad.npz", np.random.default_rng(46)
     for at in random.integers(len(data), size=40):
         file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
-        with contextlib.suppress(ValueError):  # a bit of the archive's date or attributes may be any
+        with contextlib.suppress(ValueError):  # the archive's date and attributes may have any bits
             solution.read(str(file), key)
     for damaged in (data[: len(data) // 2], b"", b"\x80\x04K\x01.", data.replace(b"compliance", b"complianse")):
         file.write_bytes(damaged)
@@ -94,7 +94,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
 
 
-def test_without_the_extra_one_line_names_it(
+def test_a_missing_extra_is_named_in_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`check`, `simulate` and `replay` of a scene that has to be solved; a shipped scene needs no extra."""
@@ -123,11 +123,11 @@ def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:
     force = engine.run(poses)["force"][-1, 2]
     _, elastic = shipped("bend-a-strip")
     beam = 3.0 * elastic.youngs_pa * 0.02 * 0.003**3 / 12.0 / length**3
-    # The patch beside the tip also dents the strip, and a plate of this width is 2 % stiffer than a beam.
+    # The patch near the tip also dents the strip, and a plate of this width is 2 % stiffer than a beam.
     assert force == pytest.approx(depth / (1.0 / 1000.0 + 1.0 / beam), rel=0.04)
 
 
-def test_the_thumb_feels_the_squeeze_of_the_index_finger() -> None:
+def test_a_squeeze_by_the_index_finger_loads_the_thumb() -> None:
     """Both recordings at two instants: touched at 1.1 s, squeezed at 1.9 s; each for some ticks of 40 ms at rest."""
     engine = Engine("squeeze-a-ball", rate_hz=25.0)
     tracks: dict[str, Any] = {}

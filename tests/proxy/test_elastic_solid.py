@@ -1,4 +1,4 @@
-"""Displacements of elastic bodies against closed forms, and bodies that cannot be used."""
+"""Displacements of elastic bodies compared with closed forms, and refused bodies."""
 
 from math import log2, pi
 from pathlib import Path
@@ -59,7 +59,7 @@ def test_a_cantilever_bends_as_a_beam_with_shear() -> None:
     assert found == pytest.approx(beam, rel=0.02)
 
 
-def test_a_simply_supported_plate_sags_as_navier_says() -> None:
+def test_a_simply_supported_plate_sags_by_naviers_solution() -> None:
     side, height = 0.1, 0.005
 
     def held(x: Any) -> Any:
@@ -135,7 +135,7 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
 
 
-def test_every_part_of_a_body_is_solved_for_itself() -> None:
+def test_every_part_of_a_body_is_solved_separately() -> None:
     """Two blocks that do not touch, as a file of tetrahedra may have; one of them not fixed is refused."""
     one = fill(*box(0.03, 0.02, 0.03), 0.008)
     count = len(one.vertices)
@@ -211,7 +211,7 @@ def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
     assert read_volume(str(tmp_path / "one.vtu"), 0.1).vertices == pytest.approx(0.1 * corners)
 
 
-def test_a_file_of_tetrahedra_is_the_body_of_a_scene(tmp_path: Path) -> None:
+def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio")
     volume = fill(*box(0.03, 0.03, 0.012), 0.008)
     meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")

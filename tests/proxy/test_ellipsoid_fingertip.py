@@ -1,6 +1,6 @@
-"""A fingertip that is an ellipsoid: what it touches, how it rolls, and the work that it takes.
+"""Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file.
 
-K = 1000 N/m without damping, 1 kHz; semi-axes as of a fingertip, a few millimetres.
+K = 1000 N/m without damping, 1 kHz; the semi-axes are a few millimetres, like those of a fingertip.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ TABLES: dict[str, Any] = {
     "cylinder": {"shape": "cylinder", "radius_m": 0.03, "position_m": [0.0, 0.0, -0.03],
                  "orientation_wxyz": [1.0, 1.0, 0.0, 0.0]},
 }  # fmt: skip
-"""All with their highest point at the origin."""
+"""Objects with their highest point at the origin."""
 BESIDE = {"position_m": [0.038, 0.0, 0.007]}
-"""Of the sphere: a ball of 10 mm at rest on the plane is 0.2 mm away from it."""
+"""Position of a second sphere; a sphere fingertip of 10 mm at rest on the plane has a gap of 0.2 mm to it."""
 STICKY = {"static": 1000.0, "kinetic": 1000.0}
 GRIP = {"static": 0.6, "kinetic": 0.5}
 
 
 def scene(tip: dict[str, Any], *things: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
-    """All of one type for one list of shapes, since each type is compiled."""
+    """Return a scene whose type depends only on the list of shapes, since each type is compiled."""
     made_of = {
         "stiffness_n_per_m": K, "damping_ns_per_m": 0.0, "friction": friction,
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
@@ -82,13 +82,12 @@ def support(axes: ArrayLike, orientation: ArrayLike, n: ArrayLike) -> float:
     return float(np.linalg.norm(np.asarray(axes) * (matrix(orientation).T @ np.asarray(n))))
 
 
-# --- what it touches -------------------------------------------------------------------------------
+# --- contact geometry --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_gap_is_the_nearest_approach_of_the_two_bodies(name: str) -> None:
-    """Where they touch the normals are opposite, and no point of the ellipsoid is nearer to the object, or deeper in a
-    shallow press, than the gap says."""
+def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
+    """At the contact point the two surfaces have opposite normals, and no sampled skin point is closer than the gap."""
     rng, shape = np.random.default_rng(1), SHAPES[name]
     for _ in range(8):
         _, foot, n = closest(shape, tuple(rng.normal(0.0, 0.05, 3)))
@@ -98,7 +97,7 @@ def test_the_gap_is_the_nearest_approach_of_the_two_bodies(name: str) -> None:
         seen = grown(shape, q, axes)  # type: ignore[arg-type]
         gap, point, normal = closest(seen, tuple(x))
         gap, center = gap - seen.radius, np.add(point, seen.radius * np.array(normal))
-        # Centre, gap and normal say the same, to rounding of coordinates of some centimetres.
+        # Centre, gap and normal are consistent, to rounding of coordinates of some centimetres.
         np.testing.assert_allclose(x - center, gap * np.array(normal), rtol=0.0, atol=1e-15)
         contact = center + matrix(q) @ touching_at(axes, q / np.linalg.norm(q), np.array(normal))
         off, _, own = closest(shape, tuple(contact))
@@ -112,7 +111,7 @@ def test_the_gap_is_the_nearest_approach_of_the_two_bodies(name: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("names", [("cylinder",), ("plane", "sphere")])
 def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
-    """Pressed, rolled, spun and dragged until it slips, on one body and on two: every number of the record to 1e-12."""
+    """An ellipsoid of equal radii gives the same record as a sphere to 1e-12, on one object and on two."""
     t = np.arange(400) / 400
     x = np.stack([4e-3 * np.sin(7 * t), 3e-3 * np.sin(4 * t), 0.0095 + 1e-3 * np.sin(9 * t)], axis=1)
     q = np.stack([np.ones_like(t), 0.2 * np.sin(5 * t), 0.3 * np.sin(3 * t), 0.2 * t], axis=1)
@@ -128,8 +127,8 @@ def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
     np.testing.assert_allclose(same, ball, rtol=0.0, atol=1e-12)
 
 
-def test_its_roundness_is_that_of_the_point_that_touches() -> None:
-    """1 / sqrt(k1 k2), the principal curvatures by the second derivatives of the ellipsoid's equation."""
+def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
+    """The radius is 1 / sqrt(k1 k2), the curvatures from the second derivatives of the ellipsoid's equation."""
     rng = np.random.default_rng(2)
     form = model.EllipsoidTip(AXES, TURN)
     for _ in range(4):
@@ -143,11 +142,11 @@ def test_its_roundness_is_that_of_the_point_that_touches() -> None:
         assert found == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
 
 
-# --- how it rolls ----------------------------------------------------------------------------------
+# --- rolling -----------------------------------------------------------------------------------------
 
 
 def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> tuple[Array, Array, float]:
-    """Centre, normal and spin after the rotation vector `w`, in so many ticks, of one turned by TURN before."""
+    """Centre, normal and spin after the rotation vector `w` in `ticks` equal steps, from the orientation TURN."""
     turn = rotations.exp(tuple(w / ticks))
     n = np.array(closest(shape, tuple(point))[2])
     center, normal = tuple(point - matrix(TURN) @ touching_at(AXES, np.array(TURN), n)), tuple(n)
@@ -170,16 +169,16 @@ CASES = [
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("name", "method", "ticks", "order"), CASES)
-def test_it_rolls_as_the_shape_operators_of_both_say(name: str, method: Any, ticks: int, order: int) -> None:
-    """Against (W_o + W_f) p' = w x n, integrated to the eighth order, for a radian and a half about an oblique axis:
-    with step control to its tolerance, otherwise with the method's order."""
+def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: Any, ticks: int, order: int) -> None:
+    """A roll of 1.5 rad matches (W_o + W_f) p' = w x n, integrated to the eighth order. Methods with step control reach
+    their tolerance, methods with fixed steps converge with their order."""
     rng, shape = np.random.default_rng(3), SHAPES[name]
     for _ in range(2):
         _, foot, _ = closest(shape, tuple(rng.normal(0.0, 0.04, 3)))
         w = rng.normal(size=3)
         w *= 1.5 / np.linalg.norm(w)
         true = roll_ellipsoid(shape, AXES, TURN, foot, lambda _, w=w: w)  # type: ignore[misc]
-        assert true.apart < 1e-14  # the reference itself, to rounding of some forty steps
+        assert true.apart < 1e-14  # error of the reference itself: rounding of some forty steps
 
         def error(ticks: int, foot: Any = foot, w: Array = w, true: Any = true) -> float:
             center, normal, spin = end_of_roll(method, shape, np.array(foot), w, ticks)
@@ -193,9 +192,9 @@ def test_it_rolls_as_the_shape_operators_of_both_say(name: str, method: Any, tic
             assert fine < 1e-3 and np.log2(coarse / fine) == pytest.approx(order, abs=0.35)
 
 
-def test_about_its_axis_a_spheroid_rolls_like_a_wheel() -> None:
-    """Each point of its equator draws a cycloid: the contact goes a theta, the centre keeps its height, and the hand
-    that goes along feels the press alone."""
+def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
+    """A spheroid rolled about its axis by theta moves the contact by a theta at constant height. A hand that follows
+    gets the normal force and no tangential force or torque."""
     a, theta = 0.008, np.linspace(0.0, 3.0, 300)
     x = np.stack([a * theta, 0.0 * theta, 0.0 * theta + a - 1e-3], axis=1)
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
@@ -209,9 +208,9 @@ def test_about_its_axis_a_spheroid_rolls_like_a_wheel() -> None:
     np.testing.assert_allclose(column(rows, "contact.finger_point", 3), spot, rtol=0.0, atol=1e-15)
 
 
-def test_rolled_on_a_line_the_contact_goes_an_arc_of_the_ellipse() -> None:
-    """About the axis b, held in place at a height: the way is the arc between the points of contact, an elliptic
-    integral; the normal force is the support's, and its moment the derivative of the springs' energy."""
+def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
+    """A roll about axis b at a fixed position moves the contact by the arc of the ellipse, an elliptic integral. The
+    normal force follows the support height, and its moment is the derivative of the springs' energy."""
     a, _, c = AXES
     theta = np.linspace(0.0, 1.2, 601)
     x = np.tile([0.0, 0.0, 0.0075], (601, 1))
@@ -220,25 +219,24 @@ def test_rolled_on_a_line_the_contact_goes_an_arc_of_the_ellipse() -> None:
     rows = Engine(made).run(np.hstack([x, q]))
     assert set(rows[:, AT.contact_mode]) == {ROLLING}
     height = np.hypot(a * np.sin(theta), c * np.cos(theta))
-    # The point of contact is (a sin u, -c cos u) with tan u = a / c tan theta, from the lowest one on.
+    # The contact point is (a sin u, -c cos u) with tan u = a / c tan theta, measured from the lowest point.
     u = np.arctan2(a * np.sin(theta), c * np.cos(theta))
     arc = a * ellipeinc(u, 1.0 - (c / a) ** 2)
-    # Runge and Kutta's rule: 600 steps of 2 mrad leave some 1e-14.
+    # 600 Runge-Kutta steps of 2 mrad leave an error of some 1e-14.
     np.testing.assert_allclose(column(rows, "contact.point", 3)[:, 0], arc, rtol=0.0, atol=1e-12)
     load = K * (height - x[:, 2])
     np.testing.assert_allclose(rows[:, AT.contact_normal_force], load, rtol=1e-12)
-    # The centre is ahead of the contact by the arm, and stretches the spring by as much less.
+    # The centre is ahead of the contact by the lever arm, which reduces the stretch of the spring.
     aside = arc - (a * a - c * c) * np.sin(theta) * np.cos(theta) / height
     np.testing.assert_allclose(column(rows, "force", 3)[:, 0], K * aside, rtol=0.0, atol=1e-9)
-    # dh / dtheta = (a^2 - c^2) sin cos / h, and the way of the centre changes by h dtheta.
+    # dh / dtheta = (a^2 - c^2) sin cos / h, and the centre moves by h dtheta.
     moment = -load * (a * a - c * c) * np.sin(theta) * np.cos(theta) / height - K * aside * height
     np.testing.assert_allclose(column(rows, "torque", 3)[:, 1], moment, rtol=0.0, atol=1e-11)
 
 
-def test_once_round_a_parallel_it_comes_back_turned() -> None:
-    """Holonomy: rolled without spin along a parallel of a spheroid, the contact draws a circle of the radius
-    rho / cos beta on the plane, and the finger has turned by 2 pi cos beta about the normal: 2 pi less the area that
-    the normals go round, whatever the spheroid's proportions (Gauss and Bonnet)."""
+def test_rolling_round_a_parallel_turns_the_finger() -> None:
+    """Holonomy: a roll round a parallel of a spheroid draws a circle of radius rho / cos beta on the plane. The finger
+    turns by 2 pi cos beta about the normal: 2 pi less the area enclosed by the normals (Gauss and Bonnet)."""
     a, c, beta = 0.008, 0.011, 0.6
     height = np.hypot(a * np.sin(beta), c * np.cos(beta))
     rho = a * a * np.sin(beta) / height
@@ -255,8 +253,8 @@ def test_once_round_a_parallel_it_comes_back_turned() -> None:
         found.append((points - points[0])[:: ticks // 250])
     turned = np.cos(beta) * np.linspace(0.0, 2.0 * np.pi, 251)
     circle = rho / np.cos(beta) * np.stack([np.cos(turned) - 1.0, np.sin(turned), 0.0 * turned], axis=1)
-    # Within a tick the rate is taken for constant, an error of second order. Without it is left one of the fourth:
-    # (2 pi / 250)^4 of a circle of 7 mm.
+    # The rate is constant within a tick, an error of second order. Its extrapolation leaves one of fourth order: (2 pi
+    # / 250)^4 of a circle of 7 mm.
     np.testing.assert_allclose(found[1], circle, rtol=0.0, atol=4e-7)
     np.testing.assert_allclose((4.0 * found[1] - found[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
 
@@ -265,7 +263,7 @@ def test_once_round_a_parallel_it_comes_back_turned() -> None:
 
 
 def work(rows: Array) -> Array:
-    """Work (n,) J of the hand up to each tick, by the trapezoidal rule: to second order in the step."""
+    """Work (n,) J of the hand up to each tick, by the trapezoidal rule, of second order in the step."""
     moved = np.diff(column(rows, "probe.position", 3), axis=0)
     turned = axis_angles(column(rows, "probe.orientation", 4))
     force, torque = column(rows, "force", 3), column(rows, "torque", 3)
@@ -274,7 +272,7 @@ def work(rows: Array) -> Array:
 
 
 def handled(ticks: int, lowest: float) -> Array:
-    """Poses of a smooth handling that begins and ends at one pose, pressed all the time."""
+    """Poses of a smooth closed motion that stays in contact."""
     t = 2.0 * np.pi * np.arange(ticks + 1) / ticks
     s = np.sin(t)
     x = np.stack([8e-4 * s, 5e-4 * np.sin(2 * t), lowest - 4e-4 * s * s], axis=1)
@@ -285,9 +283,8 @@ def handled(ticks: int, lowest: float) -> Array:
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["plane", "cylinder"])
-def test_while_it_sticks_the_hand_gets_back_what_it_put_in(cases: Cases, name: str) -> None:
-    """Pressed, rolled, spun and pushed about: the work is what the springs store, at every tick, up to an error that
-    falls with the square of the step."""
+def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) -> None:
+    """While the contact sticks, the work of the hand equals the stored energy, to second order in the step."""
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     torsion = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 1.0}
@@ -303,9 +300,8 @@ def test_while_it_sticks_the_hand_gets_back_what_it_put_in(cases: Cases, name: s
 
 
 @pytest.mark.scaled
-def test_between_two_bodies_no_cycle_gives_energy(cases: Cases) -> None:
-    """Handled again and again where plane and sphere take turns and share the load: once round costs, and gives
-    nothing, up to the second order of the step."""
+def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
+    """On plane and sphere, each cycle with and without shared load costs work, to second order in the step."""
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     ticks = cases(200, 1000)
@@ -317,7 +313,7 @@ def test_between_two_bodies_no_cycle_gives_energy(cases: Cases) -> None:
     assert (per_cycle[1:] > 0.0).all()
 
 
-# --- the file --------------------------------------------------------------------------------------
+# --- scene file --------------------------------------------------------------------------------------
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}
 FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
@@ -359,8 +355,8 @@ FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("tip", "changes", "message"), FAULTS)
-def test_what_it_cannot_do_is_refused(tip: dict[str, Any], changes: dict[str, Any], message: str) -> None:
-    """By key, with what to do instead; for one finger as for several."""
+def test_unsupported_ellipsoid_scenes_are_refused(tip: dict[str, Any], changes: dict[str, Any], message: str) -> None:
+    """The error names the key and the remedy, for [fingertip] and for [[finger]]."""
     shape = {key: value for key, value in changes.items() if key != "rolling"} or {"shape": "plane"}
     made_of = {"stiffness_n_per_m": K, "friction": GRIP}
     tables: dict[str, Any] = {"object": [shape | {"name": "thing", "material": made_of}]}
@@ -373,8 +369,8 @@ def test_what_it_cannot_do_is_refused(tip: dict[str, Any], changes: dict[str, An
         build(Scene, tables | {"finger": [{"name": "index"} | tip]}, "test scene")
 
 
-def test_the_inside_of_a_box_is_six_planes() -> None:
-    """And may be touched."""
+def test_a_hollow_box_becomes_six_planes() -> None:
+    """The inside of a box can be touched by an ellipsoid, as six planes."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "inside": True}
     entries = build_scene(scene({"radii_m": list(AXES)}, box)).objects.entries
     assert [type(entry.shape.sizes[0]) for entry in entries.trees] == [model.Plane] * 6
@@ -382,9 +378,9 @@ def test_the_inside_of_a_box_is_six_planes() -> None:
 
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 @pytest.mark.parametrize("kind", SHAPES)
-def test_curvature_is_how_the_normal_turns_as_the_centre_moves(kind: str) -> None:
-    """Along both principal directions; a central difference over 2 um leaves 1e-6 of third derivatives and 1e-10 of
-    rounding, over 1e-6 m."""
+def test_curvature_is_the_derivative_of_the_normal(kind: str) -> None:
+    """Along both principal directions, the normal's central difference over 2 um equals the curvature. The difference
+    leaves 1e-6 of third derivatives and 1e-10 of rounding, over 1e-6 m."""
     random, step, behind = np.random.default_rng(8), 1e-6, 0.009
     for _ in range(10):
         q = random.normal(size=4)

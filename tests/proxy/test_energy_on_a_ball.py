@@ -1,4 +1,4 @@
-"""What a closed way over a ball gives the hand: the closed forms of docs/model/passivity.md, as the step falls."""
+"""Energy gained on closed paths over a sphere, compared with the closed forms of docs/model/passivity.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def scene(ball: dict[str, Any], **tables: Any) -> dict[str, Any]:
 
 
 def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
-    """From corner to corner in so many ticks each."""
+    """Interpolate between corners, with that many ticks per leg."""
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     return np.concatenate([*legs, [corners[-1]]])
 
@@ -31,11 +31,9 @@ def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("several", [False, True], ids=["alone", "in company"])
 @pytest.mark.parametrize(("coupling", "aside"), [(K_N, 1e-3), (3000.0, 1e-3), (300.0, -1e-3)])
-def test_a_roll_makes_energy_by_what_the_coupling_differs_from_the_wall(
-    coupling: float, aside: float, several: bool
-) -> None:
-    """Pressed, drawn aside, rolled over the ball, let go of and rolled back: (K depth - f_N) e psi, and what sampling
-    makes besides, which halves with the step. Another object, far away, changes nothing."""
+def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside: float, several: bool) -> None:
+    """Pressed, dragged, rolled over the sphere, released and rolled back, the hand gains (K depth - f_N) e psi.
+    Sampling adds an error that halves with the step. A far object changes nothing."""
     depth, turn = 1e-3, 0.3
     psi = turn * R / MIDDLE
     material = {"stiffness_n_per_m": K_N, "friction": {"static": 10.0, "kinetic": 10.0}}
@@ -62,13 +60,14 @@ def test_a_roll_makes_energy_by_what_the_coupling_differs_from_the_wall(
 
     coarse, fine = gained(100), gained(200)
     wanted = (coupling - K_N) * depth * aside * psi
-    # Of second order in the step, 0.5 % of a leg: 3e-5 of the energies that come and go, 0.5 to 1.5 mJ.
+    # Of second order in the step, 0.5 % of a leg: 3e-5 of the energies exchanged, 0.5 to 1.5 mJ.
     assert 2.0 * fine - coarse == pytest.approx(wanted, abs=1e-7)
 
 
 @pytest.mark.parametrize("sense", [1, -1])
-def test_stick_slip_makes_energy_between_two_depths(sense: int) -> None:
-    """Along the ball at one depth and back at another: K a (1 - cos theta) times the difference, by its sense."""
+def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
+    """A path along the sphere at one depth and back at another gains K a (1 - cos theta) times the difference. The sign
+    depends on the direction."""
     stiffness, shallow, deep, angle = 300.0, 0.0005, 0.004, 0.45
     effect = {"kind": "stick_slip", "stiffness_n_per_m": stiffness, "force_max_n": 5.0}
     running = Engine(scene({"material": {"stiffness_n_per_m": K_N}, "effect": [effect]}))
@@ -79,4 +78,4 @@ def test_stick_slip_makes_energy_between_two_depths(sense: int) -> None:
     force = running.run(np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1))]))["force"]
     work = np.sum((0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0))[100:])
     wanted = -sense * stiffness * MIDDLE * (deep - shallow) * (1.0 - np.cos(angle))
-    assert work == pytest.approx(wanted, rel=1e-3)  # the trapezoidal rule at a hundred steps a leg: 2e-4
+    assert work == pytest.approx(wanted, rel=1e-3)  # the trapezoidal rule at a hundred steps per leg: 2e-4

@@ -1,4 +1,4 @@
-"""The soft fingertip's patch: its size, the torsion and the resistance to rolling that follow, and their energy.
+"""Contact patch of a soft fingertip: its radius, torsion, rolling resistance and energy.
 
 The plane is that of conftest.paper_mapping: r = 10 mm, f_N = 1 N at 1 mm, mu .6 / .5, 1 kHz.
 """
@@ -32,17 +32,17 @@ R, K, G, MU = 0.01, 1000.0, 45e3, 0.6
 HERTZ: dict[str, Any] = {"shear_modulus_pa": G}
 POWER: dict[str, Any] = {"shear_modulus_pa": G, "radius_m": 0.004, "exponent": 0.2, "pressure_exponent": 4.0}
 FOLLOWS: dict[str, Any] = {"stiffness_nm_per_rad": None, "friction_length_m": None}
-"""Changes of the paper's torsion: its numbers left out."""
+"""Changes that remove the torsion parameters of the paper's material."""
 LEVER = {
     "Hertz": 3.0 * pi / 16.0,
     "power": gamma(0.75) * gamma(1.75) / gamma(0.5),
 }
-"""Over a: 3 pi / 16, and B(3/4, 5/4) / B(1/2, 5/4) for the pressure (1 - x^4)^(1/4)."""
+"""Lever over a: 3 pi / 16, and B(3/4, 5/4) / B(1/2, 5/4) for the pressure (1 - x^4)^(1/4)."""
 PATCHES = {"Hertz": HERTZ, "power": POWER}
 
 
 def radius(name: str, load: Any) -> Any:
-    """a, m: Hertz's for a sphere on a rigid flat by Young's modulus and Poisson's ratio of 1/2, or c f^gamma."""
+    """Radius a, m: Hertz's for a sphere on a rigid flat, with a Poisson ratio of 1/2, or c f^gamma."""
     if name == "power":
         return 0.004 * np.asarray(load) ** 0.2
     young, poisson = 2.0 * G * 1.5, 0.5
@@ -63,23 +63,23 @@ def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
     return engine.run(np.array(hand.poses))
 
 
-# --- the patch -------------------------------------------------------------------------------------
+# --- patch radius ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_radius_is_the_closed_form(name: str) -> None:
-    """From a touch to 8 N, growing all the way, and none without a contact."""
+    """From first touch to 8 N the radius grows and follows the closed form; without contact it is zero."""
     records = run(soft(PATCHES[name]), Hand([0, 0, R + 0.001]).go(90, [0, 0, -0.009]))
     load, found = column(records, "contact.normal_force"), column(records, "contact.patch_radius")
     touching = load > 0.0
     assert touching.sum() == 80 and (found[~touching] == 0.0).all()
-    # A power of a number of five digits' precision in its depth: rounding of r - z.
+    # Rounding of r - z limits the depth to five digits less than float64.
     assert found[touching] == pytest.approx(radius(name, load[touching]), rel=1e-12)
     assert (np.diff(found[touching]) > 0.0).all()
 
 
 def test_an_elastic_object_adds_its_compliance() -> None:
-    """Hertz's modulus of two bodies, 1/E* = (1 - nu^2) (1/E_1 + 1/E_2); torsion has 1/G = 1/G_1 + 1/G_2."""
+    """The contact modulus is 1/E* = (1 - nu^2) (1/E_1 + 1/E_2); the torsional stiffness uses 1/G = 1/G_1 + 1/G_2."""
     other = 200e3
     engine = soft(HERTZ, material={"torsion": FOLLOWS, "shear_modulus_pa": other})
     records = run(engine, pressed(0.002).go(10, turn=[0, 0, 1e-3]))
@@ -91,20 +91,21 @@ def test_an_elastic_object_adds_its_compliance() -> None:
 
 
 def test_it_is_no_larger_than_the_fingertip() -> None:
-    """A pad of jelly pressed with 5 N ends at the fingertip's radius."""
+    """With a very soft pad and 5 N, the patch radius is limited to the fingertip's radius."""
     records = run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))
     assert column(records, "contact.patch_radius")[-1] == R
 
 
 @pytest.mark.parametrize(("k", "published"), [(2.0, 1.5), (3.0, 1.24), (4.0, 1.1441), (100.0, 1.0)])
 def test_the_pressures_lever_is_its_integral(k: float, published: float) -> None:
-    """Mean distance from the centre by quadrature; the pressure's scale is that of Xydas and Kao's table."""
+    """The lever is the mean distance from the centre, by quadrature; the scale is that of Xydas and Kao's table."""
     area, _ = quad(lambda x: 2.0 * x * (1.0 - x**k) ** (1.0 / k), 0.0, 1.0, epsabs=1e-13)
     moment, _ = quad(lambda x: 2.0 * x * x * (1.0 - x**k) ** (1.0 / k), 0.0, 1.0, epsabs=1e-13)
-    assert 1.0 / area == pytest.approx(published, abs=1e-3)  # as many digits as the table has at k = 3, 100 for even
+    # The table has three digits at k = 3; k = 100 is nearly a uniform pressure.
+    assert 1.0 / area == pytest.approx(published, abs=1e-3)
     assert lever_of(k) == pytest.approx(moment / area, rel=1e-10)
     assert lever_of(2.0) == pytest.approx(3.0 * pi / 16.0, rel=1e-14)
-    assert lever_of(k) < 2.0 / 3.0  # of an even pressure
+    assert lever_of(k) < 2.0 / 3.0  # the lever of a uniform pressure
 
 
 # --- torsion ---------------------------------------------------------------------------------------
@@ -113,8 +114,8 @@ def test_the_pressures_lever_is_its_integral(k: float, published: float) -> None
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 6e-3])
-def test_moment_is_that_of_a_stuck_disc_up_to_the_friction_of_the_patch(name: str, depth: float) -> None:
-    """-16/3 G a^3 phi, held at mu times the lever times a f_N."""
+def test_torsion_is_elastic_up_to_the_friction_of_the_patch(name: str, depth: float) -> None:
+    """The moment is -16/3 G a^3 phi, limited to mu times the lever times a f_N."""
     records = run(soft(PATCHES[name]), pressed(depth).go(400, turn=[0, 0, 2.0]))
     load = K * depth
     a = radius(name, load)
@@ -123,8 +124,8 @@ def test_moment_is_that_of_a_stuck_disc_up_to_the_friction_of_the_patch(name: st
     assert column(records, "torque", 3)[:, 2] == pytest.approx(column(records, "contact.torsion"), abs=1e-18)
 
 
-def test_a_hertzian_patch_is_as_stiff_against_spin_as_it_is_loaded() -> None:
-    """16/3 G a^3 = f_N r on a rigid flat, whatever the pad's modulus is."""
+def test_torsional_stiffness_of_a_hertzian_patch_is_load_times_radius() -> None:
+    """On a rigid flat 16/3 G a^3 = f_N r, independent of the pad's modulus."""
     for modulus in (1e4, 1e5, 1e7):
         records = run(soft({"shear_modulus_pa": modulus}), pressed(0.002).go(1, turn=[0, 0, 1e-6]))
         assert column(records, "contact.torsion")[-1] == pytest.approx(-2.0 * R * 1e-6, rel=1e-9)
@@ -132,21 +133,21 @@ def test_a_hertzian_patch_is_as_stiff_against_spin_as_it_is_loaded() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(PATCHES))
-def test_dragged_and_spun_it_is_on_the_limit_surface_of_the_patch(name: str) -> None:
+def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -> None:
     """f_T = F^2 v / N, tau = M^2 omega / N, N = sqrt((F v)^2 + (M omega)^2), with F = mu_d f_N and M of the patch."""
     engine = soft(PATCHES[name], material={"torsion": {**FOLLOWS, "model": "limit_surface"}})
     v, omega = 0.02, 5.0
     records = run(engine, pressed().go(2000, move=[2 * v, 0, 0], turn=[0, 0, 2 * omega]))
     force, moment = 0.5, MU * LEVER[name] * float(radius(name, 1.0))
     size = np.hypot(force * v, moment * omega)
-    # The steady state is approached over deflections of 0.5 mm: twenty of them were slid.
+    # The steady state is approached over deflections of 0.5 mm; the slide is twenty times as long.
     assert column(records, "contact.tangential_force")[-1] == pytest.approx(force**2 * v / size, rel=1e-6)
     assert column(records, "contact.torsion")[-1] == pytest.approx(-(moment**2) * omega / size, rel=1e-6)
 
 
 @pytest.mark.scaled
 def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
-    """phi^2 k_z stays, so the moment goes as sqrt(k_z), and a hand that trembles for many cycles lets nothing go."""
+    """Load changes preserve phi^2 k_z, so the moment scales with sqrt(k_z) and load cycles lose nothing."""
     hand = pressed(0.002).go(50, turn=[0, 0, 0.02])
     wound = hand.at
     hand.go(50, move=[0, 0, -0.004])
@@ -158,15 +159,15 @@ def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     moment = column(records, "contact.torsion")
     assert moment[wound] == pytest.approx(-2.0 * R * 0.02, rel=1e-9)
     assert moment[hard] == pytest.approx(moment[wound] * 3.0**0.5, rel=1e-9)
-    # Six thousand roots and products at most, each rounded.
+    # At most six thousand roots and products, each rounded.
     assert moment[-1] == pytest.approx(moment[wound], rel=1e-11)
 
 
 # --- rolling resistance ----------------------------------------------------------------------------
 
 
-def test_a_roll_is_resisted_up_to_its_loss() -> None:
-    """3/16 alpha r f_N theta, held at 3/16 alpha a f_N, against the roll, back as well; at rest it does not change."""
+def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
+    """The moment against a roll is 3/16 alpha r f_N theta up to 3/16 alpha a f_N, both ways, and constant at rest."""
     alpha, load = 0.3, 2.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
     hand = pressed(0.002).go(500, turn=[1.0, 0, 0])
@@ -184,23 +185,23 @@ def test_a_roll_is_resisted_up_to_its_loss() -> None:
     assert np.abs(torque[:, 1:]).max() < 1e-15
 
 
-def test_the_loss_of_a_full_roll_is_its_share() -> None:
-    """Over a long roll the work against the moment is 3/16 alpha a f_N theta, less what the wind-up holds: at most."""
+def test_work_of_a_long_roll_is_the_loss_factor_times_the_angle() -> None:
+    """The work of a long roll is 3/16 alpha a f_N theta, less the energy stored in the wound spring."""
     alpha, load, turn = 0.5, 1.0, 3.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
     records = run(engine, pressed().go(1, [0, 0, 0]).go(1000, turn=[0, turn, 0]))
     a = float(radius("Hertz", load))
     limit = 3.0 / 16.0 * alpha * a * load
     work = work_of_the_hand(records)
-    # Wound over a / r, half of whose work is missing; one step of 3 mrad more or less.
+    # The spring winds up over a / r, for half of the work; the tolerance is one step of 3 mrad.
     assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 6e-3)
 
 
-# --- as the fingertip sees it ----------------------------------------------------------------------
+# --- in the fingertip's frame ------------------------------------------------------------------------
 
 
 def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> None:
-    """A finger turned by a quarter about z and dragged by .3 mm along x, stuck: the skin lags by that along its y."""
+    """A stuck finger turned by 90 degrees about z and dragged by .3 mm along world x stretches its skin along its y."""
     hand = Hand([0, 0, R + 0.001]).go(1, turn=[0, 0, pi / 2]).go_to(1, [0, 0, R - 0.001]).go(30, move=[3e-4, 0, 0])
     records = run(soft(HERTZ, coupling={"damping_ns_per_m": 0.0}), hand)
     # World -x is fingertip +y; rounding of 30 steps of positions of 10 mm, 1e-18 m each.
@@ -210,8 +211,8 @@ def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> No
 
 
 @pytest.mark.scaled
-def test_the_contact_in_the_fingertips_frame_is_the_worlds_turned() -> None:
-    """Normal and stretch are the world's in the frame of the measured orientation, and the centre is -r normal."""
+def test_patch_in_the_fingertips_frame_is_the_rotated_world_frame() -> None:
+    """Normal and stretch equal the world's, rotated by the measured orientation; the patch centre is -r normal."""
     engine = soft(HERTZ, table={"shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 0.0, -0.05]})
 
     @examples(8, 300)
@@ -232,7 +233,7 @@ def test_the_contact_in_the_fingertips_frame_is_the_worlds_turned() -> None:
         behind = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
         tangent = behind - np.sum(behind * normal, axis=1)[:, None] * normal
         stretch = column(records, "contact.patch_stretch", 3)
-        # A dozen products of numbers of 1; of lengths of 10 mm.
+        # Rounding of a dozen products of numbers of order 1, and of lengths of 10 mm.
         assert np.allclose(np.einsum("ijn,nj->ni", to_world, inside), normal, rtol=0.0, atol=1e-14)
         assert np.allclose(np.einsum("ijn,nj->ni", to_world, stretch), tangent, rtol=0.0, atol=1e-15)
         assert np.allclose(column(records, "contact.finger_point", 3), -R * inside, rtol=0.0, atol=1e-16)
@@ -253,11 +254,9 @@ MODELS: dict[str, dict[str, Any]] = {
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("kind", list(MODELS))
-def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
-    """The work of the hand is at no tick less than the springs store, k_z and all limits changing with the load.
-
-    Nor is that of the spin alone, which presses may not add to: in the whole the steps of a press would hide it.
-    """
+def test_contact_creates_no_energy_under_changing_loads(name: str, kind: str) -> None:
+    """The work of the hand is never less than the stored energy, while k_z and all limits change with the load. The
+    work of spin is compared with the energy of spin too; the rounding of the press would hide an error in it."""
     patch = PATCHES[name] | {"rolling_loss": 0.4}
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
@@ -271,19 +270,19 @@ def test_it_gives_no_energy_however_it_is_loaded(name: str, kind: str) -> None:
         k_z = 16.0 / 3.0 * G * a**3
         touching = column(records, "contact.mode") != 0
         stored = K * np.sum(stretch**2, axis=1) + k_z * column(records, "contact.spin") ** 2
-        # Some hundred sums of 1e-2 J at most, rounded.
+        # Rounding of several hundred terms of up to 1e-2 J.
         assert (work_of_the_hand(records) - 0.5 * touching * stored).min() >= -1e-15 * len(records)
         turned = axis_angles(column(records, "probe.orientation", 4))[:, 2]
         spun = np.concatenate([[0.0], -np.cumsum(column(records, "contact.torsion")[1:] * turned)])
-        # The same of 1e-4 J.
+        # The same for terms of up to 1e-4 J.
         assert (spun - 0.5 * k_z * column(records, "contact.spin") ** 2).min() >= -1e-17 * len(records)
 
     check()
 
 
 @pytest.mark.scaled
-def test_rolling_alone_gives_no_energy_while_the_load_changes() -> None:
-    """The same of the moment against rolling, whose spring holds M^2 / 2 k with k = 3/16 alpha r f_N."""
+def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
+    """The work against rolling is never less than the energy M^2 / 2 k of its spring, with k = 3/16 alpha r f_N."""
     alpha = 0.4
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
 
@@ -297,13 +296,13 @@ def test_rolling_alone_gives_no_energy_while_the_load_changes() -> None:
         work = np.concatenate([[0.0], -np.cumsum(np.sum(torque[1:] * turned, axis=1))])
         stiffness = 3.0 / 16.0 * alpha * R * column(records, "contact.normal_force")
         stored = 0.5 * np.sum(torque**2, axis=1) / np.where(stiffness > 0.0, stiffness, 1.0)
-        # Some hundred sums of 1e-4 J at most, rounded.
+        # Rounding of several hundred terms of up to 1e-4 J.
         assert (work - stored).min() >= -1e-17 * len(records)
 
     check()
 
 
-# --- the file --------------------------------------------------------------------------------------
+# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -330,13 +329,13 @@ def test_rolling_alone_gives_no_energy_while_the_load_changes() -> None:
     ],
 )
 def test_a_faulty_patch_is_refused(changes: dict[str, Any], message: str) -> None:
-    """With what to change."""
+    """A contradictory or out-of-range patch table raises ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(**changes), "test scene")
 
 
-def test_the_patch_stands_in_place_of_the_materials_numbers(plane_scene: SceneFactory) -> None:
-    """With [fingertip.patch] the law is the patch's, of the model that the material says; without it, as ever."""
+def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: SceneFactory) -> None:
+    """With [fingertip.patch] the torsion law uses the patch, in the model that the material selects."""
     own = model.PatchTorsion(0.6)
     for torsion, law in [
         ({}, own),
@@ -349,16 +348,16 @@ def test_the_patch_stands_in_place_of_the_materials_numbers(plane_scene: SceneFa
     assert torsion_laws(plane_scene()) == [model.Torsion(0.05, 0.004)]
 
 
-def test_a_patch_alone_changes_no_force() -> None:
-    """With the numbers of a material without torsion, the patch is measured and nothing else."""
+def test_a_patch_without_torsion_changes_no_force() -> None:
+    """If the material has no torsion, the patch is only measured."""
     hand = pressed().go(200, move=[0.004, 0, -0.001], turn=[0.1, 0, 0]).go(100, turn=[0, 0, 0.3])
     plain = drive(Engine(build(Scene, paper_mapping(material={"torsion": None}), "plain")), hand)
     soft_one = drive(soft(HERTZ, material={"torsion": None}), hand)
     assert (plain.force == soft_one.force).all() and (plain.torque == soft_one.torque).all()
 
 
-def test_each_of_several_fingers_has_the_patch_that_it_has_alone() -> None:
-    """[finger.patch] is as [fingertip.patch], to the bit, and one may be Hertz's where another is not."""
+def test_each_finger_has_the_patch_of_a_single_finger() -> None:
+    """A [finger.patch] gives the same bits as [fingertip.patch]; fingers may have patches of different kinds."""
     tips = {name: {"radius_m": R, "patch": patch | {"rolling_loss": 0.4}} for name, patch in PATCHES.items()}
     material = {"torsion": FOLLOWS}
     fingers = [{"name": name, **tip} for name, tip in tips.items()]

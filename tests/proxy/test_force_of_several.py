@@ -1,7 +1,7 @@
-"""Force of several contacts at once: what statics of a massless proxy asks of it, on flat and on round objects.
+"""Statics of a massless proxy with several simultaneous contacts, on flat and round objects.
 
-A proxy at c that springs of K N/m draw to a probe at x is at rest if its contacts together push with K (c - x), each
-within its friction cone. r = 10 mm, K = K_t = 1000 N/m. Gaps are computed here, from the dimensions of the objects.
+A proxy at c is pulled to a probe at x by springs of K N/m. At rest its contact forces add up to K (c - x), each within
+its friction cone. r = 10 mm, K = K_t = 1000 N/m. Gaps are computed from the dimensions of the objects.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ START = {
     "ball and box": (0.001, 0.0, 0.0233),
     "ball on a plane": (0.0283, 0.0, -0.0035),
 }
-"""Places of a probe about 1.5 mm deep in all objects of a scene."""
+"""Probe positions about 1.5 mm deep in all objects of a scene."""
 FREE = {"room": (0.0, 0.0, 0.0), "groove": (0.02, 0.0, 0.02), "corner": (0.02, 0.02, 0.02)}
-"""Places in free space, elsewhere 40 mm up."""
+"""Positions in free space; in the other scenes 40 mm above the origin."""
 
 
 def engine(name: str, static: float, kinetic: float) -> Engine:
@@ -74,7 +74,7 @@ def turned(points: Array, vectors: Array) -> Array:
 
 
 def deep_handling(seed: int, reach: float, turn: float) -> Array:
-    """Poses (300, 7) of a hand that goes up to three times `reach` m about the origin, out of all objects at first."""
+    """Poses (300, 7) of a hand that moves up to three times `reach` m about the origin."""
     rng, t = np.random.default_rng(seed), np.arange(300)[:, None] * 1e-3
 
     def wave(size: float, fastest: float) -> Array:
@@ -85,7 +85,7 @@ def deep_handling(seed: int, reach: float, turn: float) -> Array:
 
 
 def closed_path(name: str, seed: int, turn: float) -> Array:
-    """Poses (500, 7) from free space about the place where all objects are touched, and back."""
+    """Poses (500, 7) from free space to the place where all objects are touched, and back."""
     rng, t = np.random.default_rng(seed), np.linspace(0.0, 1.0, 500)[:, None]
     waves = [np.sin(2.0 * np.pi * (k + 1) * t) * rng.uniform(-1.0, 1.0, (2, 1, 3)) for k in range(3)]
     aside, vectors = sum(waves)
@@ -96,7 +96,7 @@ def closed_path(name: str, seed: int, turn: float) -> Array:
 
 
 def reach_of(name: str) -> float:
-    """Reach, m, that brings a hand deep into the objects and, but for round ones, out of them."""
+    """Reach, m, that moves a hand deep into the objects and, if they are flat, out of them."""
     return 0.025 if name in FLAT else 0.012
 
 
@@ -115,7 +115,8 @@ def gap(thing: Mapping[str, Any], points: Array) -> Array:
 
 
 def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
-    """Proxy outside of all objects, contacts within their cones; in ticks that are `at_rest` their sum is K (c - x)."""
+    """Check that the proxy is outside of all objects and all contact forces are within their cones. In ticks that are
+    `at_rest` the forces add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
     for thing in SCENES[name]:
@@ -131,12 +132,12 @@ def check_statics(name: str, records: Any, probe: Array, static: float, at_rest:
     np.testing.assert_allclose(records["force"], total, atol=1e-12)
     still = touching & at_rest
     spring = K * (center - probe)
-    # A search ends within 1e-13 of the radius, three linearisations of it are solved to rounding of 50 mm.
+    # The search ends within 1e-13 of the radius; its three linearised systems are solved to rounding of 50 mm.
     np.testing.assert_allclose(records["force"][still], spring[still], atol=1e-9)
 
 
 def is_stuck(records: Any) -> Array:
-    """Ticks in which no contact slides, and none has ended, perhaps after a slip in the same tick."""
+    """Return the ticks in which no contact slides and none has ended, perhaps after a slip in the same tick."""
     modes = np.stack([records[f"contacts{i}.mode"] for i in range(3)])
     ended = np.diff(np.count_nonzero(modes, axis=0), prepend=0) < 0
     return np.asarray((modes != SLIDING).all(axis=0) & ~ended)
@@ -144,8 +145,8 @@ def is_stuck(records: Any) -> Array:
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
-def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> None:
-    """K times the distance of the proxy, and less while it swings round an edge that the hand is deep below."""
+def test_frictionless_force_does_not_exceed_the_spring(name: str) -> None:
+    """The force is at most K times the proxy's distance; it is less while the proxy swings round an edge."""
     poses = deep_handling(1, reach_of(name), 0.4)
     records = engine(name, 0.0, 0.0).run(poses)
     check_statics(name, records, poses[:, :3], 0.0, np.full(len(poses), name in FLAT))
@@ -158,7 +159,7 @@ def test_without_friction_the_force_is_within_that_of_the_spring(name: str) -> N
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.scaled
 def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, cases: Cases) -> None:
-    """In every tick, of a hand that goes through the objects too. Without rolls all that sticks is in equilibrium."""
+    """Also true if the hand passes through objects. Without rolls, sticking contacts are in equilibrium."""
     for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, reach_of(name), turn)
         records = engine(name, 0.6, 0.5).run(poses)
@@ -170,8 +171,8 @@ def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, case
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ROUND)
 @pytest.mark.scaled
-def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str, cases: Cases) -> None:
-    """However deep the hand goes through round objects: the force changes by K times its way, and by nothing else."""
+def test_sticking_contacts_fix_the_proxy_at_any_depth(name: str, cases: Cases) -> None:
+    """While contacts on round objects stick, the force changes by K times the hand's motion, at any depth."""
     for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, 0.012, 0.0)
         records = engine(name, 50.0, 50.0).run(poses)
@@ -183,8 +184,11 @@ def test_contacts_that_stick_hold_the_proxy_at_any_depth(name: str, cases: Cases
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_force_is_continuous(name: str) -> None:
-    """With equal static and kinetic friction, about 1.5 mm deep: from tick to tick it changes by no more than K times
-    the way of the hand and the roll; on a ball of 20 mm at a depth d up to 1 / (1 - d / (R + r)) = 1.1 of it."""
+    """With equal static and kinetic friction, the force changes per tick by at most K times the motion.
+
+    The motion is that of the hand and the roll, about 1.5 mm deep. On a sphere of 20 mm the factor is up to 1 / (1 - d
+    / (R + r)) = 1.1 at depth d.
+    """
     poses = closed_path(name, 3, 0.05)
     records = engine(name, 0.6, 0.6).run(poses)
     assert (records["contacts1.object"] >= 0).any()
@@ -195,7 +199,7 @@ def test_the_force_is_continuous(name: str) -> None:
 
 
 def gained(records: Any, poses: Array) -> float:
-    """Work on the hand, J, from the first to the last tick in contact, and what the spring has more than before."""
+    """Work on the hand while in contact, J, plus the change of the energy stored in the spring."""
     x, w, v = poses[:, :3], poses[:, 3:4], poses[:, 4:]
     touching = records["contact.mode"] > 0
     stretched = np.where(touching[:, None], records["proxy.position"] - x, 0.0)
@@ -217,9 +221,9 @@ def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("static", [0.6, 50.0])
 @pytest.mark.parametrize("name", SCENES)
-def test_a_closed_path_with_rolls_gains_no_more_than_friction_held(name: str, static: float) -> None:
-    """Friction of one object holds the proxy off another, which then comes to bear it: a roll back unwinds that
-    deflection e and returns K e^2 / 2 once more. A known limit of the model, see docs/model/patches.md."""
+def test_a_closed_path_with_rolls_gains_at_most_the_stored_friction(name: str, static: float) -> None:
+    """A roll back can return the energy K e^2 / 2 of a deflection e a second time, a known limit of the model. Friction
+    of one object carries the proxy above another, which takes over the load later: see docs/model/patches.md."""
     poses = closed_path(name, 3, 0.05)
     records = engine(name, static, static).run(poses)
     assert gained(records, poses) <= 0.5 / K * records["contact.tangential_force"].max() ** 2

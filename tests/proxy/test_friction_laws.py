@@ -1,4 +1,4 @@
-"""Friction laws against their closed forms, and what must hold under any of them.
+"""Friction laws compared with their closed forms, and properties common to all of them.
 
 The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz.
 """
@@ -37,11 +37,11 @@ pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-12
-"""Rounding of some hundred additions of order 1e-2 m times 1000 N/m, N."""
+"""Bound on the rounding error of several hundred additions of order 1e-2 m times 1000 N/m, N."""
 
 
 def pressed(depth: float = 0.001) -> Hand:
-    """A hand that was free on its first tick and is pressed in from its second."""
+    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
     return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
@@ -54,12 +54,12 @@ def pressed(depth: float = 0.001) -> Hand:
 def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
     plane_scene: SceneFactory, depth: float, speed: float
 ) -> None:
-    """Dragged at any speed under any load the force peaks at mu_s f_N once and is mu_d f_N from the next tick on."""
-    ticks = int(0.84 * depth / (speed / 1000)) + 20  # 1.4 times the way to the peak, and more
+    """At any drag speed and load, the force peaks once at mu_s f_N and equals mu_d f_N from the next tick on."""
+    ticks = int(0.84 * depth / (speed / 1000)) + 20  # 1.4 times the distance to the peak, plus a margin
     trace = drive(Engine(plane_scene()), pressed(depth).go(ticks, move=[ticks * speed / 1000, 0, 0]))
     assert trace.causes == ["touch", "drag"]
     slide, load = trace.events[1][0], 1000 * depth
-    # The contract is 0.1 %; only the rounding of z is left, 1e-18 m in 1e-4 m.
+    # The contract is 0.1 %; the remaining error is the rounding of z, 1e-18 m in 1e-4 m.
     assert trace.tangential.max() == pytest.approx(0.6 * load, rel=1e-12)
     assert trace.tangential[slide] == pytest.approx(0.6 * load, rel=1e-12)
     assert len(trace.tangential) > slide + 3
@@ -68,15 +68,15 @@ def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
 
 @pytest.mark.parametrize("stiffness", [1e1, 1e3, 1e6])
 @pytest.mark.parametrize("depth", [1e-6, 1e-3])
-def test_no_length_biases_the_force(plane_scene: SceneFactory, stiffness: float, depth: float) -> None:
-    """No margin is added to a position: pressing, holding and sliding forces are K times depths to rounding."""
+def test_forces_contain_no_length_margin(plane_scene: SceneFactory, stiffness: float, depth: float) -> None:
+    """No length margin enters the force: pressing, sticking and sliding forces equal K times a depth, to rounding."""
     scene = plane_scene(
         material={"stiffness_n_per_m": stiffness}, coupling={"stiffness_n_per_m": stiffness, "damping_ns_per_m": 0.0}
     )
     hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0])
     held = hand.at
     trace = drive(Engine(scene), hand.go(70, move=[7 * depth, 0, 0]))
-    # Positions of 1e-2 m are rounded to 2e-18 m, ten times over.
+    # Positions of 1e-2 m are rounded to 2e-18 m; the bound allows ten such errors.
     rounding = stiffness * 2e-17
     assert trace.normal_force[1:] == pytest.approx(stiffness * depth, abs=rounding)
     assert trace.force[held, 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
@@ -85,17 +85,17 @@ def test_no_length_biases_the_force(plane_scene: SceneFactory, stiffness: float,
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("law", list(LAWS))
-def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
-    """Between ticks, and at half the tick rate, the tangential force of a steady slide does not change."""
+def test_steady_slide_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
+    """In a steady slide the tangential force is constant, without ripple at half the tick rate."""
     hand = pressed().go(700, move=[0.035, 0.021, 0], turn=[0, 0, 0.7])
     records = Engine(plane_scene(material=LAWS[law], rolling=rolling(law))).run(np.array(hand.poses))
-    # Low-passed speeds have settled to 1e-13 after thirty time constants.
+    # The low-passed speeds have settled to 1e-13 after thirty time constants.
     steady = column(records, "force", 3)[-350:, :2]
     assert np.abs(np.diff(steady, axis=0)).max() < 1e-11
     assert np.abs(np.fft.rfft(steady - steady.mean(axis=0), axis=0))[-1].max() / len(steady) < 1e-11
 
 
-# --- with the speed --------------------------------------------------------------------------------
+# --- speed dependence --------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
@@ -112,18 +112,18 @@ def test_sliding_at_constant_speed_has_no_ripple(plane_scene: SceneFactory, law:
 def test_friction_follows_the_slip_speed(
     plane_scene: SceneFactory, speed: float, friction: dict[str, float], coefficient: Any
 ) -> None:
-    """A steady slide at v has mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v, after a peak of mu_s on breaking loose."""
+    """A steady slide at v has mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v, after a peak of mu_s at break-away."""
     ticks = int(2e-3 / speed * 1000) + 500
     hand = pressed().go(ticks, move=[speed * ticks / 1000, 0, 0])
     trace = drive(Engine(plane_scene(material={"friction": friction})), hand)
     assert trace.causes == ["touch", "drag"]
     assert trace.tangential[trace.events[1][0]] == pytest.approx(0.6, rel=EXACT)
-    # What is left of the start-up after fifty time constants of the speed's low-pass, at worst slowed by the curve.
+    # Transient left after fifty time constants of the speed's low-pass, at worst slowed by the Stribeck curve.
     assert trace.tangential[-1] == pytest.approx(coefficient(speed), rel=1e-8)
 
 
 def test_friction_follows_the_slip_and_not_the_hand(plane_scene: SceneFactory) -> None:
-    """A hand at rest whose finger turns on under it slips as fast as the skin goes: r omega counts as the speed."""
+    """A finger that rotates without translating slips at r omega, and its friction coefficient follows that speed."""
     hand = pressed().go(800, turn=[0.8 * 4.0, 0, 0])
     trace = drive(Engine(plane_scene(material={"friction": {"viscous_s_per_m": 0.5}})), hand)
     assert trace.causes == ["touch", "theta_max"]
@@ -131,7 +131,7 @@ def test_friction_follows_the_slip_and_not_the_hand(plane_scene: SceneFactory) -
 
 
 def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneFactory) -> None:
-    """Stopped from a slip that viscous friction made stronger than mu_s f_N, the finger sticks once it holds."""
+    """When the hand stops, a slip with more viscous friction than mu_s f_N decays until the static cone can hold it."""
     hand = pressed().go(200, move=[0.2, 0, 0])
     stop = hand.at
     hand.go(300)
@@ -149,13 +149,13 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneF
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("heading", np.linspace(0, 2 * np.pi, 9)[:-1] + 0.1)
 def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, heading: float) -> None:
-    """A steady slip along (x, y) has the force (a^2 x, b^2 y) / |(a x, b y)|: where it is normal to the ellipse."""
+    """The friction force of a steady slip along (x, y) is (a^2 x, b^2 y) / |(a x, b y)|, which dissipates the most."""
     way = np.array([np.cos(heading), np.sin(heading)])
     hand = pressed().go(600, move=[*(0.03 * way), 0])
     trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
     a, b = 0.5 * 0.9, 0.5 * 0.4
     expected = -np.array([a**2 * way[0], b**2 * way[1]]) / np.hypot(a * way[0], b * way[1])
-    # The deflection turns to its final direction within a few of its own lengths of slip, here sixty.
+    # The deflection turns to its final direction within a few deflection lengths of slip; the slide is sixty long.
     assert trace.force[-1, :2] == pytest.approx(expected, abs=1e-9)
     assert trace.causes == ["touch", "drag"]
 
@@ -163,7 +163,7 @@ def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, headin
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 4.0])
 def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory, heading: float) -> None:
-    """The peak before sliding is mu_s f_N times the scale of its direction, and the slide starts just outside."""
+    """The force peaks at mu_s f_N times the scale of its direction, on the first tick on which the drag exceeds it."""
     way = np.array([np.cos(heading), np.sin(heading)])
     hand = pressed().go(300, move=[*(0.0021 * way), 0])
     trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
@@ -175,7 +175,7 @@ def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory,
 
 
 def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
-    """The direction is the object's: turn object and hand together and the force turns with them."""
+    """The friction direction is in the object's frame: rotating object and hand together rotates the force."""
     turn = multiply([0.8, 0.6, 0.0, 0.0], quaternion([0.0, 0.0, 0.7]))
     rotation = matrix(turn)
     straight = pressed().go(300, move=[0.01, 0.006, 0])
@@ -199,36 +199,37 @@ def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
     ids=["box", "cylinder", "sphere"],
 )
 def test_anisotropy_turns_with_every_kind_of_object(plane_scene: SceneFactory, table: dict[str, Any]) -> None:
-    """On the flat top of a box or cylinder turned about z, and on an all but flat ball, it is that of the plane."""
+    """On the flat top of a box or cylinder, and on a sphere of 1 km, the anisotropic force equals that of a plane."""
     turn = list(quaternion([0.0, 0.0, 0.7]))
     material, hand = {"friction": ANISOTROPIC}, pressed().go(200, move=[0.004, 0.002, 0])
     plane = drive(Engine(plane_scene(material=material, table={"orientation_wxyz": turn})), hand)
     other = drive(Engine(plane_scene(material=material, table={**table, "orientation_wxyz": turn})), hand)
-    # A ball of 1 km falls off by 1e-8 m at 4 mm, and its normal turns by 4e-6.
+    # The sphere of 1 km drops by 1e-8 m at 4 mm, and its normal turns by 4e-6 rad.
     assert other.force == pytest.approx(plane.force, abs=2e-5)
     straight = drive(Engine(plane_scene(material=material)), hand)
     assert np.abs(plane.force - straight.force).max() > 0.05
 
 
 def test_anisotropy_turns_with_a_turning_object(plane_scene: SceneFactory) -> None:
-    """On a disk that has turned by a quarter, along is across: a drag along x has the force of one along y."""
+    """On a disk that has turned by 90 degrees, a drag along x gives the force of a drag along the other axis."""
     disk = {"shape": "cylinder", "radius_m": 0.1, "length_m": 0.04, "position_m": [0.0, 0.0, -0.02]}
     quarter = {"motion": {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": np.pi / 2}}
     material = {"friction": ANISOTROPIC}
-    # The first second in the air; then a drag so short that the disk turns by 0.03 rad under it.
+    # The disk turns for one second before the touch; the drag is so short that the disk turns by only 0.03 rad during
+    # it.
     above = Hand([0.0, 0.0, R + 0.001]).go(1000).go_to(1, [0.0, 0.0, R - 0.001]).go(20, move=[0.002, 0, 0])
     moving = drive(Engine(plane_scene(material=material, table={**disk, **quarter})), above)
     turned = drive(
         Engine(plane_scene(material=material, table={**disk, "orientation_wxyz": list(quaternion([0, 0, np.pi / 2]))})),
         above,
     )
-    # The slip is then 0.03 rad off the short axis, and the force turns by (a / b)^2 times as much, 0.15 rad of 0.2 N.
+    # The slip is up to 0.03 rad off the short axis; the force turns (a / b)^2 times as much, 0.15 rad of 0.2 N.
     assert moving.force == pytest.approx(turned.force, abs=0.04)
     assert moving.tangential[-1] < 0.25
 
 
-def test_a_direction_along_the_normal_still_has_two_axes(plane_scene: SceneFactory) -> None:
-    """Where the given direction stands on the surface, along and across are two tangents at right angles."""
+def test_a_direction_along_the_normal_still_gives_two_axes(plane_scene: SceneFactory) -> None:
+    """If the given direction is normal to the surface, two perpendicular tangents are chosen instead."""
     material = {"friction": {**ANISOTROPIC, "direction_x": [0.0, 0.0, 1.0]}}
     trace = drive(Engine(plane_scene(material=material)), pressed().go(300, move=[0.02, 0, 0]))
     assert np.isfinite(trace.force).all()
@@ -236,7 +237,7 @@ def test_a_direction_along_the_normal_still_has_two_axes(plane_scene: SceneFacto
 
 
 def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
-    """With both scales one the ellipse is the circle: the same forces as without a direction."""
+    """Equal scales of one give the same forces as no direction at all."""
     hand = pressed().go(200, move=[0.004, 0.003, 0]).go(100, turn=[0.2, -0.1, 0]).go(200, move=[-0.004, 0.001, 0.0005])
     plain = drive(Engine(plane_scene()), hand)
     round_ = drive(Engine(plane_scene(material={"friction": {"direction_x": [0.3, 1.0, 0.0]}})), hand)
@@ -244,19 +245,19 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
     assert round_.events == plain.events
 
 
-# --- under any law ---------------------------------------------------------------------------------
+# --- properties of all laws -----------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
-    """Whatever the hand does, the force is inside the static cone, or inside the kinetic one where that is wider."""
+    """For random hand motions, the force is inside the static cone, or inside the kinetic one if that is wider."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
     scale = np.array([1.0, 0.5]) if "anisotropic" in law else np.ones(2)
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
-    # 90 hands of some 130 ticks are 10^4 cases.
+    # 90 hands of about 130 ticks are 10^4 cases.
     @examples(8, 90)
     @given(handling())
     def check(hand: Handling) -> None:
@@ -268,12 +269,12 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
         size = np.linalg.norm(force / scale, axis=1)
         limit = 0.6 * normal
         if "speed" in law:
-            # Slip is at most what the hand and the skin do together: 1.5 mm and 0.3 rad in a tick, both axes.
+            # Bound on the slip per tick: 1.5 mm of hand and 0.3 rad of skin, on both axes.
             fastest = 0.6 + 0.5 * (np.sqrt(2) * 1.5 + 3.0)
             size = np.minimum(size, np.linalg.norm(force / kinetic, axis=1))
             limit = fastest * normal
         assert (size <= limit * (1 + EXACT)).all()
-        # 1 N at a depth of 1 mm, and the torsional limits with it.
+        # The torsional limit scales with the load: 1 N at a depth of 1 mm.
         largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
         assert (np.abs(column(records, "torque", 3)[:, 2]) <= largest * (1 + EXACT)).all()
 
@@ -283,8 +284,8 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
-def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str) -> None:
-    """The hand has always put in at least what the springs store, so no closed cycle gives anything."""
+def test_contact_creates_no_energy(plane_scene: SceneFactory, law: str) -> None:
+    """The hand's work is never less than the energy stored in the springs, so no closed cycle gains energy."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
 
     @examples(8, 90)
@@ -292,25 +293,25 @@ def test_no_energy_comes_out_of_the_contact(plane_scene: SceneFactory, law: str)
     def check(hand: Handling) -> None:
         engine.reset()
         records = engine.run(hand.poses)
-        # Some hundred terms of up to 1e-2 J each.
+        # Several hundred terms of up to 1e-2 J each.
         assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
     check()
 
 
-def test_the_account_of_energy_is_exact(plane_scene: SceneFactory) -> None:
-    """Wound by a drag, a roll and a spin in small steps without slipping, the work is what the springs store."""
+def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -> None:
+    """For a drag, a roll and a spin in small steps without slip, the work of the hand equals the stored energy."""
     hand = pressed().go(400, move=[2e-4, -1e-4, 0]).go(400, turn=[0.01, 0.02, 0]).go(400, turn=[0, 0, 0.05])
     hand.go(400, move=[0, 0, -1e-3])
     records = Engine(plane_scene()).run(np.array(hand.poses))
     work, stored = work_of_the_hand(records), stored_energy(records)
-    # Each step counts K dx^2 / 2 too much, and the touch 0.5 K depth (2 height + depth).
+    # Each step overestimates the work by K dx^2 / 2, and the touch by 0.5 K depth (2 height + depth).
     surplus = work[-1] - work[1] - (stored[-1] - stored[1])
     assert 0.0 < surplus < 4e-6
     assert stored[-1] > 2e-3
 
 
-# --- the file --------------------------------------------------------------------------------------
+# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -325,13 +326,13 @@ def test_the_account_of_energy_is_exact(plane_scene: SceneFactory) -> None:
     ],
 )
 def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> None:
-    """A friction table that contradicts itself is refused with what to change."""
+    """A contradictory or out-of-range friction table raises ConfigError with the key to change."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(material={"friction": friction}), "test scene")
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the law, which is what gets compiled, has the parts the scene names and no others."""
+    """The type of the friction law, which selects the compiled code, has only the parts that the scene specifies."""
     assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
     assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
     stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})
@@ -344,7 +345,7 @@ def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    """Beside an object with a richer law the others get its type, with nothing in what they do not have."""
+    """If one object has a richer law, all objects get its type, with neutral values for the parts they lack."""
     mapping = paper_mapping()
     table = mapping["object"][0]
     rich = {**table["material"], "friction": {"static": 0.4, "kinetic": 0.3, **SPEED, "direction_x": [1.0, 0.0, 0.0]}}

@@ -1,5 +1,7 @@
-"""Hostile height maps beside a plane, a ball, a mesh and another map, and rolled over in many steps: outside of all of
-them, a force that is safe, and a tick that asks no more than its budget."""
+"""Hostile height maps next to a plane, a sphere, a mesh and another map, and in many rolling steps.
+
+The proxy stays outside of all objects, the force stays bounded, and queries stay within a tick's budget.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,14 @@ Array = NDArray[np.float64]
 pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 Cases = Callable[[int, int], int]
 INSIDE: Final = 1e-9
-"""Of the radius: what counts as inside."""
+"""Tolerance for the proxy inside an object, relative to the radius."""
 TILTED: Final = (0.9238795325112867, 0.3826834323650898, 0.0, 0.0)
-"""By 45 degrees about x."""
+"""Rotation by 45 degrees about x."""
 COMPANY: Final = ("plane", "ball", "mesh", "map")
 
 
 def companion(kind: str, folder: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
-    """Another object that reaches out of the map: a slope, half a ball on it, the same map tilted."""
+    """Another object that protrudes from the map: a slope, a half sphere or mesh, the same map tilted."""
     half, low, high = 0.5 * pitch * max(heights.shape), float(heights.min()), float(heights.max())
     size = max(R, 0.3 * half)
     if kind == "plane":
@@ -52,14 +54,14 @@ def bumpy(size: float) -> meshes.Mesh:
 
 
 def turned_back(centers: Array) -> Array:
-    """Vectors (n, 3) in the frame of what is TILTED."""
+    """Vectors (n, 3) in the frame of a TILTED object."""
     half = np.sqrt(0.5)
     x, y, z = centers.T
     return np.stack([x, half * (y + z), half * (z - y)], axis=1)
 
 
 def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch: float, centers: Array) -> float:
-    """How far (m) the fingertip's centres (n, 3) are from it, less the radius."""
+    """Smallest distance (m) of the fingertip's centres (n, 3) from the companion, less the radius."""
     at = centers - np.asarray(made["position_m"])
     if kind == "plane":
         return float(turned_back(at)[:, 2].min()) - R
@@ -72,20 +74,20 @@ def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch:
 
 
 def way(heights: Array, pitch: float, count: int) -> Array:
-    """Points from above all through as many of each of `hands`, one after the other, and up again between them."""
+    """Path through the first `count` points of each of `hands`, each started from above all objects."""
     up = np.array([[0.0, 0.0, heights.max() + 3.0 * R + 2.0 * np.ptp(heights) + pitch * max(heights.shape)]])
     return np.vstack([each for points in hands(heights, pitch).values() for each in (up, points[:count])])
 
 
 def some_of(cases: Cases, *numbers: int) -> list[str]:
-    """Names of maps: those of these numbers, so that each is in some test, and all with --exhaustive."""
+    """Return the map names of these indices, which differ between tests; all names with --exhaustive."""
     names = list(MADE)
     return [names[number] for number in (range(len(names)) if cases(0, 1) else numbers)]
 
 
 def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys: Any) -> None:
-    """Maps beside such an object, dragged, thrown and pressed: finite, outside of every place asked of both;
-    without friction pushed by no more than each of three that hold it is deep."""
+    """Drag, throw and press on maps next to such an object; check that the proxy is finite and outside of both. Without
+    friction the force is at most three times the spring force, one for each of three contacts."""
     for name in names:
         pitch, heights = MADE[name]()
         points, tables = way(heights, pitch, count), {"rolling": None} if keys else {}
@@ -105,23 +107,23 @@ def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys
 
 
 BESIDE: Final = {"plane": (2, 6), "ball": (3, 7), "mesh": (0, 5), "map": (4, 1)}
-"""Which maps are beside which company where not all are beside all."""
+"""Indices of the maps tested with each companion unless all are tested with all."""
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", COMPANY)
-def test_beside_another_object_it_is_touched_safely(tmp_path: Path, cases: Cases, kind: str) -> None:
-    """Without friction, which displaces the proxy that is shown."""
+def test_hostile_maps_next_to_another_object(tmp_path: Path, cases: Cases, kind: str) -> None:
+    """Without friction, which displaces the recorded proxy."""
     touched_safely(tmp_path, kind, some_of(cases, *BESIDE[kind]), cases(10, 150), material=SMOOTH)
 
 
-def test_with_friction_beside_a_plane_it_is_touched_safely(tmp_path: Path, cases: Cases) -> None:
+def test_hostile_maps_next_to_a_plane_with_friction(tmp_path: Path, cases: Cases) -> None:
     """The same with friction, torsion and rolling."""
     touched_safely(tmp_path, "plane", some_of(cases, 5, 8), cases(10, 150))
 
 
-def test_in_many_steps_it_is_rolled_over_safely(tmp_path: Path, cases: Cases) -> None:
-    """montana_rk45, and a hand that turns up to half a radian a tick."""
+def test_hostile_maps_with_many_rolling_steps(tmp_path: Path, cases: Cases) -> None:
+    """The method is montana_rk45, and the hand turns by up to half a radian per tick."""
     for name in some_of(cases, 2, 6, 8):
         pitch, heights = MADE[name]()
         folder = tmp_path / name
@@ -135,10 +137,9 @@ def test_in_many_steps_it_is_rolled_over_safely(tmp_path: Path, cases: Cases) ->
         assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
 
 
-def test_no_tick_asks_more_than_its_budget(tmp_path: Path, cases: Cases) -> None:
-    """Tiles and heights are counted where they are asked, in kernels that run as plain Python, on hostile maps: alone
-    under montana_rk45, and in company. And the same ticks come out where nothing is counted, in `make test-all`
-    compiled."""
+def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) -> None:
+    """Lookups are counted in plain Python on hostile maps: single maps with montana_rk45, and pairs of objects. Without
+    counting, in `make test-all` compiled, the same ticks give the same proxies."""
     scenes, most = [], []
     for situation in ("alone", "map", *(("plane", "ball") if cases(0, 1) else ())):
         for name in some_of(cases, 3, 6, 7):

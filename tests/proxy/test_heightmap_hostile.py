@@ -1,7 +1,7 @@
-"""Height maps that nobody should have made, in a hand that is thrown about: outside, a force that is safe, a budget.
+"""Extreme height maps and hand motions: the proxy stays outside, forces stay bounded, and queries within a budget.
 
-Compiled, which takes half a minute: in each case a hand makes thousands of ticks, and a tick on such a map asks so
-much that plain Python would take minutes. All cases share one type of scene.
+Compiled, which takes half a minute: each case has thousands of ticks, whose queries would take minutes in plain Python.
+All cases share one type of scene.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from softfinger.proxy.kernels.shapes.heightmap.tiles import LEVELS
 Array = NDArray[np.float64]
 
 LAST: Final = LOOK * (5 + 2 * LOOKS) + 4 * LEVELS
-"""What a question may ask beyond its budget: the cell that is being looked at, and the tiles on the way out."""
+"""Number of lookups that a query may exceed its budget by: the current cell and the tiles on the way out."""
 
 
 @entry
 def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
-    """Into `found` (n, 4): what the nearest point asked, what a limited gap did; both answers of the nearest point."""
+    """Fill `found` (n, 4) with the cost of nearest and limited-gap queries, the gap, and the nearest point's error."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
         found[k, 0] = nearest_from(shape, x, x, BUDGET).spent
@@ -44,13 +44,13 @@ def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
 
 
 def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
-    """The records of a hand that turns, after what holds in every tick."""
+    """Run a turning hand, check the invariants of every tick and return the ticks in contact."""
     records = running.run(posed(points, spun((0.0, 0.6, 0.8), np.sin(0.05 * np.arange(len(points))))))
     touches = records["contact.mode"] > 0
     assert np.isfinite(np.asarray(records)).all()
     if touches.any():
         assert outside_by(shape, records["proxy.position"][touches]) >= -1e-9 * R
-    if smooth:  # friction displaces the proxy that is shown
+    if smooth:  # friction displaces the recorded proxy
         depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
         assert (np.linalg.norm(records["force"], axis=1) <= STIFFNESS * depth * (1.0 + 1e-9) + 1e-12).all()
     assert set(np.unique(records["contact.budget"])) <= {0.0, 1.0}
@@ -60,8 +60,8 @@ def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
-    """Dragged, pressed and thrown, from outside: finite, outside of every place asked, and pushed by the depth at
-    most, with and without friction."""
+    """Dragged, pressed and thrown from outside: finite, outside of the map, with a force of at most K times the depth.
+    Holds with and without friction."""
     pitch, heights = MADE[name]()
     shape, met = kernel_heightmap(heights, pitch), False
     for smooth in (True, False):
@@ -76,7 +76,7 @@ def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["noise", "high noise", "steps", "pit"])
 def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
-    """Three radii below the lowest place: in contact, outside, finite."""
+    """A first pose three radii below the lowest point is in contact, with a finite proxy outside of the map."""
     pitch, heights = MADE[name]()
     points = np.tile([0.3 * pitch * len(heights), 0.0, heights.min() - 3.0 * R], (20, 1))
     running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
@@ -85,9 +85,8 @@ def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
-def test_no_question_asks_more_than_its_budget(name: str) -> None:
-    """Counted, at places about the map and about the middle; and what is answered instead is no farther than any place,
-    and where it says."""
+def test_no_query_exceeds_its_budget(name: str) -> None:
+    """Queries near the map and its middle stay within the budget, and their gap is never above the distance."""
     pitch, heights = MADE[name]()
     shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(6)
     spread = np.array([*[0.5 * pitch * max(heights.shape)] * 2, R])
@@ -102,8 +101,8 @@ def test_no_question_asks_more_than_its_budget(name: str) -> None:
         assert abs(gap) <= np.linalg.norm(places - x, axis=1).min() * (1.0 + 1e-12)
 
 
-def test_a_pit_that_fits_uses_up_the_budget_and_holds(tmp_path: Path) -> None:
-    """All of it is equally near: the ticks in which the proxy stays say so, and there it is where it was."""
+def test_a_tight_pit_exhausts_the_budget_and_stays_stable(tmp_path: Path) -> None:
+    """In a pit where all is equally near, ticks with an exhausted budget are flagged and do not move the proxy."""
     pitch, heights = MADE["pit"]()
     running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
     records = running.run(posed(np.vstack([[0.0, 0.0, 3.0 * R], hands(heights, pitch)["middle"]])))

@@ -83,7 +83,7 @@ def nearest(shape: model.Heightmap, points: Array, budget: int = 10**7) -> Array
 
 
 def everywhere(shape: model.Heightmap, fine: int) -> Array:
-    """Return points (n, 3) of the whole surface, `fine` per pitch."""
+    """Return points (n, 3) all over the surface, `fine` per pitch."""
     return grid_of(
         shape,
         *(
@@ -172,8 +172,8 @@ def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
     np.testing.assert_allclose(bowl[:, 3:] - [20.0, -5.0, 0.0], 0.0, atol=1e-9)
 
 
-def test_beyond_the_rim_it_is_level_without_a_step_in_curvature() -> None:
-    """Value, slopes and second derivatives are continuous along a line that leaves the map, and constant outside."""
+def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
+    """Value, slopes and second derivatives are continuous along a line across the rim, and constant outside."""
     pitch, heights = MAPS["hills"]
     shape = kernel_heightmap(heights, pitch)
     x = np.linspace(0.04, 0.06, 20001)
@@ -462,7 +462,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
 
 
 def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
-    """A probe that crosses a wall of one pixel in one tick stays on its side."""
+    """If the probe crosses a wall of one pixel in one tick, the proxy does not."""
     heights = np.zeros((60, 60))
     heights[:, 30] = 0.02
     ridge = engine(mapped(tmp_path, heights, 5e-4), rolling=None)
@@ -473,9 +473,7 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.scaled
-def test_beside_a_wall_a_level_map_is_a_plane_and_rubble_keeps_the_proxy_out(
-    tmp_path: Path, cases: Callable[[int, int], int]
-) -> None:
+def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
     objects, and the proxy is never inside rubble."""
     wall = {"shape": "plane", "orientation_wxyz": [math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]}

@@ -1,4 +1,4 @@
-"""A body between two soft fingertips rolls on them: it comes to rest as its closed form says, and does not creep."""
+"""A body between two soft fingertips rolls on them, comes to rest as in its closed form, and does not creep."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from test_bodies import HALF, MASS, RUBBER, TORSION, G, R, box, held_by_two, pin
 
 pytestmark = pytest.mark.plain
 HEAVY, SOFT = 1.0, 200.0
-"""kg and N/m: pressed with 3 N the tips are 15 mm deep in a box of 40 mm."""
+"""kg and N/m: with 3 N the tips are 15 mm deep in a box of 40 mm."""
 
 
 def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path: Path) -> None:
-    """Turned by b across the line of the contacts it shears each by (h - d) b, h half its width and d the depth.
+    """A rotation b across the line of the contacts shears each by (h - d) b, with half width h and depth d.
 
-    The forces N = K d, whose normals turn with it and whose probes are h + r - d from its middle, turn it back:
-
+    The forces N = K d have normals that turn with the body and probes at h + r - d from its middle; they turn it back:
         I b'' + 2 c (h - d)^2 b' + (2 N (h + r - d) + 2 K (h - d)^2) b = 0
 
-    So what damps it is small where d is near h, whatever c is: mechanics, and no leak. The shears of the two tips are
-    opposite, so its middle stays.
+    The damping is therefore small if d is close to h, for any c. The shears of the two tips are opposite, so the middle
+    does not move.
     """
     inertia, damping = HEAVY * (2.0 * HALF) ** 2 / 6.0, 0.2 * math.sqrt(SOFT * HEAVY)
     coupling = {"stiffness_n_per_m": SOFT, "damping_ns_per_m": damping}
@@ -47,18 +46,17 @@ def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path
     turns = np.flatnonzero(np.diff(np.sign(rate)))
     crossings = turns + rate[turns] / (rate[turns] - rate[turns + 1])
     halves = [np.abs(rate[a:b]).max() for a, b in pairwise(turns)]
-    # Second order in a tick of 0.018 rad, and a swing of 0.01 rad is a sine to 1e-4.
+    # Error of second order in a tick of 0.018 rad; a swing of 0.01 rad is a sine to 1e-4.
     assert math.pi / np.diff(crossings).mean() == pytest.approx(2e-3 * angular, rel=2e-3)
     assert math.log(halves[0] / halves[-1]) == pytest.approx(decay * math.pi / angular * (len(halves) - 1), rel=0.01)
 
 
 @pytest.mark.scaled
 def test_a_held_and_rolled_body_does_not_creep(tmp_path: Path, cases: Cases) -> None:
-    """Taken 8 mm beside its middle, under its weight, the fingers rolled by 0.03 rad and held: it stays where it is.
+    """A body grasped 8 mm off its middle, under its weight, does not move after the fingers have rolled by 0.03 rad.
 
-    Springs have a rest: dampers end the swing, by a factor of ten every 0.25 s, and what is left is rounding. A tick
-    rounds places of 0.1 m to 1e-17 m, ten thousand to 1e-13 m; after 3 s 1e-11 m leaves room, and an encoder's step is
-    1e-6 m.
+    Dampers reduce the swing by a factor of ten every 0.25 s; the remainder is rounding. A tick rounds positions of 0.1
+    m to 1e-17 m, ten thousand ticks to 1e-13 m. After 3 s, 1e-11 m is a safe bound; an encoder's step is 1e-6 m.
     """
     engine = held_by_two(box(tmp_path))
     way = pinch(100, 3.0, beside=0.008)
@@ -75,4 +73,4 @@ def test_a_held_and_rolled_body_does_not_creep(tmp_path: Path, cases: Cases) -> 
         records = engine.run(hold)
     swing = 1e-8 if half_seconds == 1 else 1e-11  # m, after 2 s and after 3 s
     assert np.abs(engine.data.qpos - before).max() < swing
-    assert records["thumb"]["contact.tangential_force"][-1] > 0.4 * MASS * G  # it hangs by friction
+    assert records["thumb"]["contact.tangential_force"][-1] > 0.4 * MASS * G  # the body hangs by friction

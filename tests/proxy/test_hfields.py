@@ -1,4 +1,4 @@
-"""Height fields of a model: our height map is where MuJoCo's rays meet it, on a body that stands or moves."""
+"""Height fields of MuJoCo models match MuJoCo's rays, on bodies at rest and in motion."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ WOOD = {"stiffness_n_per_m": 500.0}
 ROWS, COLUMNS, PITCH, TOP = 9, 13, 0.004, 0.006
 SIZE = f"{0.5 * (COLUMNS - 1) * PITCH} {0.5 * (ROWS - 1) * PITCH} {TOP} 0.01"
 WAVES_M = 0.03, 0.02
-"""Wave lengths over 2 pi of the hills along x and y: several pixels."""
+"""Wavelengths over 2 pi of the hills along x and y: several pixels."""
 MODEL = """
 <mujoco>
   <option timestep="0.001" gravity="0 0 0"/>
@@ -53,17 +53,17 @@ MODEL = """
 
 
 def hills() -> Array:
-    """Elevations (rows, columns), the first row at the largest y as MuJoCo's files have it; nowhere symmetric."""
+    """Elevations (rows, columns) without symmetry, the first row at the largest y as in MuJoCo's files."""
     x, y = (np.arange(n) * PITCH for n in (COLUMNS, ROWS))
     return np.asarray(np.sin(x / WAVES_M[0] + 0.3) * np.cos(y[:, None] / WAVES_M[1] - 0.4))
 
 
 def written(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
-    """The model's file; its height field's numbers in it, or in a binary file or a picture beside it."""
+    """Write the model, with its elevations inline, in a binary file or in a picture; return its path."""
     elevations = hills()
     numbers = f'elevation="{" ".join(f"{each!r}" for each in elevations.ravel().tolist())}"'
     rows, columns = ROWS, COLUMNS
-    if source == "binary":  # its first row is at the least y
+    if source == "binary":  # its first row is at the smallest y
         head = np.array([ROWS, COLUMNS], np.int32).tobytes()
         (folder / "hills.bin").write_bytes(head + elevations[::-1].astype(np.float32).tobytes())
         numbers, rows, columns = 'file="hills.bin"', 0, 0
@@ -85,9 +85,9 @@ def made(path: Path, **tables: Any) -> Engine:
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 @pytest.mark.parametrize("source", ["elevation", "binary", "picture"])
 @pytest.mark.parametrize("joint", ["<freejoint/>", ""], ids=["that moves", "that stands"])
-def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source: str, tmp_path: Path) -> None:
-    """At its heights to the 32 bits in which MuJoCo has them; between them MuJoCo has two triangles a pixel, and ours
-    is smooth: apart by what h'' bends over a pixel's diagonal, p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
+def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: Path) -> None:
+    """At the nodes heights match to 32 bits; between them the surfaces differ by the curvature. MuJoCo has two
+    triangles per pixel, our surface is smooth: they differ by up to p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
     engine = made(written(tmp_path, source, joint))
     if joint:
         engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
@@ -98,7 +98,7 @@ def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source
     at, axes = engine.data.geom_xpos[0], engine.data.geom_xmat[0].reshape(3, 3)
     scale = TOP / np.ptp(hills())
     bend = scale * (WAVES_M[0] ** -2 + WAVES_M[1] ** -2)
-    between = 0.25 * PITCH**2 * bend * 1.05  # and what a spline misses of a sine that is sampled so
+    between = 0.25 * PITCH**2 * bend * 1.05  # and the error of a spline through samples of a sine
     if source == "picture":
         between += TOP / 255.0  # half a level at each corner, and as much from the spline through them
     seen = set()
@@ -114,10 +114,10 @@ def test_a_height_field_is_touched_where_mujocos_rays_meet_it(joint: str, source
             node = half_row % 2 == half_column % 2 == 0
             seen.add(round(way, 6))
             assert abs(gap) < (1e-8 if node else between), (half_row, half_column, gap)
-    assert len(seen) > 50  # it is not a plain
+    assert len(seen) > 50  # the surface is not flat
 
 
-def test_pixels_that_are_not_square_are_said(tmp_path: Path) -> None:
+def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
     world = schema.World(
         model=str(written(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
     )
@@ -131,8 +131,8 @@ def test_pixels_that_are_not_square_are_said(tmp_path: Path) -> None:
         made(Path(world.model))
 
 
-def test_an_object_of_the_scene_may_be_made_of_a_models_height_field(tmp_path: Path) -> None:
-    """Its elevations from 0 to 1, the first row at the least y; another name is one clear error."""
+def test_a_heightmap_object_can_use_a_models_height_field(tmp_path: Path) -> None:
+    """Elevations are scaled to 0..1 with the first row at the smallest y; an unknown name raises one clear error."""
     path = written(tmp_path)
     thing = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
     thing |= {"level_m": TOP, "material": WOOD}
@@ -146,17 +146,17 @@ def test_an_object_of_the_scene_may_be_made_of_a_models_height_field(tmp_path: P
 
 
 def elevations_m() -> Array:
-    """Heights (rows, columns) of the geom above its frame, m, the first row at the least y."""
+    """Heights (rows, columns) of the geom above its frame, m, the first row at the smallest y."""
     found = hills()[::-1]
     return np.asarray(TOP * (found - found.min()) / np.ptp(found))
 
 
-def test_a_step_that_is_felt_higher_than_it_is_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """By as much as a natural spline through the step leaves it; of smooth hills nothing is said."""
+def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The reported overshoot is that of a natural spline through the step; smooth hills give no report."""
     step = np.repeat([0.0, TOP], [6, COLUMNS - 6])
     assert overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
         CubicSpline(range(COLUMNS), step, bc_type="natural")(np.linspace(0, COLUMNS - 1, 5000)).max() - TOP,
-        rel=0.02,  # its top is sought at fifths of a cell
+        rel=0.02,  # the maximum is searched at fifths of a cell
     )
     assert overshoot(hills()) < 0.02 * np.ptp(hills()) and overshoot(np.zeros((1, 1))) == 0.0
     np.save(tmp_path / "step.npy", np.tile(step, (ROWS, 1)))
@@ -169,8 +169,8 @@ def test_a_step_that_is_felt_higher_than_it_is_is_said(tmp_path: Path, capsys: p
     assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in said
 
 
-def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> None:
-    """A vertex for each height, in the geom's place; on the page its surface is where the body has brought it."""
+def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
+    """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
     viser = pytest.importorskip("viser")
     path = str(written(tmp_path, joint="<freejoint/>"))
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
@@ -185,7 +185,7 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
     try:
         bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
-        half = math.sqrt(0.5)  # the body turned so that the geom lies in the world as it does in its own frame
+        half = math.sqrt(0.5)  # rotate the body so that the geom has the same orientation in the world as in its frame
         turn, back = np.empty(4), np.empty(4)
         mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
         mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
@@ -200,8 +200,8 @@ def test_the_page_is_sent_its_mesh_which_rides_on_its_body(tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, the scene takes a minute")
-def test_what_was_felt_of_it_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Pressed and dragged over the hills, on a body that gives way: the same forces in every tick."""
+def test_a_recorded_contact_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A press and drag over the hills of a free body gives the same forces in every tick of a replay."""
     written(tmp_path, joint="<freejoint/>")
     scene, poses, file = (str(tmp_path / name) for name in ("hills.toml", "poses.csv", "run.mcap"))
     material = "stiffness_n_per_m = 500.0, damping_ns_per_m = 2.0, friction = { static = 0.6, kinetic = 0.5 }"

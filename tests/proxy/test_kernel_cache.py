@@ -356,7 +356,7 @@ def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
 
 
 @as_root
-def test_links_of_another_user_are_not(tmp_path: Path) -> None:
+def test_links_of_another_user_are_refused(tmp_path: Path) -> None:
     """In a folder writable by all, such as /tmp, a link of another user may be changed at any time."""
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared").chmod(0o1777)

@@ -1,4 +1,4 @@
-"""What kernels are made of: all of it is hashed into where they are kept, and nothing else is."""
+"""The kernel cache is keyed by all sources of the kernels and by nothing else."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ OURS = "softfinger."
 KERNEL = re.compile(
     r"(jit|entry|outlined|outlined_where\(.*|by_\w+|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL
 )
-"""Decorators of kernels, and of what kernels are chosen by."""
+"""Decorators of kernels and of functions that select kernels."""
 
 
 def hashed_with(file: str, module: str) -> bool:
-    """Whether an edit of a module is seen by the kernels of a file: the cache's folder is named by it, or it stands in
-    the file's own folder."""
+    """Return True if an edit of a module invalidates the cached kernels of a file. That holds for modules in the hashed
+    kernel folders, and in the file's folder."""
     path = module.removeprefix(OURS).replace(".", "/")
     return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
         not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))
@@ -35,7 +35,7 @@ def hashed_with(file: str, module: str) -> bool:
 
 
 def unseen(file: str, text: str) -> list[str]:
-    """Names of this program that a file's kernels take from where an edit would not be seen."""
+    """Names in a file's kernels that come from modules outside of the cache key."""
     tree, found = ast.parse(text), []
     names = {
         alias.asname or alias.name: node.module
@@ -52,8 +52,8 @@ def unseen(file: str, text: str) -> list[str]:
 
 
 @pytest.mark.plain
-def test_what_a_kernel_names_is_hashed_with_it() -> None:
-    """In every file of the program."""
+def test_names_in_kernels_are_from_hashed_sources() -> None:
+    """Checks every file of the program."""
     files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     texts = {str(path.relative_to(ROOT)): path.read_text("utf-8") for path in files}
     with_kernels = {file: text for file, text in texts.items() if f"{OURS}proxy.kernels.jit" in text}
@@ -73,8 +73,8 @@ def test_what_a_kernel_names_is_hashed_with_it() -> None:
         ("tools/accuracy/measure.py", "drivers.block", True),
     ],
 )
-def test_what_is_not_hashed_is_found(file: str, module: str, seen: bool) -> None:
-    """A kernel that takes a constant from another folder."""
+def test_names_from_unhashed_sources_are_found(file: str, module: str, seen: bool) -> None:
+    """A kernel that imports a constant from another folder is reported, unless that folder is hashed."""
     text = f"from softfinger.{module} import X\n@jit\ndef kernel(a):\n    return a * X\n"
     assert unseen(file, text) == ([] if seen else [f"{file}: kernel: X"])
 
@@ -102,12 +102,11 @@ for edited in sys.stdin:
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
 """
-"""Prints the places after each edit of a file. Each is a process that imports this program: one for all would know only
-the files that it has imported."""
+"""Prints the cache keys after each edit, each in a forked process that imports the package afresh."""
 
 
-def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: Path) -> None:
-    """In a folder of kernels the whole cache, in one of `tools` the kernels of that folder; elsewhere nothing."""
+def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> None:
+    """An edit in a kernel folder changes the key of the cache, one in `tools` the key of its folder, others none."""
     package = tmp_path / "softfinger"
     for folder in PACKAGES:
         shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
@@ -121,7 +120,7 @@ def test_an_edit_moves_what_is_kept_of_those_kernels_that_it_concerns(tmp_path: 
     }
     site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
     names = ["proxy/kernels/step.py", "tools/accuracy/measure.py", "tools/exchange.py"]
-    # Without site: the installed package must not come first.
+    # Without site: the installed package must not be imported first.
     command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
     edits = "\n".join(["", *moved_by])
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Named tuples of many values are built by keyword: a value in the wrong place of twenty is seen by nobody."""
+"""Named tuples with many values are built by keyword, because swapped positions are easily overlooked."""
 
 import ast
 from functools import cache
@@ -11,19 +11,19 @@ from softfinger.proxy.kernels.model import FrictionInput
 
 KERNELS = Path(__file__).parents[2] / "proxy" / "kernels"
 BY_POSITION_MAX = 6
-"""As many values are read at a glance: two points, or three weights and what they weigh."""
+"""Number of values that are readable by position: two points, or three weights with their values."""
 
 
 @cache
 def nodes(path, kind):
-    """All of a kind in a file."""
+    """Return all nodes of a class in a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
     return [node for node in ast.walk(tree) if isinstance(node, kind)]
 
 
 @cache
 def named_tuples():
-    """Names of all NamedTuple classes that kernels have."""
+    """Names of all NamedTuple classes in the kernels."""
     classes = (node for path in sorted(KERNELS.rglob("*.py")) for node in nodes(path, ast.ClassDef))
     return {node.name for node in classes if any(ast.unparse(base) == "NamedTuple" for base in node.bases)}
 
@@ -31,14 +31,14 @@ def named_tuples():
 @pytest.mark.plain
 @pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.py")), ids=lambda path: str(path.relative_to(KERNELS)))
 def test_long_tuples_are_built_by_keyword(path):
-    """No named tuple of a kernel is built from more values by position than a reader can count."""
+    """No kernel builds a named tuple from more than BY_POSITION_MAX positional values."""
     known = named_tuples()
     built = [call for call in nodes(path, ast.Call) if isinstance(call.func, ast.Name) and call.func.id in known]
     assert [f"line {call.lineno}: {call.func.id}" for call in built if len(call.args) > BY_POSITION_MAX] == []
 
 
 def test_keywords_cost_nothing():
-    """A kernel that builds a tuple by keyword compiles to what it is by position."""
+    """A kernel that builds a tuple by keyword compiles to the instructions of one that builds it by position."""
     names = FrictionInput._fields
 
     def code(call):

@@ -1,4 +1,4 @@
-"""One limit for tangential force and moment: the surface, the way back to it, and the contact that lives on it.
+"""Limit surface shared by tangential force and moment: projection onto it and the contact that uses it.
 
 The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, k_z = 0.05, mu_t = 4 mm, 1 kHz.
 """
@@ -32,11 +32,11 @@ COUPLED = {"torsion": {"model": "limit_surface"}}
 
 
 def pressed(depth: float = 0.001) -> Hand:
-    """A hand that was free on its first tick and is pressed in from its second."""
+    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
     return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
-# --- the nearest point -----------------------------------------------------------------------------
+# --- projection --------------------------------------------------------------------------------------
 
 sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
@@ -47,21 +47,19 @@ components = st.floats(-1e3, 1e3)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 @example((0.999999, 2.0, 0.0), (10.0**2.6875, 10.0**11.9375, 1.0))
 @example((0.9999999999988552, 0.09066218073012366, 0.0), (2.3e-7, 1.3e11, 1.0))
-def test_nearest_point_is_on_the_surface_and_straight_below(
-    y: tuple[float, float, float], weight: tuple[float, float, float]
-) -> None:
-    """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
+def test_projection_onto_the_limit_surface(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
+    """A point outside is projected onto the surface along its normal, for all axes; a point inside is unchanged."""
     m = multiplier(near(y), weight)
     p = shrink(near(y), weight, m)
     if np.linalg.norm(y) <= 1.0:
         assert (m, p) == (0.0, y)
         return
-    # The multiplier is the only unknown: on the surface with this form, the point is the nearest one.
+    # The multiplier is the only unknown: a point of this form on the surface is the nearest one.
     assert np.linalg.norm(p) == pytest.approx(1.0, abs=1e-14)
     assert m >= 0.0
     exact = np.array(y) / (1.0 + np.array(weight) * m)
-    # Newton's method comes from outside and never oversteps: the last scaling takes less than its last step began with,
-    # and its square, 1e-18, over how far some of the components are from the surface by themselves.
+    # Newton's method approaches from outside and never overshoots. The final scaling changes
+    # the point by the last step squared, 1e-18, over the distance of any of its components from the surface.
     some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
     apart = min(abs(size - 1.0) for size in some)
     assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP, abs=1e-300)
@@ -71,7 +69,7 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
 @examples(50, 300)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
-    """Newton's multiplier is the one that halving an interval finds, which needs no derivative."""
+    """Newton's multiplier equals that of a bisection, which needs no derivative."""
     if np.linalg.norm(y) < 1.0 + 1e-6:
         return
     w = np.array(weight)
@@ -85,20 +83,20 @@ def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tupl
     for _ in range(200):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if outside(middle) else (low, middle)
-    # Ill-conditioned where the surface is all but flat along the way back: compare the points, not the multipliers.
+    # Where the surface is nearly flat the multiplier is ill-conditioned: compare the points.
     expected = np.array(y) / (1.0 + w * high)
     assert np.array(shrink(y, weight, multiplier(y, weight))) == pytest.approx(expected, abs=1e-9)
 
 
-# --- the contact -----------------------------------------------------------------------------------
+# --- contact -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.0, 0.002, 0.02, 0.2])
 @pytest.mark.parametrize("rate", [-50.0, 0.5, 5.0])
 def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, rate: float) -> None:
-    """Slipping at v and spinning at omega: f = F^2 v / N and tau = tau_max^2 omega / N, N = |(F v, tau_max omega)|."""
-    # Until the springs have turned to their final ratio: ten wind-ups of the slower of the two.
+    """Slip at v and spin at omega give f = F^2 v / N and tau = tau_max^2 omega / N, N = |(F v, tau_max omega)|."""
+    # Time for the springs to reach their final ratio: ten wind-ups of the slower one.
     seconds = min(10 * 0.08 / abs(rate), 10 * 0.5e-3 / speed if speed > 0.0 else np.inf) + 0.3
     ticks = int(1000 * seconds)
     scene = plane_scene(material=COUPLED)
@@ -108,7 +106,7 @@ def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, 
         poses.append(np.array([speed * i / 1000, 0, R - 0.001, np.cos(angle), 0, 0, np.sin(angle)]))
     records = Engine(scene).run(np.array(poses))
     norm = np.hypot(F * speed, TAU * rate)
-    # A slip that is almost all spin turns the force to its direction slowly: 1e-6 of F is left at the slowest.
+    # If the slip is almost all spin, the force turns slowly: an error of 1e-6 of F remains in the slowest case.
     assert column(records, "force", 3)[-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
     assert column(records, "torque", 3)[-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-8)
 
@@ -116,7 +114,7 @@ def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("heading", [0.3, 2.0])
 def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, heading: float) -> None:
-    """With three axes a, b, t: force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
+    """With semi-axes a, b, t, force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
     velocity, rate = 0.02 * np.array([np.cos(heading), np.sin(heading)]), 4.0
     scene = plane_scene(material={**COUPLED, "friction": ANISOTROPIC})
     trace = drive(Engine(scene), pressed().go(400, move=[*(0.4 * velocity), 0], turn=[0, 0, 0.4 * rate]))
@@ -129,19 +127,19 @@ def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, headin
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: float) -> None:
-    """With a share s of the torsional limit in use, sqrt(1 - s^2) of the static cone is left to drag against."""
+    """If torsion uses a share s of its limit, a drag slides at sqrt(1 - s^2) of the static limit."""
     hand = pressed().go(100, turn=[0, 0, share * 0.08])
     start = hand.at
     trace = drive(Engine(plane_scene(material=COUPLED)), hand.go(200, move=[200 * 7e-6, 0, 0]))
     slide = trace.events[1]
     assert slide == (start + int(np.ceil(0.6e-3 * np.sqrt(1 - share**2) / 7e-6)), "drag")
-    # On that tick the load is at most one step of the drag outside, and comes back to the static surface.
+    # On that tick the load is at most one step of the drag outside, and is projected back to the static surface.
     on = (trace.tangential[slide[0]] / 0.6) ** 2 + (trace.torque[slide[0], 2] / TAU) ** 2
     assert on == pytest.approx(1.0, abs=1e-12)
 
 
-def test_inside_the_surface_nothing_is_coupled(plane_scene: SceneFactory) -> None:
-    """Short of the limit, and for a drag or a spin alone, the forces are those of the independent model."""
+def test_no_coupling_inside_the_limit_surface(plane_scene: SceneFactory) -> None:
+    """Below the limit, and for a pure drag or a pure spin, the forces are those of the independent model."""
     hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
     drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
     spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
@@ -153,11 +151,11 @@ def test_inside_the_surface_nothing_is_coupled(plane_scene: SceneFactory) -> Non
 
 
 @pytest.mark.scaled
-def test_the_surface_is_never_left(plane_scene: SceneFactory) -> None:
-    """Whatever the hand does, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
+def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
+    """For random hand motions, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
     engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
 
-    # 90 hands of some 130 ticks: 10^4 cases.
+    # 90 hands of about 130 ticks: 10^4 cases.
     @examples(8, 90)
     @given(handling())
     def check(hand: Handling) -> None:
@@ -174,8 +172,8 @@ def test_the_surface_is_never_left(plane_scene: SceneFactory) -> None:
     check()
 
 
-def test_a_pure_spin_after_a_slide_goes_on_slipping(plane_scene: SceneFactory) -> None:
-    """A slide that turns into a spin on the spot keeps slipping, and its force passes over into the moment."""
+def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> None:
+    """If a slide turns into a pure spin, the contact continues to slip and the moment replaces the force."""
     hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
     trace = drive(Engine(plane_scene(material=COUPLED)), hand)
     assert trace.causes == ["touch", "drag"]
@@ -188,7 +186,7 @@ def test_a_pure_spin_after_a_slide_goes_on_slipping(plane_scene: SceneFactory) -
 @pytest.mark.scaled
 @pytest.mark.parametrize("spin", [0.0, 0.4])
 def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, cases: Cases, spin: float) -> None:
-    """Held at rest after a slip, through encoders that flicker by one step, it sticks once and stays stuck."""
+    """After a slip the contact sticks once and stays stuck at rest, with encoders that flicker by one step."""
     hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
     x = hand.x.copy()
     for _ in range(cases(1000, 3000)):
@@ -203,7 +201,7 @@ def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, c
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
 @pytest.mark.parametrize("kinetic", [0.0, 0.5])
 def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kinetic: float) -> None:
-    """A surface with no extent along one of its axes, or nearly none, gives that force and no NaN."""
+    """A limit surface with a zero or tiny semi-axis gives finite forces within its limits."""
     material = {
         "torsion": {"model": "limit_surface", "friction_length_m": length},
         "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
@@ -217,6 +215,6 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
 
 
 def test_limit_surface_needs_friction() -> None:
-    """A limit shared with friction that is not there is refused when the scene is read."""
+    """The limit-surface model without friction raises ConfigError when the scene is read."""
     with pytest.raises(ConfigError, match="needs friction to share its limit with"):
         build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

@@ -1,4 +1,4 @@
-"""Many objects as data: each is felt as the only object of its shape, whatever stands beside it."""
+"""Scenes with many objects: each gives the contact of a single object of its shape."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FAR = {"name": "far", "shape": "sphere", "radius_m": 0.01, "position_m": [3.0, 0
 
 @pytest.fixture(scope="module", autouse=True)
 def cone() -> Iterator[Any]:
-    """A shape of another package, imported anew: its table is known only as long as a module needs it."""
+    """Import another package's shape afresh; its table is registered only while a module of tests needs it."""
     folder, before = str(Path(__file__).parents[1] / "outside_shape"), list(schema.ObjectBase.added)
     other = sys.modules.pop("softfinger_cone", None)
     sys.path.insert(0, folder)
@@ -69,7 +69,7 @@ def scene(*things: dict[str, Any], **tables: Any) -> schema.Scene:
 
 
 def over_the_top(ticks: int) -> NDArray[np.float64]:
-    """Poses (ticks, 7) of a fingertip that presses 1 mm into what reaches up to TOP, drags, rolls and spins."""
+    """Poses (ticks, 7) of a fingertip that presses 1 mm into an object of height TOP, drags, rolls and spins."""
     t = np.linspace(0.0, 1.0, ticks)
     poses = np.zeros((ticks, 7))
     poses[:, 0], poses[:, 1] = 0.004 * np.sin(6.0 * t), 0.003 * np.sin(5.0 * t)
@@ -82,8 +82,8 @@ def over_the_top(ticks: int) -> NDArray[np.float64]:
 @pytest.mark.plain
 @pytest.mark.skipif(not PLAIN, reason="compiled, each shape alone takes half a minute")
 @pytest.mark.parametrize("kind", SHAPES)
-def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
-    """Every number of the records but the sign of a zero, over touch, roll, slip and release."""
+def test_a_shape_among_many_gives_the_same_records(kind: str) -> None:
+    """All numbers are equal except for signs of zeros, over touch, roll, slip and release."""
     alone = Engine(scene(SHAPES[kind])).run(over_the_top(100))
     among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(100))
     assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
@@ -93,8 +93,8 @@ def test_among_many_a_shape_is_felt_as_alone(kind: str) -> None:
 @pytest.mark.plain
 @pytest.mark.skipif(not PLAIN, reason="compiled, each of four scenes takes half a minute")
 @pytest.mark.parametrize("company", [(), (FAR,)], ids=["alone", "among many"])
-def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
-    """The method rotation_vector on the face of a box of triangles, alone and among many, as on the box."""
+def test_a_mesh_supports_the_closed_form_of_rolling(company: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
+    """The method rotation_vector on a face of a mesh box, single and among many, gives the forces of the box."""
     trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
     mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
     rolling = {"rolling": {"method": "rotation_vector"}}
@@ -108,8 +108,8 @@ def test_a_mesh_is_rolled_on_in_closed_form(company: tuple[dict[str, Any], ...],
 @pytest.mark.plain
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 @pytest.mark.parametrize("kind", SHAPES)
-def test_what_reaches_no_farther_is_within_its_ball(kind: str) -> None:
-    """The ball about each shape contains it, or an object would not be felt: no surface point is outside of it."""
+def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
+    """No surface point is outside of a shape's bounding sphere, or its contact would be missed."""
     shape = build_scene(scene(SHAPES[kind])).objects.body.shape
     points = np.random.default_rng(0).normal(size=(500, 3))
     farthest = max(np.linalg.norm(closest(shape, tuple(x))[1]) for x in 0.1 * points)
@@ -118,8 +118,8 @@ def test_what_reaches_no_farther_is_within_its_ball(kind: str) -> None:
 
 
 @pytest.mark.plain
-def test_an_index_is_a_row_and_a_triangle() -> None:
-    """Rows and triangles of the largest meshes come back from a float64."""
+def test_an_index_encodes_row_and_triangle() -> None:
+    """Rows and triangles of the largest meshes are recovered from a float64."""
     for row in (0, 1, ENTRIES - 1):
         for facet in (0, 1, 2**31 - 1):
             index = float(row) + ENTRIES * float(facet)
@@ -128,7 +128,7 @@ def test_an_index_is_a_row_and_a_triangle() -> None:
 
 @pytest.mark.plain
 def test_the_type_does_not_depend_on_the_objects() -> None:
-    """Kinds, number, order, motions and textures of some leave the type of a scene as it is."""
+    """Shapes, number, order, motions and textures of the objects do not change the type of a scene."""
     few = build_scene(scene(SHAPES["plane"], SHAPES["sphere"]))
     turning = SHAPES["box"] | {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0}}
     many = build_scene(scene(*SHAPES.values(), turning))
@@ -143,11 +143,9 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
         many_objects([body] * (ENTRIES + 1), (), (), None)
 
 
-def test_other_objects_compile_no_step_anew(tmp_path: Path) -> None:
-    """A second scene with the same laws runs the kernels of the first; of its shapes only the unknown kind is new.
-
-    The scenes have a body that nothing touches, so that their step is also that of tests/server/test_world.py.
-    """
+def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
+    """A second scene with the same laws reuses the compiled step; only a new shape is compiled. The scenes have a body
+    that is never touched, so that their step is also that of tests/server/test_world.py."""
     poses, world = over_the_top(200), key_world(tmp_path)
     first = Engine(scene(SHAPES["sphere"], FAR, world=world))
     felt = first.run(poses)
@@ -160,7 +158,7 @@ def test_other_objects_compile_no_step_anew(tmp_path: Path) -> None:
     assert step_many.signatures == signatures
     assert records["contact.normal_force"].max() > 0.1
     moved = np.add(poses, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    # The same ball a metre away: rounding of a metre at 1000 N/m is 1e-12 N.
+    # The same sphere a metre away: rounding of a metre at 1000 N/m is 1e-12 N.
     second.reset()
     np.testing.assert_allclose(second.run(moved)["force"], felt["force"], atol=1e-10)
     assert isinstance(second.scene.objects, model.Many)
@@ -183,8 +181,8 @@ BODY = """
 
 @pytest.mark.plain
 @pytest.mark.skipif(not PLAIN, reason="compiled, a scene with bodies takes half a minute")
-def test_two_fingers_on_free_bodies_start_again_and_are_copied(tmp_path: Path) -> None:
-    """Poses of many objects are memory of the state: `reset` and a copy in mid-contact give the same bits."""
+def test_two_fingers_on_free_bodies_are_reset_and_copied(tmp_path: Path) -> None:
+    """Poses of many objects belong to the state: `reset` and a copy in mid-contact give the same bits."""
     apart, height = 0.041, 0.02
     bodies = [BODY.format(x=apart * n, turn=5 * n, kind="sphere" if n % 2 else "box") for n in (-2, -1, 0, 1, 2)]
     (tmp_path / "row.xml").write_text(MODEL.format(bodies="".join(bodies)))
@@ -199,7 +197,7 @@ def test_two_fingers_on_free_bodies_start_again_and_are_copied(tmp_path: Path) -
     halves = [{"thumb": over[part], "index": push[part]} for part in (slice(200), slice(200, 400))]
     first = [engine.run(half) for half in halves]
     touched = {number for half in first for each in half.values() for number in each["contact.object"].tolist()}
-    assert len(touched) > 3  # with -1 for none
+    assert len(touched) > 3  # including -1 for no object
     assert all(max(half[name]["contact.normal_force"].max() for half in first) > 0.3 for name in ("thumb", "index"))
     engine.reset()
     again = engine.run(halves[0])

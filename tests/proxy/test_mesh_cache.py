@@ -1,4 +1,4 @@
-"""Trees of meshes on disk: found again to the bit, never trusted when damaged, bounded in size."""
+"""Cache of mesh trees on disk: loaded bit for bit, rejected when damaged, bounded in size."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BUILT: list[int] = []
 
 
 class Tree(NamedTuple):
-    """As trees are: arrays of several kinds, and numbers."""
+    """Stand-in for a real tree: arrays of several types, and numbers."""
 
     boxes: np.ndarray
     corners: np.ndarray
@@ -36,7 +36,7 @@ class Tree(NamedTuple):
 
 
 def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
-    """Any function of the arrays will do."""
+    """Build a tree; any function of the arrays would do."""
     BUILT.append(len(triangles))
     corners = vertices[triangles]
     return Tree(corners.mean(axis=1).astype(np.float32), corners, triangles, float(np.ptp(vertices)), len(triangles))
@@ -47,13 +47,13 @@ BUILDER = Builder(build, Tree)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
-    """Where trees are kept, for this test alone."""
+    """Cache folder of one test."""
     os.chmod(tmp_path, 0o700)
     return Folder(tmp_path / "kept", "nothing is kept")
 
 
 def part(folder: Path, frequency: int = 3, **keys: float) -> schema.Mesh:
-    """An object that is a ball in a file of that folder."""
+    """Return an object whose mesh is a sphere in a file of `folder`."""
     ball, path = meshes.geodesic(frequency), folder / f"ball{frequency}.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in ball.vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (ball.triangles + 1).tolist())]) + "\n")
@@ -61,14 +61,14 @@ def part(folder: Path, frequency: int = 3, **keys: float) -> schema.Mesh:
 
 
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a new process."""
+    """Clear the in-memory caches, as in a new process."""
     monkeypatch.setattr(prepared, "_trees", prepared._Memory(4))
     monkeypatch.setattr(prepared, "_abouts", prepared._Memory(4))
     BUILT.clear()
 
 
 def same(a: Tree, b: Tree) -> bool:
-    """To the bit, with their types."""
+    """Return True if all values have the same types and bits."""
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
         if isinstance(x, np.ndarray)
@@ -78,7 +78,7 @@ def same(a: Tree, b: Tree) -> bool:
 
 
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In this process it is remembered, in the next one loaded, with its report and its picture."""
+    """The tree is reused within a process and loaded by the next one, with its report and its preview mesh."""
     thing = part(tmp_path)
     forget(monkeypatch)
     first = tree_of(thing, BUILDER, folder)
@@ -87,13 +87,13 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
     forget(monkeypatch)
     again = tree_of(thing, BUILDER, folder)
     assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
-    monkeypatch.setattr(prepared, "_read_and_mend", None)  # nothing is read for what is known already
+    monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
     assert about(thing).report == told.report
     assert about(thing).picture.vertices.tobytes() == told.picture.vertices.tobytes()
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same bytes under another name are the same."""
+    """A change of file or scale builds a tree; the same bytes under another name reuse it."""
     forget(monkeypatch)
     thing = part(tmp_path)
     tree_of(thing, BUILDER, folder)
@@ -106,7 +106,7 @@ def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, m
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What another version of the program built is not found."""
+    """A tree built by another version of the sources is not used."""
     forget(monkeypatch)
     thing = part(tmp_path)
     tree_of(thing, BUILDER, folder)
@@ -135,7 +135,7 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
 
 
 def one(folder: Folder) -> Path:
-    """The one file that is kept."""
+    """Return the only file in the folder."""
     assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
@@ -145,8 +145,8 @@ ARRAYS = {"a": np.arange(100.0), "b": np.arange(30, dtype=np.int32).reshape(-1, 
 KEY = "ab" * 32
 
 
-def test_arrays_come_back_as_they_were(folder: Folder) -> None:
-    """Their kinds, shapes and bits, an empty one too; each begins where a vector register may."""
+def test_arrays_are_saved_and_loaded_unchanged(folder: Folder) -> None:
+    """Types, shapes and bits are equal, also of an empty array; each array is aligned for vector registers."""
     kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1, "count": 3}), folder)
     found = kept.load(KEY, folder)
     assert found is not None and found.values == {"size": 0.1, "count": 3}
@@ -160,8 +160,8 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
-    """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""
+def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
+    """A flipped bit, a truncated file or appended bytes: nothing is loaded, or the data are unaffected."""
     kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1}), folder)
     file = one(folder)
     whole = file.read_bytes()
@@ -174,15 +174,15 @@ def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
     }[data.draw(st.sampled_from(["bit", "cut", "more"]), "kind")]
     file.write_bytes(damaged)
     found = kept.load(KEY, folder)
-    if found is not None:  # between two arrays lie bytes that mean nothing
+    if found is not None:  # padding between two arrays has no meaning
         assert all(found.arrays[name].tobytes() == array.tobytes() for name, array in ARRAYS.items())
         assert found.values == {"size": 0.1}
 
 
-def test_a_damaged_tree_is_built_anew(
+def test_a_damaged_tree_is_built_again(
     tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It is said, and kept whole again."""
+    """The damage is logged, and the new tree is saved."""
     forget(monkeypatch)
     thing = part(tmp_path)
     first = tree_of(thing, BUILDER, folder)
@@ -197,8 +197,8 @@ def test_a_damaged_tree_is_built_anew(
     assert same(tree_of(thing, BUILDER, folder), first) and BUILT == []
 
 
-def test_a_folder_of_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody else may write to it; without one trees are built in memory."""
+def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a private folder, trees are built in memory only."""
     forget(monkeypatch)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
@@ -209,14 +209,14 @@ def test_a_folder_of_others_is_not_used(tmp_path: Path, monkeypatch: pytest.Monk
     assert list((tmp_path / "open").iterdir()) == []
 
 
-def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The newest stays, however large it is."""
+def test_least_recently_used_trees_are_deleted(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The newest tree is never deleted, however large it is."""
     some = kept.Kept({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):
         kept.save(name, some, folder)
         os.utime(folder.path / f"{name}{kept.ENDING}", (age, age))
-    assert kept.load(names[0], folder) is not None  # now the newest
+    assert kept.load(names[0], folder) is not None  # now the most recently used
     monkeypatch.setattr(kept, "BYTES_MAX", 3 * 9000)
     kept.save(names[3], some, folder)
     assert [kept.load(name, folder) is not None for name in names] == [True, False, True, True]

@@ -1,7 +1,7 @@
-"""Touching a mesh: against the shapes that it is made of or close to, and against closed forms.
+"""Contact with meshes, compared with equivalent or similar shapes and with closed forms.
 
-What is compiled is one type of scene, that of `test_mesh_hostile.py` and the others: a mesh with friction, torsion and
-rolling takes half a minute. Whatever else is in a scene is tested as plain Python.
+Compiled tests use one type of scene, shared with `test_mesh_hostile.py` and others, because a mesh with friction,
+torsion and rolling compiles for half a minute. Other scenes are tested as plain Python.
 """
 
 from typing import get_args
@@ -27,11 +27,13 @@ def box(x, y, z):
 
 @pytest.mark.plain
 @pytest.mark.scaled
-def test_a_box_of_triangles_is_a_box(tmp_path, cases):
-    """Over faces, edges and corners, pressed, dragged and turned: forces of the shape box, which knows no triangles. On
-    a face to rounding; round an edge the proxy is what two rounds of projecting leave behind in a tick, below 5 % of
-    its way of 0.1 mm. Where friction displaces the proxy it is shown on a chord, above the edge by e^2 / 2 r, and the
-    contact point with it."""
+def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
+    """Pressed, dragged and turned over faces, edges and corners, a mesh gives the forces of the shape box.
+
+    On a face they agree to rounding. Round an edge the proxy lags by the remainder of two projections per tick, below 5
+    % of its step of 0.1 mm. If friction displaces the proxy, its position is on a chord, above the edge by e^2 / 2 r,
+    as is the contact point.
+    """
     ticks = 4000
     points = wander(1, ticks, 0.034)
     points[:, 2] = 0.0295 + 0.1 * points[:, 2]
@@ -44,14 +46,14 @@ def test_a_box_of_triangles_is_a_box(tmp_path, cases):
     assert len(np.unique(field(solid, AT.contact_mode, 1))) == 3
     for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 1e-4)):
         np.testing.assert_allclose(field(mesh, at), field(solid, at), rtol=0.0, atol=left)
-    # Where one wall holds it there is nothing to converge to, and it is the same to rounding.
+    # On a single wall there is nothing to converge to, and the forces agree to rounding.
     flat = (np.abs(field(solid, AT.contact_normal)) == 1.0).any(axis=1)
     assert flat.mean() > 0.3
     assert np.abs(field(mesh, AT.contact_normal_force, 1) - field(solid, AT.contact_normal_force, 1))[flat].max() < 1e-9
 
 
 def groove(width=0.1):
-    """Two sheets that meet at a right angle along y: z = |x|, three triangles to a side."""
+    """Two sheets that meet at a right angle along y: z = |x|, three quads per side."""
     y = np.linspace(-width, width, 4)
     vertices = np.array([(x, v, abs(x)) for v in y for x in (-width, 0.0, width)])
     cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(3) for j in range(2)]
@@ -60,8 +62,8 @@ def groove(width=0.1):
 
 @pytest.mark.plain
 @pytest.mark.parametrize("method", METHODS)
-def test_every_rolling_method_on_a_face_is_that_on_a_plane(tmp_path, method):
-    """Pressed and rolled by 0.3 rad over the edges between triangles of one plane."""
+def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
+    """A press and a roll by 0.3 rad over the edges between coplanar triangles give the records of a plane."""
     points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
     rolling = {"rolling": {"method": method}}
     mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
@@ -72,10 +74,12 @@ def test_every_rolling_method_on_a_face_is_that_on_a_plane(tmp_path, method):
 
 
 @pytest.mark.plain
-def test_a_crease_holds_by_both_its_sides(tmp_path):
-    """Pressed 1 mm down into a right angle each side bears 1/sqrt(2) N; dragged along it each rubs with mu of that,
-    over the edges between triangles too. Turned about the groove, both resist as a V-block resists a shaft: r mu
-    (f1 + f2), with f1 + f2 = 2 F / (1 + mu^2)."""
+def test_a_crease_pushes_with_both_sides(tmp_path):
+    """Pressed 1 mm into a right angle, each side bears 1/sqrt(2) N and rubs with mu times that in a drag.
+
+    This includes the edges between triangles. In a turn about the groove both sides resist like a V-block: r mu (f1 +
+    f2), with f1 + f2 = 2 F / (1 + mu^2).
+    """
     running = engine(thing("groove", "mesh", file=saved(tmp_path, *groove())))
     top = R * np.sqrt(2.0)
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
@@ -91,8 +95,7 @@ def test_a_crease_holds_by_both_its_sides(tmp_path):
 
 
 def errors_of_ball(tmp_path, frequency, shading="none"):
-    """Of a faceted ball against its sphere: the largest differences in force, N, contact point, m, and the force's
-    direction, and how far that turns in a tick."""
+    """Errors of a faceted sphere: maxima of force, N, contact point, m, force direction, and its turn per tick."""
     part = meshes.geodesic(frequency, 0.05)
     t = np.linspace(0.0, 1.0, 800)
     way = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
@@ -113,9 +116,12 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     ]
 
 
-def test_a_faceted_ball_becomes_the_ball(tmp_path):
-    """Four times as fine: all is nearer by that factor or more, since a facet's normal is of first order, and its depth
-    of second. Shaded, the coarse one's force has the direction of the ball's, without steps."""
+def test_a_faceted_sphere_converges_to_the_sphere(tmp_path):
+    """Four times finer facets reduce all errors at least threefold.
+
+    The error of a facet's normal is of first order, that of its depth of second. With shading, the coarse mesh's force
+    has the direction of the sphere's, without steps.
+    """
     coarse, fine = errors_of_ball(tmp_path, 16), errors_of_ball(tmp_path, 64)
     assert all(after < before / 3.0 for before, after in zip(coarse[:3], fine[:3], strict=True))
     shaded = errors_of_ball(tmp_path, 16, "normals")
@@ -125,7 +131,7 @@ def test_a_faceted_ball_becomes_the_ball(tmp_path):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["bumpy", "torus", "moebius"])
 def test_the_proxy_is_never_inside(tmp_path, name):
-    """Dragged and turned over and into hills, rings and a sheet of one side: outside to 1e-9 of the radius."""
+    """For drags and turns over hills, rings and a one-sided sheet, the proxy is outside to 1e-9 of the radius."""
     vertices, triangles = {
         "bumpy": meshes.bumpy_sphere(24, 0.05, height=0.06),
         "torus": meshes.torus(0.06, 0.02, 48, 24),
@@ -145,9 +151,9 @@ def test_the_proxy_is_never_inside(tmp_path, name):
         assert distances(vertices, triangles, proxy).min() >= R * (1.0 - 1e-9)
 
 
-def test_a_socket_that_fits_uses_up_the_budget_and_holds(tmp_path):
-    """In the middle of a hollow ball just wider than the fingertip every triangle is as near: the proxy stays where it
-    was, outside, says so, and goes on when the hand does."""
+def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
+    """In a hollow sphere just wider than the fingertip, all triangles are equally near: the proxy stays outside. It
+    follows when the hand moves."""
     vertices, triangles = meshes.geodesic(60, 0.0101)
     running = engine(thing("socket", "mesh", file=saved(tmp_path, vertices, triangles), inside=True))
     out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
@@ -156,12 +162,12 @@ def test_a_socket_that_fits_uses_up_the_budget_and_holds(tmp_path):
     for row in np.asarray(records)[::9]:
         proxy = row[AT.proxy_position : AT.proxy_position + 3]
         assert distances(vertices, triangles, proxy).min() >= R * (1.0 - 1e-9)
-    assert records[-1, AT.force + 1] == pytest.approx(-2.9, abs=0.05)  # 3 mm less the room of 0.1 mm, at 1000 N/m
+    assert records[-1, AT.force + 1] == pytest.approx(-2.9, abs=0.05)  # 3 mm less the clearance of 0.1 mm, at 1000 N/m
 
 
-def test_an_open_cavity_is_felt_from_within(tmp_path):
-    """A ball with a hole smaller than the fingertip: with `inside` and without it the same forces to
-    the bit, those of the hollow ball away from the hole."""
+def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
+    """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`. Away from the hole
+    the forces are those of the hollow sphere."""
     ball = meshes.geodesic(16, 0.03)
     kept = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
     file = saved(tmp_path, ball.vertices, ball.triangles[kept])
@@ -175,15 +181,15 @@ def test_an_open_cavity_is_felt_from_within(tmp_path):
     np.testing.assert_allclose(hollow["force"], whole["force"], rtol=0.0, atol=1e-6)
 
 
-def test_it_lets_out_what_begins_inside(tmp_path):
-    """The first pose of all is in contact where it stands, as with every shape, and comes out to the nearest face."""
+def test_a_first_pose_inside_is_pushed_out(tmp_path):
+    """A first pose inside the mesh is in contact at once, as with every shape, and is pushed to the nearest face."""
     running = engine(thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.03))))
     records = go(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
 
 
-def test_nothing_thin_is_crossed_in_a_tick(tmp_path):
-    """A sheet is met from either side by a finger that would be past it in the next tick."""
+def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
+    """A finger that would pass a sheet within one tick is stopped, from either side."""
     running = engine(thing("sheet", "mesh", file=saved(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
     for side in (1.0, -1.0):
         running.reset()
@@ -196,8 +202,8 @@ def test_nothing_thin_is_crossed_in_a_tick(tmp_path):
 
 @pytest.mark.plain
 @pytest.mark.scaled
-def test_a_mesh_that_moves_carries_and_presses(tmp_path, cases):
-    """A box of triangles that rises under a still finger presses as the shape does, and takes a stuck finger along."""
+def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
+    """A mesh of a box that rises under a still finger gives the same forces as the box, and carries a stuck finger."""
     motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
     far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
     of_triangles = thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.02)), motion=motion)

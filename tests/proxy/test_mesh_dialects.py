@@ -30,11 +30,11 @@ QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (
 FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
 VOLUME = 0.04 * 0.04 * 0.02
 FLOAT32 = 1e-6
-"""Relative: three coordinates of float32 are rounded by 6e-8 each, and 0.01 is not one of them."""
+"""Relative rounding: three float32 coordinates of 6e-8 each, and 0.01 is not exact in float32."""
 
 
 def report(path: Path) -> Report:
-    """Return what the program makes of a file."""
+    """Return the program's report on a mesh file."""
     return about(schema.Mesh(name="m", file=str(path), material=schema.Material(stiffness_n_per_m=500.0))).report
 
 
@@ -48,7 +48,7 @@ def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
 
 
 def refusal(path: Path, data: bytes) -> str:
-    """Return why a file is refused."""
+    """Return the error for an unusable file."""
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
         report(path)
@@ -85,7 +85,7 @@ OBJS: dict[str, tuple[list[str], int]] = {
 
 
 def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
-    """Return the corners of each face, by the definition of the format and one line after the other."""
+    """Return the corners of each face, by the definition of the format, line by line."""
     text = "\n".join(lines).replace("\\\n", " ")
     words = [line.partition("#")[0].split() for line in text.splitlines()]
     every = [tuple(map(float, line[1:4])) for line in words if line[:1] == ["v"]]
@@ -101,7 +101,7 @@ def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("name", OBJS)
 def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None:
-    """Each face has the corners that a second reader finds, and the boxes are whole."""
+    """Each face has the corners found by a second parser, and the boxes are watertight."""
     lines, triangles = OBJS[name]
     data = "\n".join([*lines, ""]).replace("\n", end).encode()
     read, expected = arrays_of("a.obj", data), read_by_line(lines)
@@ -114,7 +114,7 @@ def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None
 
 
 def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
-    """A prism over a C of eight corners and over a star: no fan from a corner has their area."""
+    """Prisms over a C and over a star keep their area, which no fan from one corner has."""
     c = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (3, 2), (3, 3), (0, 3)]
     angles = np.arange(10) * np.pi / 5
     star = [(r * np.cos(a), r * np.sin(a)) for r, a in zip([3.0, 1.0] * 5, angles, strict=True)]
@@ -133,7 +133,7 @@ def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
         assert np.linalg.norm(np.cross(b - a, d - a), axis=1).sum() / 2 == pytest.approx(area * 1e-4)
 
 
-def test_what_an_obj_cannot_give_is_said(tmp_path: Path) -> None:
+def test_unsupported_obj_files_are_refused(tmp_path: Path) -> None:
     path, box = tmp_path / "a.obj", "\n".join([*vertices(), *faces()])
     assert "has free-form surfaces (surf)" in refusal(path, f"{box}\nsurf 0 1 0 1 1 2 3 4\n".encode())
     assert "in another file (call)" in refusal(path, f"{box}\ncall more.obj\n".encode())
@@ -187,7 +187,7 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
     check_box(tmp_path / "a.stl", STLS[name])
 
 
-def test_what_an_stl_lacks_is_said(tmp_path: Path) -> None:
+def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
     assert "it was cut off" in refusal(path, stl()[:-70])
     assert "has 15 bytes, fewer than the head of an STL file" in refusal(path, b"<!doctype html>")
@@ -255,7 +255,7 @@ def test_ply_files_are_read_in_full(tmp_path: Path, name: str) -> None:
     assert report(tmp_path / "a.ply").turned_triangles == 0
 
 
-def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
+def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     assert "promises 12 entries of face, and has 11" in refusal(path, PLYS["little endian"][:-1])
     assert "has other rows than its header declares" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
@@ -279,7 +279,7 @@ def test_what_a_ply_lacks_is_said(tmp_path: Path) -> None:
 
 
 class Glb:
-    """A GLB file in the making: accessors are added, then `data` gives its bytes."""
+    """Builder of a GLB file: add accessors, then get its bytes from `data`."""
 
     def __init__(self) -> None:
         self.blob = b""
@@ -341,8 +341,8 @@ def test_glb_strips_and_fans_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("mode", "corners", "count"), [(4, 12, 4), (5, 12, 10), (6, 12, 10), (5, 2, 0), (6, 1, 0)])
-def test_glb_promises_as_many_triangles_as_its_accessors_count(mode: int, corners: int, count: int) -> None:
-    """For each node that has the mesh; the number does not come from what was read."""
+def test_glb_triangle_count_is_that_of_its_accessors(mode: int, corners: int, count: int) -> None:
+    """The count covers each node of the mesh and does not come from the triangles that were read."""
     made = Glb()
     at = made.add(np.random.default_rng(0).random((12, 3)).astype(np.float32))
     part = {"attributes": {"POSITION": at}, "indices": made.add(np.arange(corners).astype(np.uint8)), "mode": mode}
@@ -354,8 +354,8 @@ def test_glb_promises_as_many_triangles_as_its_accessors_count(mode: int, corner
         glb.read(made.data([part], **twice))
 
 
-def test_glb_positions_of_every_kind_are_the_same_box(tmp_path: Path) -> None:
-    """Floats, with gaps between them; integers that the node scales, as gltfpack writes them, normalized or not."""
+def test_glb_positions_of_every_type_give_the_same_box(tmp_path: Path) -> None:
+    """Covers floats with a stride, and integers scaled by the node as gltfpack writes them, normalized or not."""
     unit = CORNERS / 0.02
     kinds = {
         "float": box_glb(CORNERS.astype(np.float32)),
@@ -371,13 +371,13 @@ def test_glb_positions_of_every_kind_are_the_same_box(tmp_path: Path) -> None:
     for name, data in kinds.items():
         check_box(tmp_path / f"{name}.glb", data)
         ours = arrays_of("a.glb", data)
-        if name in ("float", "stride", "turned", "matrix"):  # what trimesh reads right
+        if name in ("float", "stride", "turned", "matrix"):  # cases that trimesh reads correctly
             theirs = trimesh.load_mesh(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
             np.testing.assert_allclose(ours.vertices, theirs.vertices, atol=1e-9)
 
 
 def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
-    """The upper four corners replace others, and all replace nothing."""
+    """Sparse values replace the upper four corners, or all eight of an accessor without data."""
     for base in (CORNERS.astype(np.float32) * [1, 1, 0], None):
         made = Glb()
         places = np.arange(4 if base is not None else 0, 8).astype(np.uint8)
@@ -395,16 +395,16 @@ def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
         )
 
 
-def test_a_glb_without_scenes_has_the_nodes_that_are_no_children(tmp_path: Path) -> None:
-    """As glTF permits; a child is placed once, by its parent."""
+def test_a_glb_without_scenes_uses_its_root_nodes(tmp_path: Path) -> None:
+    """glTF permits this; a child is placed once, by its parent."""
     made = Glb()
     part = {"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}
     nodes = [{"mesh": 0, "scale": [0.5] * 3}, {"children": [0], "scale": [2.0] * 3}]
     check_box(tmp_path / "a.glb", made.data([part], nodes=nodes, scenes=[]))
 
 
-def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:
-    """Skeletons, copies, shapes between which it moves, compression; and nodes that are no tree."""
+def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
+    """Covers skins, instancing, morph targets, compression and nodes that are not a tree."""
     path = tmp_path / "a.glb"
     made = Glb()
     parts = [{"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}]
@@ -424,8 +424,8 @@ def test_what_a_glb_has_besides_is_refused_by_name(tmp_path: Path) -> None:
     assert "has no data for accessor 2" in refusal(path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}]))
 
 
-def test_a_size_in_another_unit_is_asked_about(tmp_path: Path) -> None:
-    """Above 1 m and below 1 mm, with the scale that would be right; not between."""
+def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
+    """Above 1 m and below 1 mm the report suggests the likely scale."""
     path = tmp_path / "a.stl"
     path.write_bytes(stl())
 
@@ -453,6 +453,6 @@ def test_a_size_in_another_unit_is_asked_about(tmp_path: Path) -> None:
 
 
 def test_a_box_is_a_box() -> None:
-    """The box of these tests by a closed form, and by trimesh."""
+    """The volume of the test box matches its closed form, by trimesh."""
     box = Arrays(CORNERS, np.array(FACES, np.int32))
     assert trimesh.Trimesh(box.vertices, box.triangles, process=False).volume == pytest.approx(VOLUME)

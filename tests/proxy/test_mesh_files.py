@@ -1,4 +1,4 @@
-"""Meshes from files: each format read back equal, damage answered with one error or a sound mesh, bombs left alone."""
+"""Mesh files: formats are read back unchanged; damaged or malicious files raise one error or give a valid mesh."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from softfinger.server.cli import main
 pytestmark = pytest.mark.plain
 BALL = meshes.geodesic(3)
 FLOAT32 = 1.2e-7
-"""Relative rounding of what STL and the binary formats of trimesh hold."""
+"""Relative rounding of STL and of trimesh's binary formats."""
 
 
 def thing(path: Path | str, **keys: Any) -> schema.Mesh:
-    """An object of that file."""
+    """Object with that mesh file."""
     return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
 
 
 def refusal(path: Path, **keys: Any) -> str:
-    """What is said of a file that cannot be used: one line, with object and file."""
+    """Return the error for an unusable file, without its prefix: one line that names object and file."""
     with pytest.raises(ConfigError) as caught:
         about(thing(path, **keys))
     text = str(caught.value)
@@ -46,7 +46,7 @@ def refusal(path: Path, **keys: Any) -> str:
 
 
 def corners(mesh: Arrays | Mesh) -> np.ndarray:
-    """Coordinates of all corners (m, 3, 3): the triangles in any order, each from its least corner on."""
+    """Coordinates of all corners (m, 3, 3) in a canonical order of triangles and corners."""
     found = mesh.vertices[mesh.triangles]
     keys = np.round(found, 6)
     least = np.array([min(range(3), key=lambda k: tuple(each[k])) for each in keys])
@@ -56,7 +56,7 @@ def corners(mesh: Arrays | Mesh) -> np.ndarray:
 
 
 def ply_text(mesh: Mesh) -> bytes:
-    """An ASCII PLY file, written by hand."""
+    """Return an ASCII PLY file, not written by trimesh."""
     rows = [" ".join(map(repr, map(float, each))) for each in mesh.vertices]
     faces = [" ".join(map(str, (3, *each))) for each in mesh.triangles]
     head = [
@@ -68,20 +68,20 @@ def ply_text(mesh: Mesh) -> bytes:
 
 
 def stl_binary(mesh: Mesh) -> bytes:
-    """A binary STL file, written by hand; its normals are left zero, as many programs do."""
+    """Return a binary STL file, not written by trimesh; its normals are zero, as from many programs."""
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *mesh.vertices[each].ravel(), 0) for each in mesh.triangles)
     return b"by hand".ljust(80) + struct.pack("<I", len(mesh.triangles)) + body
 
 
 def obj_text(mesh: Mesh) -> bytes:
-    """An OBJ file, written by hand, with a material library that is nowhere."""
+    """Return an OBJ file, not written by trimesh, with a missing material library."""
     rows = ["v {!r} {!r} {!r}".format(*map(float, each)) for each in mesh.vertices]
     faces = ["f {} {} {}".format(*(each + 1)) for each in mesh.triangles]
     return "\n".join(["mtllib ../../etc/passwd", *rows, "usemtl skin", *faces, ""]).encode()
 
 
 def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
-    """A GLB file, written by hand; `changes` are made to its JSON."""
+    """Return a GLB file, not written by trimesh; `changes` edits its JSON header."""
     body = mesh.vertices.astype("<f4").tobytes() + mesh.triangles.astype("<u4").tobytes()
     split, n, m = 12 * len(mesh.vertices), len(mesh.vertices), len(mesh.triangles)
     head = {
@@ -114,7 +114,7 @@ def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda he
 
 
 def written(mesh: Mesh, kind: str) -> bytes:
-    """A file's bytes, as trimesh writes them."""
+    """Return a file as written by trimesh."""
     made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
     if kind == "ply text":
         return trimesh.exchange.ply.export_ply(made, encoding="ascii")
@@ -137,29 +137,29 @@ FILES: dict[str, tuple[str, bytes]] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_format_is_read_back_equal(tmp_path: Path, name: str) -> None:
-    """Each triangle of the ball, wound as it was; vertices of STL files, which lie there six times, are one again."""
+def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
+    """All triangles and their winding are equal; the sixfold vertices of STL files are merged."""
     ending, data = FILES[name]
     path = tmp_path / f"ball{ending}"
     path.write_bytes(data)
     report, picture = about(thing(path))
     assert (report.triangles, report.vertices, report.bodies, report.watertight) == (180, 92, 1, True)
     assert report.turned_triangles == report.duplicate_triangles == report.degenerate_triangles == 0
-    # Text of trimesh has eight digits; the rest is float32, or as it was.
+    # Text by trimesh has eight digits; the other files are float32 or exact.
     np.testing.assert_allclose(corners(picture), corners(BALL), atol=1e-7)
-    # A float32 of the volume: three coordinates, each rounded.
+    # Rounding of the volume: three float32 coordinates.
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL), rel=3 * FLOAT32)
 
 
-def test_numbers_of_text_keep_every_digit(tmp_path: Path) -> None:
-    """float64 in, float64 out, to the bit."""
+def test_text_files_preserve_all_digits(tmp_path: Path) -> None:
+    """float64 values are read back to the bit."""
     (tmp_path / "ball.ply").write_bytes(ply_text(BALL))
     read = arrays_of("ball.ply", read_bytes(tmp_path / "ball.ply"))
     assert read.vertices.tobytes() == BALL.vertices.tobytes() and read.triangles.tobytes() == BALL.triangles.tobytes()
 
 
-def test_parts_of_a_glb_stand_where_its_nodes_have_them(tmp_path: Path) -> None:
-    """One mesh in two nodes: moved, and mirrored and halved, which leaves its outside outside."""
+def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
+    """One mesh in two nodes is moved, and mirrored and halved, with its winding still outward."""
 
     def two(head: dict[str, Any]) -> None:
         head["nodes"] = [{"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0, "scale": [-0.5, 0.5, 0.5]}]
@@ -172,16 +172,16 @@ def test_parts_of_a_glb_stand_where_its_nodes_have_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
 
 
-def test_squares_become_triangles(tmp_path: Path) -> None:
-    """Faces of four corners, as text; no face may be missing."""
+def test_quads_become_triangles(tmp_path: Path) -> None:
+    """A face with four corners is split into two triangles."""
     square = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
     (tmp_path / "square.obj").write_bytes(square)
     report = about(thing(tmp_path / "square.obj")).report
     assert report.triangles == 2 and report.open_edges == 4
 
 
-def test_scale_makes_metres(tmp_path: Path) -> None:
-    """A ball of 20 mm in a file of millimetres."""
+def test_scale_converts_to_metres(tmp_path: Path) -> None:
+    """A sphere of 20 mm in a file in millimetres; sizes out of range are refused."""
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
     report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
@@ -191,12 +191,12 @@ def test_scale_makes_metres(tmp_path: Path) -> None:
 
 
 def spoilt(value: float) -> Mesh:
-    """The ball with a few coordinates that are no numbers."""
+    """The sphere with a few invalid coordinates."""
     return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
 
 
-def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """For people a row each, as JSON every figure; of a file that cannot be used the fault, and exit code 2."""
+def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`check` prints rows or JSON; an unusable file gives the error and exit code 2."""
     (tmp_path / "ball.stl").write_bytes(stl_binary(BALL))
     scene = tmp_path / "scene.toml"
     scene.write_text(
@@ -252,14 +252,14 @@ def test_check_prints_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixtu
         ("a.glb", FILES["glb"][1][:-1], "is damaged, or no GLB file"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_used_is_said_in_a_line(tmp_path: Path, name: str, data: bytes, text: str) -> None:
-    """Each with file, fault and remedy."""
+def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: bytes, text: str) -> None:
+    """The error names file, fault and remedy."""
     (tmp_path / name).write_bytes(data)
     assert text in refusal(tmp_path / name)
 
 
-def test_no_file_is_said_in_a_line(tmp_path: Path) -> None:
-    """Neither is a folder one, nor a name of another ending."""
+def test_missing_files_raise_a_one_line_error(tmp_path: Path) -> None:
+    """Covers a missing file, a folder and an unknown extension."""
     assert "No such file" in refusal(tmp_path / "none.ply")
     (tmp_path / "folder.stl").mkdir()
     assert "Is a directory" in refusal(tmp_path / "folder.stl")
@@ -284,31 +284,31 @@ LIARS: list[tuple[str, bytes, str]] = [
 
 
 @pytest.mark.parametrize(("name", "data", "text"), LIARS, ids=range(len(LIARS)))
-def test_a_promise_is_not_believed(tmp_path: Path, name: str, data: bytes, text: str) -> None:
-    """Counts that do not fit what is there, other files and compression are refused in a line."""
+def test_false_counts_are_refused(tmp_path: Path, name: str, data: bytes, text: str) -> None:
+    """Counts that do not match the data, external files and compression raise a one-line error."""
     (tmp_path / name).write_bytes(data)
     assert text in refusal(tmp_path / name)
 
 
-def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
-    """What is remembered of a file is so while it stays as it is."""
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    """The cached result is used only while the file is unchanged."""
     path = tmp_path / "ball.ply"
     path.write_bytes(ply_text(BALL))
     first = about(thing(path))
     assert about(thing(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert latest_picture(thing(path)) is first  # what is rendered does not change with it
+    assert latest_picture(thing(path)) is first  # the rendered mesh does not change with the file
     assert about(thing(path)).report.triangles == 320
     path.unlink()
     assert latest_picture(thing(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()
-"""Files by number: one of the same name, size and moment as another would be taken for it."""
+"""Numbers of files: a file with the same name, size and time as another would be taken from the cache."""
 
 
 def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
-    """One ConfigError, or a mesh that can be rendered: never another exception."""
+    """Check that the file raises one ConfigError or gives a mesh that can be rendered."""
     path = folder / f"{next(NUMBERS)}{ending}"
     path.write_bytes(data)
     said = ""
@@ -330,8 +330,8 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
 
 @settings(examples(80, 200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(FILES)), data=st.data())
-def test_damage_is_refused_or_mended(tmp_path: Path, name: str, data: st.DataObject) -> None:
-    """A bit flipped, bytes changed, cut out or doubled, the end cut off: anywhere."""
+def test_damaged_files_are_refused_or_repaired(tmp_path: Path, name: str, data: st.DataObject) -> None:
+    """Damage at random positions: a flipped bit, changed, deleted or doubled bytes, a truncated end."""
     ending, whole = FILES[name]
     at = data.draw(st.integers(0, len(whole) - 1), "at")
     kind = data.draw(st.sampled_from(["bit", "bytes", "without", "cut", "doubled", "head"]), "kind")

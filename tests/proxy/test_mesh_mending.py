@@ -1,4 +1,4 @@
-"""What is mended of a mesh, what is only noted, and that nothing else changes: meshes from formulas are the truth."""
+"""Mesh repair: which defects are repaired, which are only reported; meshes from formulas are the reference."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
 
 
 def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, Report]:
-    """The mesh as it is rendered, and what is said of it."""
+    """Return the repaired mesh and its report."""
     result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
     return result.arrays, report_of(result, loose, None)
 
 
 def soup(mesh: Mesh) -> Mesh:
-    """The same triangles, each with vertices of its own."""
+    """Return the same triangles with three separate vertices each."""
     return Mesh(
         mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size, dtype=np.int32).reshape(-1, 3)
     )
@@ -44,8 +44,8 @@ def soup(mesh: Mesh) -> Mesh:
     ],
     ids=["icosahedron", "ball", "geodesic", "torus", "cylinder", "bumpy"],
 )
-def test_closed_meshes_are_left_as_they_are(mesh: Mesh, euler: int, volume: float, share: float) -> None:
-    """The generators' meshes have Euler's number and the volume of what they are of; nothing is mended."""
+def test_closed_meshes_are_unchanged(mesh: Mesh, euler: int, volume: float, share: float) -> None:
+    """Generated closed meshes have the right Euler number and volume, and nothing is repaired."""
     (vertices, triangles), report = mended(mesh)
     assert triangles.tobytes() == mesh.triangles.tobytes() and vertices.tobytes() == mesh.vertices.tobytes()
     assert report.watertight and report.bodies == 1 and report.mended == ()
@@ -53,8 +53,8 @@ def test_closed_meshes_are_left_as_they_are(mesh: Mesh, euler: int, volume: floa
     assert report.volume_m3 == pytest.approx(volume, rel=share)  # polyhedra are smaller, by the square of an edge
 
 
-def test_a_geodesic_ball_has_its_count() -> None:
-    """20 n^2 triangles on 10 n^2 + 2 vertices, all of them on the sphere; n = 158 is half a million."""
+def test_vertex_and_triangle_count_of_a_geodesic_sphere() -> None:
+    """20 n^2 triangles on 10 n^2 + 2 vertices, all on the sphere; n = 158 gives half a million."""
     ball = meshes.geodesic(158, 0.05)
     assert len(ball.triangles) == 499280 and len(ball.vertices) == 249642
     assert np.abs(np.linalg.norm(ball.vertices, axis=1) - 0.05).max() < 1e-16 * 4
@@ -66,21 +66,21 @@ def test_a_geodesic_ball_has_its_count() -> None:
     [(meshes.sheet(columns=8, rows=5), 26), (meshes.cylinder(around=32, along=3, ends=False), 64)],
     ids=["sheet", "tube"],
 )
-def test_open_meshes_have_their_rims(mesh: Mesh, edges: int) -> None:
-    """Every edge of the border is counted, and an open mesh has no volume."""
+def test_open_meshes_report_their_border_edges(mesh: Mesh, edges: int) -> None:
+    """Every border edge is counted, and an open mesh has no volume."""
     _, report = mended(mesh)
     assert report.open_edges == edges and not report.watertight and report.volume_m3 is None
     assert f"open, {edges} edges of one" in dict(report.rows())["surface"]
 
 
-def test_a_hole_is_noted_and_not_filled() -> None:
-    """A triangle that is missing leaves three open edges."""
+def test_a_hole_is_reported_and_not_filled() -> None:
+    """A missing triangle leaves three open edges."""
     (_, triangles), report = mended(Mesh(BALL.vertices, BALL.triangles[1:]))
     assert len(triangles) == 319 and report.open_edges == 3 and not report.watertight
 
 
-def test_a_moebius_strip_has_no_winding() -> None:
-    """It is said, and none of its triangles is turned."""
+def test_a_moebius_strip_is_reported_and_not_rewound() -> None:
+    """A one-sided body is reported, and none of its triangles is turned."""
     (_, triangles), report = mended(meshes.moebius())
     assert triangles.tobytes() == meshes.moebius().triangles.tobytes()
     assert (
@@ -90,8 +90,8 @@ def test_a_moebius_strip_has_no_winding() -> None:
 
 
 @pytest.mark.parametrize("loose", [False, True])
-def test_vertices_that_coincide_are_merged(loose: bool) -> None:
-    """A soup of triangles becomes the ball it was; minus zero is zero."""
+def test_coincident_vertices_are_merged(loose: bool) -> None:
+    """Separate triangles are merged to the original sphere; -0.0 equals 0.0."""
     mesh = soup(BALL)
     mesh.vertices[mesh.vertices == 0.0] = -0.0
     (vertices, triangles), report = mended(mesh, loose)
@@ -101,7 +101,7 @@ def test_vertices_that_coincide_are_merged(loose: bool) -> None:
 
 
 def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
-    """A tenth of it apart they are one, wherever they lie; ten times it apart they are not; others are never merged."""
+    """With `loose`, vertices 0.1 tolerances apart are merged and those up to 20 apart are not; otherwise none are."""
     rng = np.random.default_rng(3)
     mesh = soup(BALL)
     near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
@@ -112,8 +112,8 @@ def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
     assert "vertices merged that coincide within 1e-09 of its size: 798" in mended(near, loose=True)[1].mended[0]
 
 
-def test_triangles_twice_or_without_area_are_dropped() -> None:
-    """Turned or rotated they are the same; with two corners in one place, or all on a line, there is no normal."""
+def test_duplicate_and_degenerate_triangles_are_dropped() -> None:
+    """Rotated or reversed copies are duplicates; triangles with two equal corners or collinear ones are degenerate."""
     a, b, c = BALL.triangles[0]
     middle = 0.5 * (BALL.vertices[a] + BALL.vertices[b])
     vertices = np.concatenate([BALL.vertices, [middle, [9.0, 9.0, 9.0]]])
@@ -124,24 +124,24 @@ def test_triangles_twice_or_without_area_are_dropped() -> None:
 
 
 @pytest.mark.parametrize("thinness", [1e-3, 1e-6])
-def test_needles_are_kept(thinness: float) -> None:
-    """A triangle a million times as long as it is high has an area, at any size."""
+def test_thin_triangles_are_preserved(thinness: float) -> None:
+    """A triangle a million times as long as high has an area, at any size."""
     for size in (1e-6, 1e3):
         vertices = size * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, thinness, 0.0]])
         (_, triangles), report = mended(Mesh(vertices, np.array([[0, 1, 2]], np.int32)))
         assert len(triangles) == 1 and report.degenerate_triangles == 0
 
 
-def test_an_edge_of_three_triangles_is_noted() -> None:
-    """A fin on the ball."""
+def test_an_edge_of_three_triangles_is_reported() -> None:
+    """A fin on a sphere gives one non-manifold edge."""
     a, b, _ = BALL.triangles[0]
     fin = np.concatenate([BALL.triangles, [[a, b, 162]]]).astype(np.int32)
     _, report = mended(Mesh(np.concatenate([BALL.vertices, [[0.0, 0.0, 3.0]]]), fin))
     assert report.non_manifold_edges == 1 and not report.watertight and report.bodies == 2
 
 
-def test_a_ball_inside_out_is_turned() -> None:
-    """By the sign of its volume, whole; a share of its triangles by those beside them."""
+def test_a_sphere_inside_out_is_turned() -> None:
+    """A fully inverted mesh is turned by the sign of its volume, single inverted triangles by their neighbours."""
     (_, triangles), report = mended(TURNED)
     assert report.turned_triangles == 320 and report.volume_m3 == pytest.approx(meshes.volume(BALL))
     wound = BALL.triangles.copy()
@@ -152,8 +152,8 @@ def test_a_ball_inside_out_is_turned() -> None:
     assert meshes.volume(Mesh(BALL.vertices, triangles)) == pytest.approx(meshes.volume(BALL))
 
 
-def test_a_sheet_is_wound_as_most_of_it_is() -> None:
-    """It has no outside: the fewest of its triangles are turned."""
+def test_a_sheet_gets_the_winding_of_its_majority() -> None:
+    """A sheet has no outside, so the smaller group of its triangles is turned."""
     mesh = meshes.sheet()
     wound = mesh.triangles.copy()
     wound[:20] = wound[:20][:, ::-1]
@@ -162,8 +162,8 @@ def test_a_sheet_is_wound_as_most_of_it_is() -> None:
     assert edges_of(triangles).many.max() == 2 and not pieces_of(edges_of(triangles)).turned.any()
 
 
-def test_a_hollow_stays_one_and_a_body_beside_it_does_not() -> None:
-    """Wound inward within another it is the wall of a hollow; wound inward elsewhere it is a mistake."""
+def test_inward_winding_is_preserved_only_for_hollows() -> None:
+    """An inward-wound body inside another one is a hollow; an inward-wound body elsewhere is turned."""
     small = meshes.icosphere(2, 0.5)
     inward = Mesh(small.vertices, small.triangles[:, ::-1])
     _, report = mended(meshes.joined(BALL, inward))
@@ -173,8 +173,8 @@ def test_a_hollow_stays_one_and_a_body_beside_it_does_not() -> None:
     assert report.turned_triangles == 320 and report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL))
 
 
-def test_rows_that_are_alike_are_found() -> None:
-    """Against Python's own dictionary, with many of them alike, and rows that differ in one bit."""
+def test_first_alike_finds_equal_rows() -> None:
+    """Matches a Python dictionary, for rows with many duplicates and rows that differ in one bit."""
     rng = np.random.default_rng(7)
     rows = rng.integers(0, 3, (2000, 3)).astype(np.uint64) << np.uint64(62)
     seen: dict[bytes, int] = {}
@@ -182,16 +182,16 @@ def test_rows_that_are_alike_are_found() -> None:
     assert first_alike(rows).tolist() == expected and len(seen) == 27
 
 
-def test_pictures_are_thin_and_still_show_the_shape() -> None:
-    """No more triangles than asked for, all of them near the surface, wound outward; a small mesh stays itself."""
+def test_thinned_meshes_preserve_the_shape() -> None:
+    """A thinned mesh has at most the given number of triangles, close to the surface; a small mesh is not thinned."""
     ball = meshes.geodesic(60)
     thin = thin_mesh(Arrays(*ball), 5000)
     assert 1000 < len(thin.triangles) <= 5000
-    # A cell is a twentieth of the radius at most: vertices in the middle of one lie in by the square of half of it.
+    # A cell is at most a twentieth of the radius: vertices inside it are off by the square of half of it.
     assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1.0).max() < 0.02
     assert meshes.volume(Mesh(*thin)) == pytest.approx(meshes.volume(ball), rel=0.05)
     assert thin_mesh(Arrays(*BALL), 320).triangles is BALL.triangles
-    for width in (1.0, 1e-3, 1e-9):  # the narrower, the fewer cells there are
+    for width in (1.0, 1e-3, 1e-9):  # the narrower the strip, the fewer cells
         strip = meshes.sheet(width, 1.0, columns=100, rows=100)
         assert len(thin_mesh(Arrays(*strip), 500).triangles) <= 500
     assert len(thin_mesh(Arrays(*meshes.sheet(columns=100, rows=100)), 500).triangles) > 100

@@ -84,8 +84,8 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("radius", [0.004, 0.001])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_holds_a_proxy_is_what_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
-    """A resting proxy away from its probe is blocked by touched triangles; a proxy without contact has zero force."""
+def test_a_proxy_is_blocked_by_triangles_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
+    """A proxy at rest away from its probe is blocked by touched triangles; a proxy without contact has zero force."""
     mesh = KINDS[kind]
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
@@ -117,7 +117,7 @@ SLIDES = ("tube", "needles")
 @pytest.mark.parametrize(
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
-def test_what_holds_each_of_two_proxies(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
+def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
     """Two fingers follow separate strokes in the frame of a moving mesh, or opposite strokes through a fixed one; each
     is blocked only by triangles it touches."""
     mesh, count = KINDS[kind], cases(3, 25)
@@ -153,7 +153,7 @@ def crumpled() -> meshes.Mesh:
     return hostile_meshes.MANY["crumpled 100k"]()
 
 
-def test_a_stuck_proxy_starts_anew_where_the_probe_is(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """Where no search finishes within a tick, a proxy rests, and restarts once the probe is in free space; a force at
     the end of a stroke is explained by touched triangles."""
     file, radius = saved(tmp_path, *crumpled), 0.002
@@ -171,7 +171,7 @@ def test_a_stuck_proxy_starts_anew_where_the_probe_is(crumpled: meshes.Mesh, tmp
     assert restarted > 0
 
 
-def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+def test_a_first_touch_is_resolved_or_flagged(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """A fingertip that starts in contact is outside after a tick, or `contact.budget` is nonzero and it is free;
     without contact (to GRAZE) there is no force."""
     file, radius = saved(tmp_path, *crumpled), 0.002
@@ -195,7 +195,7 @@ def test_a_first_touch_is_felt_or_said_to_be_unknown(crumpled: meshes.Mesh, tmp_
 
 
 @pytest.mark.exhaustive
-def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
+def test_a_magnet_with_an_unknown_gap_is_flagged(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """In free space the magnet's force follows from the distance to all triangles, or `contact.budget` is nonzero.
     Compiled only: plain Python builds the tree of so many triangles in 15 s."""
     file, radius, force, reach = saved(tmp_path, *crumpled), 1e-5, 2.0, 0.05
@@ -219,7 +219,7 @@ def test_a_magnet_that_does_not_know_its_gap_says_so(crumpled: meshes.Mesh, tmp_
 
 @pytest.mark.plain
 @pytest.mark.parametrize("speed", [0.3, 3.0])
-def test_a_thin_wall_that_sweeps_over_is_met(speed: float, tmp_path: Path) -> None:
+def test_a_thin_wall_that_sweeps_over_the_hand_touches_it(speed: float, tmp_path: Path) -> None:
     """A box thinner than its travel per tick sweeps over a resting hand that presses into a mesh: it moves the proxy as
     it does on the equivalent plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.moved(meshes.sheet(0.2, 0.2, 8, 8), (-0.1, -0.1, 0.0)))
@@ -256,7 +256,7 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
         np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
 
 
-def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> None:
+def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> None:
     """The fingertip lands within 0.1 um of a vertex, two facets away from its previous tick. Deeper than the radius, a
     search that starts on a facet next to the vertex moves away from it facet by facet, and the tilted plane of a facet
     that the fingertip has passed lifts it off the others by less than a gap can show."""
@@ -279,9 +279,7 @@ def test_a_plate_is_a_plane_beside_a_vertex(tmp_path: Path, cases: Cases) -> Non
 
 @pytest.mark.plain
 @pytest.mark.parametrize("kind", ["thread", pytest.param("cup", marks=pytest.mark.exhaustive)])
-def test_contacts_make_up_the_force_or_the_proxy_is_said_to_be_on_its_way(
-    kind: str, tmp_path: Path, cases: Cases
-) -> None:
+def test_contacts_sum_to_the_force_unless_the_proxy_is_flagged(kind: str, tmp_path: Path, cases: Cases) -> None:
     """From deep inside, a proxy moves around obstacles for some ticks: `contact.budget` is 2 and no contacts explain
     its force. In all other ticks the force is the sum of `contacts`."""
     mesh, radius = KINDS[kind], 0.001

@@ -1,4 +1,4 @@
-"""How far the direction of the force turns from tick to tick over a ball of triangles, shaded and not."""
+"""Turn of the force direction per tick on a triangulated sphere, with and without shading."""
 
 import numpy as np
 import pytest
@@ -17,15 +17,15 @@ PRESSED = 200
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
-    """5120 triangles, by shading, without friction: what turns is the normal alone."""
+    """Engines with 5120 triangles, one for each shading, without friction: only the normal turns."""
     file = saved(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL))
     kinds = ("normals", "none")
     return {k: engine(thing("ball", "mesh", file=file, shading=k, material=SLIPPERY)) for k in kinds}
 
 
 def turned(running: Engine, speed: float) -> Array:
-    """Turn of the force in each tick, rad, which is N per N: pressed down, then dragged along a great circle, askew to
-    the triangles, at a speed (m/s) of the proxy."""
+    """Turn of the force per tick, rad, which equals N per N. The hand presses down, then drags at a speed (m/s) of the
+    proxy along a great circle, oblique to the triangles."""
     angles = np.concatenate([np.zeros(PRESSED), np.arange(round(WAY / (speed * DT))) * speed * DT / (BALL + R)])
     heights = np.full(len(angles), BALL + R - DEPTH)
     heights[:PRESSED] = np.linspace(BALL + R + 0.1 * DEPTH, BALL + R - DEPTH, PRESSED)
@@ -39,25 +39,28 @@ def turned(running: Engine, speed: float) -> Array:
 
 
 @pytest.mark.parametrize("speed", [0.004, 0.02])
-def test_a_shaded_ball_turns_the_force_as_the_ball_does(balls: dict[str, Engine], speed: float) -> None:
-    """The ball's own normal turns by v dt / (R + r) in a tick. A shaded facet's turns as far, but only while the
-    contact point is on it: round edges it stands still, and the normal with it. On a facet it goes as fast as the
-    probe, and meets the ball's normals on a radius of R, not of R + r - d: it turns (R + r - d) / R = 1.18 times as
-    fast. Five per cent are for triangles that are not all alike. In numbers: 0.08 mN per N at 4 mm/s, 0.4 at 20."""
+def test_a_shaded_mesh_turns_the_force_like_a_sphere(balls: dict[str, Engine], speed: float) -> None:
+    """The force turns per tick by at most 1.18 times v dt / (R + r), the turn of the sphere's normal.
+
+    A shaded facet's normal turns as far as the sphere's, but only while the contact point is on the facet: round edges
+    both are constant. On a facet the contact point moves as fast as the probe and meets the sphere's normals at a
+    radius of R instead of R + r - d, so it turns (R + r - d) / R = 1.18 times as fast. Triangles of unequal size add
+    five per cent. In numbers: 0.08 mN per N at 4 mm/s, 0.4 at 20.
+    """
     own = speed * DT / (BALL + R)
     steps = turned(balls["normals"], speed)
     assert steps.max() < 1.05 * (BALL + R - DEPTH) / BALL * own
-    # All of the way the ball has turned is turned, over many triangles.
+    # The sum over many triangles is the turn of the sphere's normal.
     assert steps.sum() == pytest.approx(own * len(steps), rel=0.05)
 
 
 @pytest.mark.parametrize("speed", [0.004, 0.02])
-def test_a_facet_that_is_not_shaded_turns_it_at_its_edges(balls: dict[str, Engine], speed: float) -> None:
-    """All turning is done round the edges, where the probe is r - d away from what it turns about: it is faster than on
-    the ball by (R + r - d) / (r - d), 6.6, and than on the shaded ball by more than four."""
+def test_an_unshaded_mesh_turns_the_force_at_its_edges(balls: dict[str, Engine], speed: float) -> None:
+    """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere. There the probe is
+    at r - d from the edge. It is also more than four times as fast as on the shaded mesh."""
     steps, shaded = turned(balls["none"], speed), turned(balls["normals"], speed)
     way = speed * DT * (BALL + R - DEPTH) / (BALL + R)
-    # Askew over an edge it is less, straight over it this; a chord and its arc differ by the square of the angle.
+    # The maximum is for a path straight over an edge; a chord differs from its arc by the square of the angle.
     assert 0.95 < steps.max() * (R - DEPTH) / way < 1.001
     assert steps.max() > 4.0 * shaded.max()
-    assert (steps < 1e-9).mean() > 0.5  # on a facet, nothing
+    assert (steps < 1e-9).mean() > 0.5  # no turn on a facet

@@ -1,4 +1,4 @@
-"""The nearest triangle of a mesh: against all of them asked in turn, by a formula of its own."""
+"""Queries of the nearest triangle of a mesh, compared with a brute-force search by an independent formula."""
 
 import os
 import subprocess
@@ -28,14 +28,14 @@ from softfinger.proxy.kernels.shapes.mesh.nearest import MANY, SLOPE
 from softfinger.proxy.meshes.tree import Tree, build_tree
 
 WHOLE = ROOM
-"""The largest budget: no query here uses it up, but from the middle of a ball."""
+"""The largest budget: only the query from the middle of a sphere uses it up."""
 EQUAL = 1e-9
-"""Share of a mesh's size by which two ways to a distance in float64 may differ: both lose a few digits on slivers."""
+"""Allowed difference of two float64 distances, relative to the mesh size: both formulas lose digits on slivers."""
 
 
 @entry
 def nearest(mesh, x, limit, known, budget, enough):
-    """As Python calls it: kept on disk, which a kernel for kernels is not."""
+    """Entry point that is cached on disk, unlike the inlined kernel it calls."""
     return query.nearest(mesh, x, limit, known, budget, enough)
 
 
@@ -57,7 +57,7 @@ def mesh_of(tree: Tree, side: float = 1.0, shade: float = 0.0) -> Mesh:
 
 
 def soup(rng, count, size):
-    """Triangles that belong to nothing, needles among them, (vertices, triangles)."""
+    """Return vertices and triangles of unconnected triangles, some of them needle-shaped."""
     middle = rng.normal(size=(count, 1, 3)) * size
     spread = rng.normal(size=(count, 3, 3)) * size * 10.0 ** rng.uniform(-6.0, 0.0, (count, 1, 1))
     return (middle + spread).reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
@@ -80,8 +80,8 @@ CASES = {
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", CASES)
-def test_distance_is_that_of_the_nearest_of_all(name):
-    """Near and far, above, on and inside: the distance to 1e-9 of the mesh's size, as if each triangle was asked."""
+def test_distance_equals_the_brute_force_minimum(name):
+    """For points near, far, on and inside, the distance matches the brute-force minimum to 1e-9 of the mesh size."""
     vertices, triangles = CASES[name]
     tree = build_tree(np.asarray(vertices, float), np.asarray(triangles, np.int32))
     mesh, rng = mesh_of(tree), np.random.default_rng(3)
@@ -101,21 +101,22 @@ def test_distance_is_that_of_the_nearest_of_all(name):
 
 @examples(60, 200)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(-6.0, 3.0), st.floats(0.1, 1e4))
-def test_any_triangles_at_any_size(seed, count, exponent, away):
-    """From micrometres to kilometres, from a point on a triangle to far off."""
+def test_random_triangles_at_all_sizes(seed, count, exponent, away):
+    """The distance is right for random triangles of 1 um to 1 km and for points up to 1e4 sizes away."""
     rng, size = np.random.default_rng(seed), 10.0**exponent
     vertices, triangles = soup(rng, count, size)
     tree = build_tree(vertices, triangles)
     mesh = mesh_of(tree)
     x = away * size * rng.normal(size=3)
     found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
-    # Far away it is one of the nearest to 1e-6 of the mesh's size, which is all that float32 tells there.
+    # Far away, float32 boxes resolve the distance only to 1e-6 of the mesh size.
     slack = EQUAL * (tree.size + np.linalg.norm(x)) + 1e-6 * tree.size * (away > 100.0)
     assert abs(np.sqrt(found.square) - distances(vertices, triangles, x).min()) <= slack
 
 
-def test_inside_is_told_by_every_feature():
-    """Of a ball and of a bumpy one, points within and without, most of them nearest to an edge or a corner."""
+def test_sign_of_the_gap_at_faces_edges_and_corners():
+    """The gap of a closed mesh is positive exactly outside, for points whose nearest feature is a face, edge or corner.
+    The meshes are a sphere and a bumpy sphere. A mesh with side -1 gives the opposite gap and normal."""
     rng = np.random.default_rng(4)
     for made in (meshes.geodesic(3, 1.0), meshes.bumpy_sphere(6, 1.0, height=0.2)):
         tree = build_tree(*made)
@@ -124,7 +125,7 @@ def test_inside_is_told_by_every_feature():
         for _ in range(300):
             direction = rng.normal(size=3)
             direction /= np.linalg.norm(direction)
-            # Where a ray from the middle meets the surface, which is star-shaped, from each triangle.
+            # Distance at which the ray from the middle meets the surface; both meshes are star-shaped.
             a, b, c = (made.vertices[made.triangles[:, i]] for i in range(3))
             sides = np.stack([b - a, c - a, np.broadcast_to(-direction, a.shape)], axis=2)
             u, v, t = np.linalg.solve(sides, -a[:, :, None])[:, :, 0].T
@@ -137,7 +138,7 @@ def test_inside_is_told_by_every_feature():
 
 
 def test_an_open_mesh_is_a_sheet_with_two_sides():
-    """Its normal points to where the point is, above and below."""
+    """The normal of an open mesh points to the side of the query point, above and below."""
     tree = build_tree(*meshes.sheet(1.0, 1.0, 4, 4))
     assert not tree.closed
     for z in (0.3, -0.3):
@@ -146,8 +147,8 @@ def test_an_open_mesh_is_a_sheet_with_two_sides():
 
 
 def test_a_limit_and_known_triangles_change_no_answer():
-    """Nothing is found beyond the limit; a known triangle is kept on the edge that it shares, and given up for a nearer
-    one."""
+    """A distance limit hides only triangles beyond it, and a known start triangle does not change the distance. Among
+    equally near triangles, the query returns the known one."""
     tree = build_tree(*meshes.geodesic(10, 0.05))
     mesh, rng = mesh_of(tree), np.random.default_rng(5)
     for _ in range(200):
@@ -166,9 +167,9 @@ def test_a_limit_and_known_triangles_change_no_answer():
         assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE, 0.0).number == known
 
 
-def test_a_budget_that_is_used_up_leaves_a_true_bound():
-    """From the middle of a ball every triangle is equally near: the bound is below the distance, and no more than the
-    budget is spent, but for the lanes of the last node."""
+def test_an_exhausted_budget_still_gives_a_lower_bound():
+    """A query that exhausts its budget returns a lower bound of the distance and overspends by at most one node. From
+    the middle of a sphere, all triangles are equally near."""
     vertices, triangles = meshes.geodesic(40, 0.05)
     mesh = mesh_of(build_tree(vertices, triangles))
     x = (1e-7, 2e-7, -1e-7)
@@ -179,9 +180,9 @@ def test_a_budget_that_is_used_up_leaves_a_true_bound():
     assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).spent > 1.5 * BUDGET
 
 
-def test_where_many_are_about_as_near_one_that_is_near_enough_will_do():
-    """A little beside the middle of a ball: asked for any within reach, it says one, sooner; where none is that near
-    the answer is the same as ever."""
+def test_a_query_stops_early_at_a_triangle_within_reach():
+    """With a reach, a query stops early at any triangle within it; if there is none, the result is the usual one. The
+    query point is near the centre of a sphere, where many triangles are almost equally near."""
     vertices, triangles = meshes.geodesic(60, 0.05)
     tree = build_tree(vertices, triangles)
     mesh, x = mesh_of(tree), (1.2e-3, 0.7e-3, -0.9e-3)
@@ -195,8 +196,8 @@ def test_where_many_are_about_as_near_one_that_is_near_enough_will_do():
     assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, true * (1.0 - 1e-9)) == nearest_of_all
 
 
-def test_all_that_a_tick_asks_comes_out_of_one_budget():
-    """What is left goes down by what was asked; used up it stays used up, and says so though an answer was easy."""
+def test_all_queries_of_a_tick_share_one_budget():
+    """Each query reduces the remaining budget by its cost; after it is spent, even a cheap query reports SPENT."""
     mesh = mesh_of(build_tree(*meshes.geodesic(40, 0.05)))
     hard, easy, left, asked = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
     for _ in range(100):
@@ -212,8 +213,8 @@ def test_all_that_a_tick_asks_comes_out_of_one_budget():
     assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, left, 0.0)[2] == SPENT
 
 
-def test_the_tree_holds_each_triangle_once():
-    """Every triangle is below one lane, and in the box of every lane above it."""
+def test_tree_contains_each_triangle_once():
+    """Every triangle belongs to exactly one leaf lane and is inside the boxes of all lanes above it."""
     vertices, triangles = meshes.bumpy_sphere(15, 0.05)
     tree = build_tree(vertices, triangles)
     least, most = vertices.min(axis=0), vertices.max(axis=0)
@@ -247,7 +248,7 @@ def test_the_tree_holds_each_triangle_once():
 
 
 def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
-    """Of a bumpy ball its tree, and the records of a hand that presses and drags on it."""
+    """Return the tree of a bumpy sphere and the records of a hand that presses and drags on it."""
     bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
     running = engine(thing("part", "mesh", file=saved(folder, *bumpy)))
     records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
@@ -265,8 +266,8 @@ np.savez(sys.argv[1], **in_a_scene(Path(sys.argv[1]).parent))
 
 
 @pytest.mark.exhaustive
-def test_as_plain_python_it_is_the_same_to_the_bit(tmp_path):
-    """The tree, whose boxes are asked in float32 eight at a time, and every record of a scene with it."""
+def test_plain_python_gives_the_same_bits(tmp_path):
+    """Without JIT, the tree with its boxes in float32 and all records of a scene are identical."""
     path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parent), *sys.path])
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path, "SOFTFINGER_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", PLAIN, str(tmp_path / "found.npz")], env=environment, check=True)

@@ -1,4 +1,4 @@
-"""MuJoCo models as other people make them: files in other folders, mirrored meshes, pairs, keyframes, any time step."""
+"""MuJoCo models from other sources: files in other folders, mirrored meshes, pairs, keyframes, any time step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WEDGE = np.array([(-2, -2, -2), (2, -2, -2), (-2, 2, -2), (2, 2, -2), (-2, -2, 0
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
 FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
 FLOAT32 = 1e-8
-"""m: MuJoCo stores vertices of some centimetres in 32 bits, and turns them."""
+"""m: MuJoCo stores and rotates vertices of some centimetres in 32 bits."""
 
 
 def stl(path: Path, points: Any = 0.01 * WEDGE, faces: Any = FACES) -> None:
@@ -37,7 +37,7 @@ def stl(path: Path, points: Any = 0.01 * WEDGE, faces: Any = FACES) -> None:
 
 
 def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
-    """Write a model of these elements, and a scene of it in the same folder; return the scene's path."""
+    """Write a model of these elements and a scene with it to the same folder; return the scene's path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"<mujoco>{option}{body}</mujoco>")
     keys = "".join(f'{name} = "{value}"\n' for name, value in world.items())
@@ -50,7 +50,7 @@ def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
 
 
 def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
-    """A prefix that nothing declares, as tools leave it in a URDF, and a comment with two hyphens."""
+    """An undeclared namespace prefix, common in URDF files, and a comment with two hyphens are accepted."""
     scene = written(tmp_path / "m.xml", '<!-- the robot\'s -- own -->\n<worldbody><geom size="1"/></worldbody>')
     assert len(load_scene(scene).object) == 1
     urdf = tmp_path / "m.urdf"
@@ -63,7 +63,7 @@ def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
 
 
 def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
-    """In the folder of the model, else in that of the file that includes them, also from there upwards; in Latin-1."""
+    """Includes are searched in the model's folder, then in the including file's, also upwards; Latin-1 is read."""
     scene = written(tmp_path / "m.xml", '<include file="sub/part.xml"/>')
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "part.xml").write_text(
@@ -93,7 +93,7 @@ MESH = '<asset><mesh name="wedge" file="{}"/></asset><worldbody>' + BOX_GEOM + "
 
 
 def test_files_of_a_sibling_folder_need_a_root(tmp_path: Path) -> None:
-    """Without it the error names the file and the key to write; with it the mesh is there, and nothing above."""
+    """Without a root the error names file and key; with it the mesh loads, but no file above the root."""
     stl(tmp_path / "stls/wedge.stl")
     path = tmp_path / "models/part.xml"
     for option, file in (("", "../stls/wedge.stl"), ('<compiler meshdir="../stls"/>', "wedge.stl")):
@@ -114,7 +114,7 @@ PART = '<asset><mesh name="wedge" file="{}"/></asset><worldbody><body name="part
 
 
 def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
-    """`strippath`, and a `meshdir` that an included file sets for all: its list of files has neither."""
+    """Covers `strippath` and a `meshdir` that an included file sets for all; MuJoCo's list of files has neither."""
     stl(tmp_path / "meshes/wedge.stl")
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner/more.xml").write_text(
@@ -139,10 +139,10 @@ def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
         load_scene(written(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
 
 
-def test_a_file_beside_an_included_one_is_found_from_any_working_directory(
+def test_a_mesh_next_to_an_included_file_loads_from_any_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """MuJoCo puts the path of the included file's folder in front, which begins with that of the model."""
+    """MuJoCo prepends the path of the included file's folder, which starts with that of the model."""
     stl(tmp_path / "models/inner/wedge.stl")
     written(tmp_path / "models/inner/part.xml", MESH.format("wedge.stl"))
     scene = written(tmp_path / "models/outer.xml", '<include file="inner/part.xml"/>')
@@ -153,7 +153,7 @@ def test_a_file_beside_an_included_one_is_found_from_any_working_directory(
 
 
 def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
-    """MuJoCo would read the first one alone, without a word."""
+    """MuJoCo would silently read only the first group."""
     lines = [f"v {x} {y} {z}" for x, y, z in (0.01 * WEDGE).tolist()]
     faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
     path = tmp_path / "part.obj"
@@ -166,8 +166,8 @@ def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
     np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
 
 
-def test_an_attached_model_reads_its_own_folder_alone(tmp_path: Path) -> None:
-    """Not one outside of the scene's, by whatever its own `meshdir` and the name of the file add up to."""
+def test_an_attached_model_reads_only_its_folder(tmp_path: Path) -> None:
+    """Its `meshdir` and file names cannot combine to a path outside of the scene's folder."""
     stl(tmp_path / "wedge.stl")
     scene = written(tmp_path / "scene/scene.xml", ATTACHED)
     for option, file in (("", "../../wedge.stl"), ('<compiler meshdir=".."/>', "../wedge.stl")):
@@ -181,8 +181,8 @@ def test_an_attached_model_reads_its_own_folder_alone(tmp_path: Path) -> None:
     np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE + [0, 0, 0.1]), atol=FLOAT32)
 
 
-def test_pictures_are_not_read(tmp_path: Path) -> None:
-    """Textures of any kind: they may lie anywhere, be missing, or be no pictures. A mesh of the same name may not."""
+def test_textures_are_not_read(tmp_path: Path) -> None:
+    """Textures may be outside of the folder, missing or invalid; a mesh file with the same name may not be outside."""
     looks = (
         '<asset><texture name="a" type="2d" file="../none/grey.png"/><material name="a" texture="a"/>'
         '<texture name="b" type="skybox" fileright="../r.png" fileleft="l.png"/>'
@@ -197,8 +197,8 @@ def test_pictures_are_not_read(tmp_path: Path) -> None:
         load_scene(written(tmp_path / "a/both.xml", both))
 
 
-def test_meshes_are_where_mujoco_has_them(tmp_path: Path) -> None:
-    """Mirrored, stretched, moved and turned in their file's frame, and given in the model itself."""
+def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
+    """Covers mirrored, scaled, moved and rotated meshes, and vertices given in the model."""
     stl(tmp_path / "wedge.stl")
     inline = " ".join(f"{each:g}" for each in (0.01 * WEDGE).ravel())
     turn = "refpos='0.01 0 0' refquat='0.7071067811865476 0 0 0.7071067811865476'"
@@ -213,7 +213,7 @@ def test_meshes_are_where_mujoco_has_them(tmp_path: Path) -> None:
         "right": corners,
         "left": corners * [1, -1, 1],
         "wide": corners * [2, 1, 1],
-        "turned": np.stack([y, -x, z], axis=1),  # the reference is turned a quarter to the left
+        "turned": np.stack([y, -x, z], axis=1),  # the reference is rotated by 90 degrees
         "inline": corners,
     }
     for thing in scene.object:
@@ -223,8 +223,8 @@ def test_meshes_are_where_mujoco_has_them(tmp_path: Path) -> None:
         assert report.watertight and report.turned_triangles == 0, thing.name
 
 
-def test_a_mesh_that_changes_is_read_again(tmp_path: Path) -> None:
-    """Though the model's own file stays as it is."""
+def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
+    """The mesh is read again although the model's file is unchanged."""
     stl(tmp_path / "wedge.stl")
     path = written(tmp_path / "part.xml", MESH.format("wedge.stl"))
     np.testing.assert_allclose(by_row(placed(load_scene(path).object[0])), by_row(0.01 * WEDGE), atol=FLOAT32)
@@ -233,8 +233,8 @@ def test_a_mesh_that_changes_is_read_again(tmp_path: Path) -> None:
     np.testing.assert_allclose(by_row(placed(part)), by_row(0.02 * WEDGE), atol=2 * FLOAT32)
 
 
-def test_a_hull_that_differs_from_its_mesh_is_said(tmp_path: Path) -> None:
-    """An L of three cubes: its hull has half a cube more. A wedge is its own hull."""
+def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
+    """An L of three cubes has a hull with half a cube more; a wedge is its own hull."""
     outline = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]) * 0.01
     corners = np.array([(x, y, z) for z in (0.0, 0.01) for x, y in outline])
     lid = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
@@ -256,7 +256,7 @@ def test_a_hull_that_differs_from_its_mesh_is_said(tmp_path: Path) -> None:
 
 
 def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
-    """Though their contype and conaffinity are 0."""
+    """Geoms of a contact pair collide although their contype and conaffinity are 0."""
     body = (
         '<default><geom contype="0" conaffinity="0"/></default><worldbody>'
         '<geom name="floor" type="plane" size="1 1 1"/>'
@@ -274,8 +274,8 @@ ARM = """
 """
 
 
-def test_bodies_begin_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With its controls, and again after a reset. The time step is a tick's, or the file's if that is asked for."""
+def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Positions and controls start at the keyframe, also after a reset; the time step is a tick's or the file's."""
     option = '<option timestep="0.005"/>'
     path = written(tmp_path / "arm.xml", ARM, option, keyframe="home")
     engine = Engine(str(path))
@@ -284,7 +284,7 @@ def test_bodies_begin_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert (engine.data.qpos[0], engine.data.ctrl[0]) == (-0.8, -0.8)
         engine.run([FAR] * 400)
         assert engine.model.opt.timestep == 0.001 and engine.data.time == pytest.approx(0.4)
-        # The servo holds it: gravity turns it by less than m g l / kp.
+        # gravity deflects the servo by less than m g l / kp
         assert abs(engine.data.qpos[0] + 0.8) < 0.2 * 9.81 * 0.075 / 20.0
     assert main(["check", str(path)]) == 0
     said = capsys.readouterr().out
@@ -302,8 +302,8 @@ def test_bodies_begin_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["check", str(path)]) == 0 and "substeps = 2 would keep to it" in capsys.readouterr().out
 
 
-def test_check_refuses_bodies_that_cannot_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As `run` does: here there is no memory for the contacts of the start."""
+def test_check_refuses_bodies_that_cannot_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`check` fails as `run` does, here because the initial contacts exceed the memory."""
     boxes = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
     path = written(tmp_path / "full.xml", f"<worldbody>{boxes}</worldbody>", '<size memory="30K"/>')
     assert main(["check", str(path)]) == 2

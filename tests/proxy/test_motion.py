@@ -1,4 +1,4 @@
-"""Moving objects: their poses in closed form, the rates against differences, and the hand that feels them."""
+"""Moving objects: poses in closed form, and the force on a hand at rest."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def placed(pose: model.Pose, point: Any) -> Array:
     return np.asarray(matrix(np.array(pose.orientation)) @ np.asarray(point) + pose.position)
 
 
-def test_without_a_motion_an_object_stays() -> None:
-    """At any time it is where it rests, to the last bit, and so is one that is driven from outside."""
+def test_without_a_motion_an_object_does_not_move() -> None:
+    """Objects without a motion, and driven ones, have their rest pose at any time, to the last bit."""
     assert pose_at(None, TILTED, 123.4) == TILTED
     assert pose_at(model.Driven(), TILTED, 123.4) == TILTED
 
 
-def test_sinusoid_swings_by_its_amplitude_both_ways() -> None:
-    """At rest when the sine is zero, at plus and minus the amplitude a quarter before and after."""
+def test_sinusoid_swings_by_its_amplitude_in_both_directions() -> None:
+    """The rest pose is reached at zeros of the sine, plus and minus the amplitude a quarter period from them."""
     swing = model.Sinusoid((0.01, 0.0, 0.0), (0.0, 0.0, 1.0), 0.5, 2.0, 0.0)
     for time, s in [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1000.125, 1.0)]:
         pose = pose_at(swing, STILL, time)
@@ -54,16 +54,16 @@ def test_sinusoid_swings_by_its_amplitude_both_ways() -> None:
         assert pose.orientation == pytest.approx((math.cos(0.25 * s), 0.0, 0.0, math.sin(0.25 * s)), abs=1e-13)
 
 
-def test_the_phase_says_where_in_the_cycle_it_starts() -> None:
-    """A phase of a quarter turn starts at the amplitude."""
+def test_phase_sets_the_start_within_the_cycle() -> None:
+    """A phase of pi / 2 starts at the amplitude."""
     swing = model.Sinusoid((0.0, 0.0, 0.02), (0.0, 0.0, 1.0), 0.0, 5.0, math.pi / 2)
     assert pose_at(swing, STILL, 0.0).position == pytest.approx((0.0, 0.0, 0.02))
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(times)
-def test_turntable_leaves_its_axis_alone(time: float) -> None:
-    """Every point of the axis stays, any other keeps its distance from it."""
+def test_turntable_does_not_move_its_axis(time: float) -> None:
+    """Points on the axis do not move; other points have a constant distance from it."""
     pose = pose_at(TABLE, TILTED, time)
     for along in (-1.0, 0.0, 2.0):
         point = np.array(TABLE.pivot) + along * np.array(TABLE.axis)
@@ -75,19 +75,19 @@ def test_turntable_leaves_its_axis_alone(time: float) -> None:
 
 
 def test_turntable_turns_at_its_rate() -> None:
-    """A right angle after a quarter of its period, right-handed, and after a million turns more."""
+    """A quarter of the period turns it by 90 degrees, right-handed, also after a million turns."""
     table = model.Turntable((0.0, 0.0, 1.0), 2.0, (0.0, 0.0, 0.0))
     for turns in (0.25, 1e6 + 0.25):
         pose = pose_at(table, STILL, turns * math.pi)
-        # The time itself is a double: 3e6 s have steps of 5e-10 s, times 2 rad/s.
+        # The time is a double: at 3e6 s its steps are 5e-10 s, times 2 rad/s.
         assert placed(pose, (1.0, 0.0, 0.0)) == pytest.approx([0.0, 1.0, 0.0], abs=1e-13 if turns < 1.0 else 2e-9)
 
 
 @both
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(time=times)
-def test_the_motion_goes_with_the_pose_of_rest(motion: Any, time: float) -> None:
-    """Seen from the object's frame at rest the motion is the same wherever that frame is."""
+def test_motion_is_relative_to_the_rest_pose(motion: Any, time: float) -> None:
+    """In the frame of the rest pose the motion is the same for any rest pose."""
     here, there = pose_at(motion, STILL, time), pose_at(motion, TILTED, time)
     for point in [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3)]:
         assert placed(there, point) == pytest.approx(placed(TILTED, placed(here, point)), abs=1e-14)
@@ -96,28 +96,28 @@ def test_the_motion_goes_with_the_pose_of_rest(motion: Any, time: float) -> None
 @both
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(time=st.floats(allow_nan=False, allow_infinity=False))
-def test_at_any_finite_time_the_pose_is_a_pose(motion: Any, time: float) -> None:
-    """The orientation stays a unit quaternion and the position within reach, however late it is."""
+def test_pose_is_valid_at_any_finite_time(motion: Any, time: float) -> None:
+    """At any time the orientation is a unit quaternion and the position is bounded."""
     pose = pose_at(motion, TILTED, time)
     assert math.hypot(*pose.orientation) == pytest.approx(1.0, abs=1e-14)
     assert np.linalg.norm(np.array(pose.position) - TILTED.position) < 0.2
 
 
 def test_compiled_equals_plain_python() -> None:
-    """The machine code gives the poses of the Python it was made from, to the last bits."""
+    """Compiled code and plain Python give the same poses, to the last digits."""
     compiled = numba.njit(**OPTIONS)(lambda m, p, t: pose_at(m, p, t))
     for motion in MOTIONS:
         for time in np.linspace(0.0, 7.0, 57):
             ours, plain = compiled(motion, TILTED, time), pose_at(motion, TILTED, time)
-            # Sine and cosine may be another library's: units in the last place of numbers below 4.
+            # Sine and cosine may be from another library: some units in the last place of numbers below 4.
             assert np.hstack(ours) == pytest.approx(np.hstack(plain), abs=1e-14)
 
 
-# --- from the file -------------------------------------------------------------------------------
+# --- scene file ----------------------------------------------------------------------------------
 
 
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    """Axes are made unit, and what is left out is zero."""
+    """Axes are normalised, and omitted keys are zero."""
     swing = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2, "axis": [0, 3, 4]}
     table = {"kind": "turntable", "rate_rad_per_s": -1, "pivot_m": [0.1, 0, 0]}
     expected = [
@@ -143,8 +143,8 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         ([], "object[0].motion = []: must be a table"),
     ],
 )
-def test_a_faulty_motion_is_refused_with_what_to_do(plane_scene: SceneFactory, motion: Any, said: str) -> None:
-    """A kind that is none, no rate, too fast, no axis, not a table."""
+def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, said: str) -> None:
+    """Covers an unknown kind, a missing rate, an excessive speed, a zero axis and a wrong type."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(table={"motion": motion})
     assert said in str(refused.value)
@@ -153,8 +153,8 @@ def test_a_faulty_motion_is_refused_with_what_to_do(plane_scene: SceneFactory, m
 # --- through the engine --------------------------------------------------------------------------
 
 
-def test_a_table_that_bobs_presses_on_a_finger_that_rests(plane_scene: SceneFactory) -> None:
-    """The normal force follows the sine of the table's height, tick by tick, and nothing else happens."""
+def test_an_oscillating_table_presses_on_a_finger_at_rest(plane_scene: SceneFactory) -> None:
+    """The normal force follows the sine of the table's height tick by tick; the tangential force is zero."""
     bob = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.001], "frequency_hz": 4.0}
     scene = plane_scene(table={"motion": bob}, material={"friction": None, "torsion": None}, rolling=None)
     n, dt = 600, 0.001

@@ -1,4 +1,4 @@
-"""Objects that move into the finger: touch is found where the object is, from where it was, whoever moved."""
+"""Objects that move into the finger: the touch depends only on the relative motion of finger and object."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ DT = 1e-3
 K = 1000.0
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 ROUNDING_N = 1e-10
-"""Positions of up to 0.1 m round to 1e-17 m, and a turn there and back to some more, times K."""
+"""Positions of up to 0.1 m round to 1e-17 m, and a rotation and its inverse to a little more, times K."""
 
 
 def scene(*things: dict[str, Any], **tables: Any) -> Scene:
-    """Objects without friction unless they say otherwise, driven from outside unless they move by themselves."""
+    """Scene of frictionless objects by default, moved by the test (`driven`) unless they define a motion."""
     base = {"material": SLICK, "motion": {"kind": "driven"}}
     objects = [{"name": f"thing {i}", **base, **thing} for i, thing in enumerate(things)]
     for thing in objects:
@@ -49,13 +49,13 @@ def scene(*things: dict[str, Any], **tables: Any) -> Scene:
 
 
 class Driver:
-    """An engine whose objects are put somewhere before each tick."""
+    """Engine whose object poses are set before each tick."""
 
     def __init__(self, given: Scene) -> None:
         self.scene, self.engine = given, Engine(given)
 
     def step(self, finger: ArrayLike, *places: tuple[ArrayLike, ArrayLike] | None, dt: float = DT) -> Any:
-        """One tick of the finger at (7,) or (3,) with each object at its position (3,) and orientation (4,)."""
+        """Run one tick with the finger at (7,) or (3,) and each object at its position (3,) and orientation (4,)."""
         things = list(self.scene.object)
         for i, place in enumerate(places):
             if place is not None:
@@ -83,19 +83,19 @@ SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
     "hollow ball": ({"shape": "sphere", "radius_m": 0.03, "inside": True}, 0.0, -0.03),
     "hollow box": ({"shape": "box", "size_m": [0.06, 0.06, 0.06], "inside": True}, 0.0, -0.03),
 }
-"""Each with x and height, m, of the surface that meets a finger above it when the object rises."""
+"""Shapes with x and height, m, of the surface point that meets a finger above when the object rises."""
 ALONE = ("plane", "sphere", "plate", "hollow ball")
-"""Enough for what does not depend on the shape: each scene compiles for some seconds."""
+"""Shapes for tests that do not depend on the shape; each scene compiles for several seconds."""
 TICKS = 250
 HEIGHT = -0.01 * np.cos(2.0 * np.pi * np.arange(1, TICKS + 1) / TICKS)
-"""Of an object that rises by 20 mm in an eighth of a second and goes down again."""
+"""Height of an object that rises by 20 mm in an eighth of a second and sinks again."""
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
 @pytest.mark.parametrize("name", SHAPES)
-def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -> None:
-    """K depth from the first tick at which the gap is below r; a finger that gives way more slowly feels the same."""
+def test_a_rising_object_presses_on_the_finger(name: str, retreat: float) -> None:
+    """The force is K times the depth from the first tick of overlap, also while the finger retreats more slowly."""
     shape, x, top = SHAPES[name]
     finger = np.column_stack([np.full(TICKS, x), np.zeros(TICKS), top + R + retreat * DT * np.arange(1, TICKS + 1)])
     driver = Driver(scene(shape))
@@ -104,7 +104,7 @@ def test_an_object_that_rises_presses_on_the_finger(name: str, retreat: float) -
     assert expected.max() > 8.0
     np.testing.assert_allclose([s.force for s in steps], expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
     assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"]
-    if name in ALONE:  # and moved by itself
+    if name in ALONE:  # and with a motion of the object itself
         rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 4.0, "phase_rad": -np.pi / 2}
         records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (TICKS, 1))]), DT)
         np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
@@ -115,11 +115,9 @@ SWING = {"kind": "turntable", "axis": [0, 1, 0], "rate_rad_per_s": -2.0, "pivot_
 PADDLE = {"shape": "box", "size_m": [0.2, 0.05, 0.001]}
 
 
-def test_a_paddle_that_swings_takes_a_still_finger_along() -> None:
-    """Rotation alone: a thin paddle through the origin turns up by phi under a finger at (length, 0, h).
-
-    The finger is h cos phi - length sin phi above the paddle's middle; it stays on that face, however deep.
-    """
+def test_a_swinging_paddle_pushes_a_still_finger() -> None:
+    """A thin paddle rotates through the origin by phi under a finger at (length, 0, h); the force is K times the depth.
+    The finger is h cos phi - length sin phi above the paddle's midplane and stays on that face at any depth."""
     length, h, angle = 0.06, 0.03, 2.0 * DT * np.arange(1, 501)
     records = Engine(scene(PADDLE | {"motion": SWING})).run(np.tile([length, 0.0, h, *UPRIGHT], (500, 1)), DT)
     depth = np.maximum(0.0005 + R - h * np.cos(angle) + length * np.sin(angle), 0.0)
@@ -130,12 +128,13 @@ def test_a_paddle_that_swings_takes_a_still_finger_along() -> None:
 
 
 def test_damping_is_against_the_speed_of_the_object() -> None:
-    """From the first tick on: a rise at 0.02 m/s against B = 3 N s/m adds 0.06 N, or doubles the spring's force."""
+    """Damping acts on the object's speed from the first tick: 3 N s/m at 0.02 m/s adds up to 0.06 N."""
     driver = Driver(scene({"shape": "plane", "material": {"stiffness_n_per_m": K, "damping_ns_per_m": 3.0}}))
     height = 0.02 * DT * np.arange(1, 101)
     force = [driver.step((0.0, 0.0, R + 0.00099), ((0.0, 0.0, z), UPRIGHT)).force[2] for z in height]
     elastic = K * np.maximum(height - 0.00099, 0.0)
-    np.testing.assert_allclose(force, np.minimum(elastic + 3.0 * 0.02, 2.0 * elastic), atol=1e-9)  # B 1e-16 m / DT
+    # Rounding of B 1e-16 m / DT.
+    np.testing.assert_allclose(force, np.minimum(elastic + 3.0 * 0.02, 2.0 * elastic), atol=1e-9)
 
 
 # --- jumps ---------------------------------------------------------------------------------------
@@ -143,8 +142,8 @@ def test_damping_is_against_the_speed_of_the_object() -> None:
 
 @pytest.mark.parametrize("dt", [DT, 0.0])
 @pytest.mark.parametrize("name", SHAPES)
-def test_an_object_that_jumps_over_the_finger_holds_it_on_the_side_it_came_to(name: str, dt: float) -> None:
-    """Moved up by 30 mm in a tick, through a finger 1 mm above: the finger is 29 mm deep, whatever lies between."""
+def test_an_object_that_jumps_over_the_finger_pushes_it_forward(name: str, dt: float) -> None:
+    """An object that jumps up by 30 mm through a finger 1 mm above it pushes the finger up with a depth of 29 mm."""
     shape, x, top = SHAPES[name]
     driver = Driver(scene(shape))
     finger = (x, 0.0, top + R + 0.001)
@@ -157,12 +156,12 @@ def test_an_object_that_jumps_over_the_finger_holds_it_on_the_side_it_came_to(na
 
 
 @pytest.mark.parametrize("name", ALONE)
-def test_an_object_that_appears_about_the_finger_pushes_it_out(name: str) -> None:
-    """One that cannot move by itself, but is put elsewhere by a command: a gap below r is a touch, from any side."""
+def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
+    """An object without motion that a command places around the finger touches it on the next tick."""
     shape, x, top = SHAPES[name]
     driver = Driver(scene(shape | {"motion": None, "position_m": [0.0, 0.0, -0.5]}))
     finger = (x, 0.0, top + R)
-    if top < 0.0 or name == "plane":  # a hollow elsewhere is an object that the finger is in
+    if top < 0.0 or name == "plane":  # from elsewhere, the finger would be in the material of a hollow object
         driver.step(finger, ((0.0, 0.0, -0.001), UPRIGHT))
     else:
         driver.step(finger, ((0.0, 0.0, -0.5), UPRIGHT))
@@ -171,8 +170,8 @@ def test_an_object_that_appears_about_the_finger_pushes_it_out(name: str) -> Non
     assert step.cause == "touch"
 
 
-def test_an_object_that_comes_back_touches_again() -> None:
-    """Up, down and up again under a still finger: two contacts, each from its first tick on."""
+def test_an_object_that_returns_touches_again() -> None:
+    """A plane that rises, sinks and rises again under a still finger makes two contacts, each from its first tick."""
     driver = Driver(scene({"shape": "plane"}))
     height = 0.002 * np.sin(2.0 * np.pi * np.arange(400) / 200.0)
     steps = [driver.step((0.0, 0.0, R + 0.0005), ((0.0, 0.0, z), UPRIGHT)) for z in height]
@@ -186,8 +185,8 @@ def test_an_object_that_comes_back_touches_again() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
-def test_a_second_object_that_comes_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
-    """A finger pressed on a floor, and a wall that comes from the side: each presses with its own depth."""
+def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
+    """While the finger presses on a floor, a wall that moves in from the side adds K times its depth."""
     floor = {"shape": "plane", "motion": None}
     wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
     driver = Driver(scene(floor, wall))
@@ -200,8 +199,8 @@ def test_a_second_object_that_comes_is_met_while_the_first_is_touched(jump: floa
     assert faces[-1] > 0.0
 
 
-def test_a_lift_takes_the_finger_to_the_ceiling() -> None:
-    """The first object moves and the second stands still: the plate lifts the proxy to a thin shelf."""
+def test_a_lift_pushes_the_finger_against_a_shelf() -> None:
+    """A rising plate does not push the proxy through a thin shelf at rest."""
     grip = {"stiffness_n_per_m": K}
     lift = {"shape": "plane", "material": grip}
     shelf = {"shape": "box", "size_m": [0.2, 0.2, 0.001], "position_m": [0.0, 0.0, 0.03], "motion": None}
@@ -213,7 +212,7 @@ def test_a_lift_takes_the_finger_to_the_ceiling() -> None:
         assert step.proxy_position[2] < 0.03 or step.force[2] > 0.0
 
 
-# --- who moves does not matter -------------------------------------------------------------------
+# --- relative motion -----------------------------------------------------------------------------
 
 BLOCK = {"shape": "box", "size_m": (2 * HALF).tolist(), "material": GRIP}
 BALL = {"shape": "sphere", "radius_m": 0.02, "material": GRIP}
@@ -222,7 +221,7 @@ ROLLING = {"rolling": {"method": "euler_zxz"}, "coupling": {"damping_ns_per_m": 
 
 @functools.cache
 def pair(name: str) -> tuple[Engine, Driver]:
-    """The object at rest, and the same one driven."""
+    """Return an engine with the object at rest and a driver that moves the same object."""
     given = {"ball": [BALL], "block": [BLOCK], "hollow": [BALL | {"radius_m": 0.05, "inside": True}]}[name]
     still = Engine(scene(*[thing | {"motion": None} for thing in given], **ROLLING))
     return still, Driver(scene(*given, **ROLLING))
@@ -235,11 +234,11 @@ def conjugate(q: Array) -> Array:
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["ball", "block", "hollow"])
-def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object(name: str) -> None:
-    """The same relative poses with the hand at rest and the object led: the same contact, seen from the object.
+def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
+    """For equal relative poses, a moved object and a moved finger give the same contact in the object's frame.
 
-    Mode, cause, force, torque and proxy, to rounding, with friction, rolling and damping: of a step of some 10 mm in
-    a tick, whose rounding the coupling's damping takes times 2 N s/m / DT.
+    Mode, cause, force and torque agree to rounding, with friction, rolling and damping. Steps are up to 10 mm per tick,
+    and the coupling's damping multiplies their rounding by 2 N s/m / DT.
     """
     still, driver = pair(name)
 
@@ -269,7 +268,7 @@ def test_an_object_moved_against_the_finger_is_a_finger_moved_against_the_object
 
 
 def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
-    """A simulated device at rest, a hand that holds it softly: K depth in every tick, and never a tick without it."""
+    """A table rises under a softly held simulated device; in every tick the force is K times the depth."""
     rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))

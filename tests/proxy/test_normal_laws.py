@@ -199,7 +199,7 @@ def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
     assert exact == pytest.approx(1.0 - alpha * speed, abs=0.5 * (c * speed) ** 2)
 
 
-# --- what must hold always -------------------------------------------------------------------------
+# --- invariants ------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(3)
@@ -295,7 +295,7 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     way[:, 0], way[:, 2], way[:, 3] = R - np.linspace(-1e-3, 3e-3, 40), R - np.linspace(-1e-3, 2e-3, 40), 1.0
     found = column(running.run(way), "force", 3)
     depths = R - way[:, [0, 2]]
-    # The position of rest between two planes is accurate to 1e-13 of the radius.
+    # The equilibrium position between two planes is accurate to 1e-13 of the radius.
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2
     assert found[:, 0] == pytest.approx(wall, abs=1e-12)
     assert found[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
@@ -332,7 +332,7 @@ def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) 
     assert ratio > 5.0 if grows else ratio < 0.2
 
 
-# --- the file --------------------------------------------------------------------------------------
+# --- scene file ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -353,7 +353,7 @@ def test_a_faulty_law_is_refused(material: dict[str, Any], message: str) -> None
 
 
 def test_only_the_law_of_the_scene_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the law, which determines what is compiled, has only the parts in the scene."""
+    """The type of the law, which selects the compiled code, has only the parts in the scene."""
     linear = model.LinearNormal(1000.0, 0.0)
     hertz = model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0)
     for normal, law in [

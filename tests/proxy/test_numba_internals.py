@@ -1,6 +1,6 @@
-"""What is used of numba beyond what it documents: each is there, and does what it is used for.
+"""Undocumented behaviour of numba that the kernels depend on.
 
-Seen in numba 0.67 and 0.68. With another version these tests say first what has changed.
+Verified with numba 0.67 and 0.68. With another version, a failure here shows what has changed.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ kernel(1.0)
 """
 
 
-def test_this_version_was_seen() -> None:
-    """Whoever takes another one runs this file, and writes it down."""
+def test_this_numba_version_was_verified() -> None:
+    """For a new numba version, run this file and add the version to SEEN."""
     assert numba.__version__.startswith(SEEN)
 
 
-def test_without_its_runtime_nothing_is_allocated() -> None:
-    """`_nrt`: a kernel that would allocate does not compile, one that does not compiles."""
+def test_kernels_that_allocate_do_not_compile() -> None:
+    """`_nrt`: without numba's runtime, a kernel that allocates does not compile."""
 
     def allocates(n: int) -> float:
         return float(np.zeros(n)[0])
 
     with pytest.raises(numba.TypingError):
         numba.njit(**decorators.OPTIONS)(allocates)(3)
-    assert numba.njit(allocates)(3) == 0.0  # as numba has it
+    assert numba.njit(allocates)(3) == 0.0  # default of numba
 
 
-def test_what_is_forced_inline_is_not_called() -> None:
-    """`forceinline`: of a kernel that another calls ten times there is no function left."""
+def test_forced_inlining_leaves_no_function() -> None:
+    """`forceinline`: no separate function of a kernel remains in its caller's IR, even with four calls."""
 
     @decorators.jit
     def long(x: float) -> float:
@@ -72,7 +72,7 @@ def test_what_is_forced_inline_is_not_called() -> None:
 
 
 def test_a_literal_argument_compiles_no_further_kernel() -> None:
-    """`get_call_template`: numba would compile a kernel for each literal, and again for a variable."""
+    """`get_call_template`: one version is compiled, where numba itself compiles one for each literal."""
 
     @decorators.jit
     def add(x: float, n: int) -> float:
@@ -84,8 +84,8 @@ def test_a_literal_argument_compiles_no_further_kernel() -> None:
     assert [each.args for each in kernel.dispatcher.nopython_signatures] == [(types.float64, types.int64)]
 
 
-def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) -> None:
-    """`JITCodeLibrary`, `CompilerBase`: callers compute with it, whether it is compiled or comes from a file."""
+def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
+    """`JITCodeLibrary`, `CompilerBase`: callers use an inlined kernel, compiled or loaded from a file."""
 
     def half(x: float) -> float:
         return 0.5 * x
@@ -104,7 +104,7 @@ def test_what_is_compiled_into_its_callers_has_no_machine_code(tmp_path: Any) ->
 
 
 def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
-    """`convention.py`: results, defaults, `*rest` and errors are those of Python, compiled and loaded from a file."""
+    """`convention.py`: results, defaults, `*rest` and errors match Python, compiled and loaded from a file."""
 
     def move(pair: Any, factor: float = 2.0, *rest: Any) -> Any:
         if factor < 0.0:
@@ -130,8 +130,8 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
             assert sum(each.startswith("{ {") for each in kinds) == 1  # the pair, as one argument
 
 
-def test_a_value_or_none_is_no_result_of_an_inlined_kernel() -> None:
-    """Its caller would take the code for None for an error."""
+def test_an_inlined_kernel_must_not_return_a_value_or_none() -> None:
+    """The caller would interpret the status code of None as an error."""
     kernel: Any = decorators.jit(lambda x: x if x > 0.0 else None)
 
     @decorators.entry
@@ -142,8 +142,8 @@ def test_a_value_or_none_is_no_result_of_an_inlined_kernel() -> None:
         call(1.0)
 
 
-def test_no_collection_scans_the_objects_of_a_compilation() -> None:
-    """numba makes tens of thousands of objects for a small kernel; a collection of new objects finds few."""
+def test_garbage_collection_skips_the_objects_of_a_compilation() -> None:
+    """numba creates tens of thousands of objects for a small kernel; collections of generation 0 scan few of them."""
 
     @decorators.entry
     def double(x: float) -> float:
@@ -157,9 +157,9 @@ def test_no_collection_scans_the_objects_of_a_compilation() -> None:
             scanned.append(len(gc.get_objects(generation=0)))
 
     threshold = gc.get_threshold()
-    gc.unfreeze()  # of the test run
+    gc.unfreeze()  # undo the freeze of the test run
     gc.collect()
-    gc.set_threshold(700, 10, 10)  # as Python begins
+    gc.set_threshold(700, 10, 10)  # defaults of Python
     gc.callbacks.append(count)
     try:
         assert kernel(2.0) == 4.0
@@ -172,17 +172,17 @@ def test_no_collection_scans_the_objects_of_a_compilation() -> None:
     assert max(scanned) < 3500
 
 
-def test_what_has_no_wrapper_is_compiled_once_more_for_python() -> None:
-    """`CPUDispatcher`: numba by itself calls address 0 and ends the program; a kernel of ours answers."""
+def test_a_kernel_without_wrapper_is_recompiled_for_python() -> None:
+    """`CPUDispatcher`: numba itself calls address 0 and crashes; a kernel of this project returns its result."""
     done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
     assert done.returncode < 0
     kernel: Any = decorators.jit(lambda x: 2.0 * x)
     assert kernel(2.0) == 4.0
-    assert "dispatcher" not in vars(kernel)  # only a kernel that calls it needs one: an import makes none
+    assert "dispatcher" not in vars(kernel)  # created only for the kernel that calls it, so that imports create none
 
 
-def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:
-    """`_reduce`, `_rebuild`, `magic_tuple`, `_final_module`: what another dispatcher loads is what one has compiled."""
+def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
+    """`_reduce`, `_rebuild`, `magic_tuple`, `_final_module`: another dispatcher loads the code from its file."""
 
     def kernel(x: float) -> float:
         return np.sin(x) + 1.0
@@ -202,7 +202,7 @@ def test_a_compiled_kernel_goes_to_a_file_and_comes_back(tmp_path: Any) -> None:
 
 
 def test_a_c_function_has_an_address() -> None:
-    """`CFunc`: compiled when that is asked for, it answers C; a name that is given to it is found by the linker."""
+    """`CFunc`: compiled when its address is requested, and callable from C; the linker finds a name added for it."""
     kernel = CFunction(lambda x: 2 * x, types.int64(types.int64))
     assert kernel.native_name is None
     assert kernel.address and kernel.ctypes(21) == 42
@@ -211,8 +211,8 @@ def test_a_c_function_has_an_address() -> None:
     assert llvm.address_of_symbol("softfinger_test_symbol_that_is_not") is None
 
 
-def test_a_choice_is_made_while_compiling() -> None:
-    """`types.Callable`: a name stands for whatever kernel its argument's type chooses, with defaults and names."""
+def test_overloads_are_chosen_at_compile_time() -> None:
+    """`types.Callable`: the argument's type chooses the implementation, with default and keyword arguments."""
 
     def declared(numbers: Any, factor: float = 2.0) -> Any: ...
 

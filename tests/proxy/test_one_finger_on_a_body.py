@@ -1,4 +1,4 @@
-"""One finger on a body that lies on a floor: it drags the body, which follows until it slips; and it pushes it."""
+"""One finger drags a plate until the plate slips, or pushes it over a floor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STIFFNESS = 1000.0
 STATIC, KINETIC = 0.8, 0.7
 """Friction of the finger on the body."""
 HALF, THIN = 0.02, 0.005
-"""Of a plate: too flat to tip over."""
+"""Half extents of a plate, too flat to tip over."""
 DT = 1e-3
 PLATE = """
 <mujoco>
@@ -38,7 +38,7 @@ PLATE = """
 
 
 def finger_on_a_plate(folder: Path, floor: float) -> Engine:
-    """One finger, and a plate on a floor of this friction."""
+    """Engine with one finger, and a plate on a floor of this friction."""
     (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
     material = {
         "stiffness_n_per_m": STIFFNESS,
@@ -61,8 +61,8 @@ def finger_on_a_plate(folder: Path, floor: float) -> Engine:
 
 
 def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
-    """Along centres (n, 3): force on the finger (n, 3), mode (n,), velocity of the plate along x (n,). In each tick the
-    plate is given minus that force, to 1e-12 N."""
+    """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3). Check that the
+    force on the plate is the opposite, to 1e-12 N."""
     force, mode, speed = np.zeros((len(way), 3)), np.zeros(len(way)), np.zeros(len(way))
     for tick, center in enumerate(way):
         records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
@@ -72,16 +72,16 @@ def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
 
 
 def down(depth: float, ticks: int = 120) -> Array:
-    """Centres (n, 3) onto the middle of the plate, and at rest."""
+    """Centres (n, 3) down onto the middle of the plate, where the finger stops."""
     u = np.clip(np.arange(ticks) / (0.5 * ticks), 0.0, 1.0)
     way = np.zeros((ticks, 3))
     way[:, 2] = 2.0 * THIN + R - depth * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     return way
 
 
-def test_a_plate_follows_until_its_inertia_is_more_than_friction_holds(tmp_path: Path) -> None:
-    """On a floor without friction the finger presses with N and drags with an acceleration j t. The plate slips under
-    it at a = mu_s N / m, and then goes on with a = mu_k N / m."""
+def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path) -> None:
+    """On a frictionless floor, a finger with force N drags with an acceleration j t; the plate slips at a = mu_s N / m.
+    Afterwards the plate accelerates with mu_k N / m."""
     engine, jerk, press = finger_on_a_plate(tmp_path, 0.0), 40.0, down(1e-3)
     force, _, _ = go(engine, press)
     normal = force[-1, 2]
@@ -91,16 +91,17 @@ def test_a_plate_follows_until_its_inertia_is_more_than_friction_holds(tmp_path:
     force, mode, speed = go(engine, way)
     first = int(np.flatnonzero(mode == SLIDING)[0])
     assert np.max(-force[:first, 0] / force[:first, 2]) == pytest.approx(STATIC, rel=0.01)  # a tick adds 0.5 %
-    assert jerk * t[first] == pytest.approx(STATIC * normal / MASS, abs=5.0 * jerk * DT)  # it swings by some ticks
+    # The plate swings for some ticks.
+    assert jerk * t[first] == pytest.approx(STATIC * normal / MASS, abs=5.0 * jerk * DT)
     after = slice(first + 5, first + 45)
     assert np.all(mode[after] == SLIDING)
     acceleration = np.polyfit(t[after], speed[after], 1)[0]
     assert acceleration == pytest.approx(KINETIC * normal / MASS, rel=0.01)
 
 
-def test_a_plate_that_is_pushed_resists_by_its_friction_on_the_floor_and_its_inertia(tmp_path: Path) -> None:
-    """From the side: at rest up to mu m g, sliding slowly with that force, and faster and faster with m a more. To 2 %:
-    MuJoCo makes friction convex, and a body that slides hops by micrometres."""
+def test_a_pushed_plate_resists_by_floor_friction_and_inertia(tmp_path: Path) -> None:
+    """Pushed from the side, the plate resists with mu m g in a slow slide, and with m a more in an accelerated one. To
+    2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
     floor, more, slow, faster = 0.2, 2.0, 400, 150
     engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
     t = DT * np.arange(slow + faster)

@@ -1,4 +1,4 @@
-"""Kernels that are compiled once, kept by themselves, and called by their address."""
+"""Outlined kernels: compiled once, cached separately and called by address."""
 
 from __future__ import annotations
 
@@ -71,15 +71,15 @@ def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def units(cache: Path) -> dict[str, int]:
-    """Outlined kernels on disk, each with when it was written, ns."""
+    """Outlined kernels on disk, with the time of their last change, ns."""
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT}*.kernel")}
 
 
-def test_they_are_compiled_once_for_all_who_call_them(
+def test_outlined_kernels_are_compiled_once_for_all_callers(
     scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second program loads what the first compiled: the same files, not written again. A missing symbol would end the
-    program: if one of them is missing, its callers are compiled again with it."""
+    """A second program loads the kernels that the first compiled, and does not write them again. A missing symbol would
+    end the program, so if a kernel's file is missing, its callers are recompiled with it."""
     cache = tmp_path / "cache"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
     kept = units(cache)
@@ -93,15 +93,15 @@ def test_they_are_compiled_once_for_all_who_call_them(
 
 
 def test_plain_python_gives_the_same(scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With numba's switch they are the functions that were written."""
+    """With NUMBA_DISABLE_JIT they are plain functions."""
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     script = scripts / "first.py"
     script.write_text(FIRST.replace(", sum(first.stats.cache_hits.values())", ""))
     assert run(script, tmp_path / "cache", monkeypatch) == f"{RESULT} 4"
 
 
-def test_a_caller_has_a_call_and_not_the_code() -> None:
-    """The caller's module names the kernel by its symbol; its code, without an allocator, is a module of its own."""
+def test_a_caller_contains_a_call_and_not_the_code() -> None:
+    """The caller's module refers to the kernel's symbol; the kernel has its own module without an allocator."""
 
     @decorators.jit
     def lowest(x: float) -> float:
@@ -121,8 +121,8 @@ def test_a_caller_has_a_call_and_not_the_code() -> None:
     assert not re.search("NRT|malloc|PyGILState", code) and "fmul" in code
 
 
-def test_only_numbers_come_back() -> None:
-    """A return annotation of a text is refused where the kernel is first called."""
+def test_outlined_kernels_return_only_numbers() -> None:
+    """A return annotation of str is refused at the first call."""
 
     @outlined.outlined
     def named(x: float) -> str:
@@ -139,7 +139,7 @@ class Pair(NamedTuple):
 
 
 def test_an_annotation_without_a_type_is_inferred() -> None:
-    """What comes back has the type that the compiler finds: here that of the argument."""
+    """If the annotation has no definite type, the compiler infers the type of the result, here that of the argument."""
 
     @outlined.outlined
     def swapped(pair: Pair) -> tuple[Pair, float]:
@@ -150,8 +150,8 @@ def test_an_annotation_without_a_type_is_inferred() -> None:
     assert all(UNIT in code for code in outermost.inspect_llvm().values())
 
 
-def test_where_says_for_which_types() -> None:
-    """Of other types it is compiled into its callers."""
+def test_where_selects_the_outlined_types() -> None:
+    """For other types the kernel is inlined into its callers."""
 
     @outlined.outlined_where(lambda *given: given[0] == numba.types.float64)
     def halved(x: float) -> float:

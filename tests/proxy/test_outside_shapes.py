@@ -42,7 +42,7 @@ HALF_ANGLE = 0.5
 
 
 def outside(name: str) -> Iterator[ModuleType]:
-    """Import the module of a shape, and register its table only during the tests: others list all registered shapes."""
+    """Import the module of a shape, and register its table only here: other tests list all registered shapes."""
     before = list(schema.ObjectBase.added)
     sys.path.insert(0, str(OUTSIDE))
     try:
@@ -205,7 +205,7 @@ def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> Non
     assert transport(shape, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0)
 
 
-# --- kept kernels --------------------------------------------------------------------------------
+# --- cached kernels ------------------------------------------------------------------------------
 
 TOUCH = """
 import sys

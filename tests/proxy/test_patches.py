@@ -128,7 +128,7 @@ def in_groove(running, points, vectors=None):
     ("laws", "expected"),
     [((GRIP, GRIP), 1.0 * F), ((GRIP, None), 0.5 * F), ((None, GRIP), 0.5 * F), ((GRIP, LATE), 0.6 * F)],
 )
-def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expected):
+def test_friction_along_a_groove_is_the_sum_of_both_laws(order, laws, expected):
     """Friction along the groove is mu_d1 f1 + mu_d2 f2 in either order: 0.354 N if one wall is frictionless, 0.424 N
     for 0.5 and 0.1."""
     running = engine(*groove(order, [material(law) for law in laws]))
@@ -140,7 +140,7 @@ def test_dragged_along_a_groove_each_wall_rubs_by_its_own_law(order, laws, expec
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
-def test_which_wall_was_touched_first_is_forgotten(order, shifted):
+def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
     """The drag does not depend on which wall was touched first."""
     running = engine(*groove(order, [material(None), material()]))
     begin = np.add(ABOVE, [shifted, 0.0, 0.0])
@@ -150,7 +150,7 @@ def test_which_wall_was_touched_first_is_forgotten(order, shifted):
 
 
 def test_each_patch_is_in_the_record():
-    """The record holds object, point, normal, force and mode of each wall; the forces sum to the total."""
+    """The record contains object, point, normal, force and mode of each wall; the forces sum to the total."""
     running = engine(*groove(stuff=[material(), material(LATE)]))
     record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
     for i in (0, 1):
@@ -166,7 +166,7 @@ def test_each_patch_is_in_the_record():
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_the_first_patch_is_the_one_that_bears_most(order):
+def test_the_first_patch_has_the_largest_load(order):
     """At equal depth the wall that is three times as stiff is listed first, in either scene order."""
     running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
     record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
@@ -185,7 +185,7 @@ def test_equal_walls_give_no_moment_about_the_bisector():
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
-def test_spun_about_the_bisector_there_is_no_force_along(order):
+def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
     """By symmetry the tangential forces cancel, and the torques add."""
     running = engine(*groove(order))
     spin = np.zeros((400, 3))
@@ -198,7 +198,7 @@ def test_spun_about_the_bisector_there_is_no_force_along(order):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
-def test_turned_about_the_axis_both_walls_rub(order):
+def test_rotation_about_the_groove_rubs_on_both_walls(order):
     """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
     (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove(order))
@@ -216,7 +216,7 @@ ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
-def test_dragged_across_a_seam_friction_stays(order, speed):
+def test_friction_is_constant_across_a_seam(order, speed):
     """Two flush boxes act like one plane: sliding friction is mu_d f_N on both sides of the seam."""
     running = engine(*[SEAM[i] for i in order])
     half = min(0.03, 0.5 * speed)  # at most one second
@@ -281,7 +281,7 @@ WAYS = {
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("way", "tip"), [*((way, {}) for way in WAYS), ("all over", SOFT)])
-def test_a_tiled_surface_is_the_plane_it_stands_for(cases, way, tip):
+def test_a_tiled_surface_equals_a_plane(cases, way, tip):
     """A hundred flush boxes of 6 mm give the same records as a plane."""
     stuff = material(GRIP, LIMP)
     whole = WAYS[way]()
@@ -298,7 +298,7 @@ def test_a_tiled_surface_is_the_plane_it_stands_for(cases, way, tip):
         np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
 
 
-def test_objects_have_the_numbers_of_the_file_however_they_are_asked():
+def test_object_indices_follow_the_scene_file():
     """Object indices match the scene file if a plane is listed between nine spheres; kernels process eight or more in a
     row."""
     ball = {"shape": "sphere", "radius_m": 0.005, "material": material()}
@@ -328,7 +328,7 @@ def test_another_number_of_objects_is_another_scene():
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_rolled_across_a_seam_the_moment_stays(order):
+def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
     """Torsion wound on one box persists on the next."""
     running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
     start = ON_SEAM - [0.004, 0.0, 0.0]
@@ -378,7 +378,7 @@ def test_each_wall_winds_its_share_of_the_torsional_spring(law):
     np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
 
 
-def test_a_spin_wound_on_one_wall_comes_to_another_as_far_as_it_is_about_its_normal():
+def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
     """A spin wound on one wall is projected onto the normal of the next: half of it at 60 degrees between the normals;
     the first wall retains the full angle."""
     normals = np.array([[0.5, 0.0, 0.75**0.5], [-0.5, 0.0, 0.75**0.5]])
@@ -396,7 +396,7 @@ def test_a_spin_wound_on_one_wall_comes_to_another_as_far_as_it_is_about_its_nor
 
 
 def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
-    """The moment against rolling stays 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
+    """The moment against rolling is 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
     stored energy."""
     running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
     turn = np.zeros((20, 3))
@@ -425,18 +425,18 @@ def over_the_ball(angles, turned):
     return running.run(poses((BALL + R - DEEP) * out, np.outer(turned, (0.0, 1.0, 0.0))))
 
 
-def test_a_fingertip_led_as_it_rolls_over_a_curve_is_not_wound():
+def test_a_followed_roll_over_a_curve_winds_nothing():
     """The centre moves by (R + r) d(phi) while the fingertip turns by d(theta) = (R + r) / r d(phi); the deeper probe
-    moves by (R + r - d) d(phi), which is not a slip. The tangential force stays zero, out and back."""
+    moves by (R + r - d) d(phi), which is no slip. The tangential force is zero, out and back."""
     angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
     records = over_the_ball(angles, (BALL + R) / R * angles)
     assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back
     assert records["contact.tangential_force"].max() < 1e-5
 
 
-def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
-    """The sticking surface point keeps its normal, so the tangential force is K_t times the displacement of the probe
-    along it, and returns to zero when the probe returns."""
+def test_a_drag_over_a_curve_is_wound_by_the_motion_of_the_probe():
+    """The sticking surface point has a constant normal, so the tangential force is K_t times the displacement of the
+    probe along it, and returns to zero when the probe returns."""
     angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
     records = over_the_ball(angles, 0.0 * angles)
     wound = 1000.0 * (BALL + R - DEEP) * np.sin(angles)
@@ -446,7 +446,7 @@ def test_a_drag_over_a_curve_is_wound_by_the_way_of_the_probe():
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-def test_a_wall_that_slides_past_rubs_by_its_own_force(order, along):
+def test_a_wall_that_slides_past_adds_its_friction(order, along):
     """The finger rests on a fixed floor while a wall slides past. The wall's friction, 0.25 N, adds along the floor;
     upwards it unloads the floor by the same amount, and the force is that of the spring to the resting proxy."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.0], "frequency_hz": 0.1}
@@ -483,7 +483,7 @@ def test_a_wall_that_moves_in_has_its_damping(order):
     np.testing.assert_allclose(part(records, "force")[1:][late, 0], expected[late], atol=1e-9)
 
 
-def test_a_shallow_valley_is_the_plane_it_nearly_is():
+def test_a_shallow_valley_is_nearly_a_plane():
     """Dragged through a valley of one degree, friction equals that of the plane up to the effect of the slope."""
     half = np.radians(0.5)
     running = engine(*groove(angle=half))
@@ -502,7 +502,7 @@ def test_a_shallow_valley_is_the_plane_it_nearly_is():
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
-def test_pinched_the_forces_add(order):
+def test_forces_of_a_pinch_add(order):
     """Floor 1 mm deep, ceiling 3 mm deep: 1 N up, 3 N down, and friction on each."""
     gap = 2.0 * R - 0.004
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
@@ -513,7 +513,7 @@ def test_pinched_the_forces_add(order):
     np.testing.assert_allclose(part(records, "force")[-1], [-0.5 * 4.0, 0.0, -2.0], atol=1e-9)
 
 
-def test_a_ceiling_that_comes_down_takes_hold_by_and_by():
+def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
     """Only the floor presses while there is room; once the ceiling reaches the probe, it adds a spring."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
@@ -536,7 +536,7 @@ def jaws():
     return engine(*(wall(f"jaw {i}", n, stuff, -R - 0.001) | {"motion": motion} for i, n in enumerate(JAWS)))
 
 
-def test_three_jaws_hold_a_finger_in_the_middle_with_a_force_each():
+def test_three_jaws_centre_the_finger():
     """Closed by t, each jaw bears K t with zero net force; at an offset s from the centre they act as a spring K. While
     there is room only the nearest jaw does, and the force is continuous where the room ends."""
     running, aside = jaws(), 0.0004
@@ -559,7 +559,8 @@ def test_three_jaws_hold_a_finger_in_the_middle_with_a_force_each():
 
 
 def test_three_jaws_resist_a_twist_and_a_tilt():
-    """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, each winds by the component of the tilt it sees.
+    """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, each winds by the component of the tilt about
+    its normal.
 
     Each has a third of the springs: k_z about a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the
     jaws.

@@ -1,4 +1,4 @@
-"""What must hold for every handling of several bodies at once: ten thousand random cases each."""
+"""Invariants of contacts with several objects, each tested with ten thousand random cases."""
 
 import functools
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.plain
 
 STUFF = material(GRIP, LIMP)
 EVEN = material({"static": 0.5, "kinetic": 0.5}, LIMP)
-"""No drop from static to kinetic friction, which is a jump by nature."""
+"""Equal static and kinetic friction, because a drop between them is a jump of the force."""
 YIELDING = material(LATE, {"stiffness_nm_per_rad": 0.02, "friction_length_m": 0.002}, stiffness_n_per_m=300.0)
 SHARP = (np.array([0.9, 0.0, np.sqrt(0.19)]), np.array([-0.9, 0.0, np.sqrt(0.19)]))
 
@@ -29,21 +29,21 @@ PLANES = {
     "slot": ([((1, 0, 0), -R - 0.0003), ((-1, 0, 0), -R - 0.0003), ((0, 0, 1), 0.0)], (0.0, 0.0, R)),
     "pinch": ([((0, 0, 1), 0.001 - R), ((0, 0, -1), 0.001 - R)], (0.0, 0.0, 0.0)),
 }
-"""Normals and offsets of planes, and where the proxy just fits, or nearly, between them."""
+"""Normals and offsets of planes, and the position at which the proxy just or nearly fits between them."""
 BALL = 0.02
-"""Radius of a ball, m."""
+"""Radius of a sphere, m."""
 BALLS = {
     "two balls": [(-BALL, 0.0, 0.0), (BALL, 0.0, 0.0)],
     "ball on floor": [(0.0, 0.0, BALL)],
 }
-"""Their centres; a floor z = 0 under the one."""
+"""Centres of the spheres; the single one is on a floor z = 0."""
 KINDS = [*PLANES, "seam"]
 SYMMETRIC = ["groove", "sharp groove", "valley", "slot", "seam", "two balls"]
-"""The same seen in a mirror across x."""
+"""Scenes that are their own mirror image in x."""
 RIGHT_ANGLED = ["groove", "corner", "slot", "pinch"]
-"""Walls at right angles or facing each other: the normal forces of unequal ones have a potential too."""
+"""Perpendicular or opposite walls: normal forces of unequal walls have a potential too."""
 BEGIN = {"slot": (0.0, 0.0, 0.003), "pinch": (0.0, 0.0, 0.0)}
-"""From there, m, where a way begins that cannot begin free above."""
+"""Start of a path relative to the place, m, if it cannot start in free space above."""
 PLACES = {kind: np.array(place) for kind, (_, place) in PLANES.items()} | {
     "seam": np.array([0.0, 0.0, R]),
     "two balls": np.array([0.0, 0.0, np.sqrt((BALL + R) ** 2 - BALL**2)]),
@@ -52,7 +52,7 @@ PLACES = {kind: np.array(place) for kind, (_, place) in PLANES.items()} | {
 
 
 def things(kind, stuff, turned=None):
-    """The objects; turned about the origin by a quaternion."""
+    """Objects of a scene, rotated about the origin by the quaternion `turned`."""
     if kind == "seam":
         return [tile("left", -0.05, stuff=stuff), tile("right", 0.05, stuff=stuff)]
     matrix = np.eye(3) if turned is None else rotation(turned)
@@ -79,9 +79,9 @@ def running(kind, even=False, back=False, unequal=False):
 
 
 def handling(kind, found, count):
-    """Poses of a way from a place by one goal after the other, all within some mm, and back: at first and last free,
-    but in a pinch, which leaves no room."""
-    # Aside of where two walls are touched at once to the last digit: there rounding says which it is.
+    """Poses of a path through several goals within some mm of a place and back. First and last pose are free, except in
+    a pinch, which leaves no room."""
+    # Offset from the point at which both walls are touched exactly, where rounding decides.
     goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * found[:count, :3]
     return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * found[:count, 3:])
 
@@ -94,11 +94,11 @@ CASE = (st.sampled_from(KINDS), *MOTIONS)
 @examples(15)
 @given(*CASE)
 def test_closed_cycle_gives_no_energy(kind, found, count):
-    """At no tick has the hand got more than it put in; in a pinch not in all."""
+    """The hand never gets back more energy than it has put in; in a pinch, not over the whole cycle."""
     engine_of = running(kind)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
-    # Sums of up to forty terms of up to 1e-2 J.
+    # Rounding of sums of up to forty terms of up to 1e-2 J.
     assert (work[-1] if kind == "pinch" else work.min()) > -1e-14
 
 
@@ -111,10 +111,8 @@ def softly(kind):
 @examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
-    """The work of spinning is at no tick less than all patches store, f R phi^2 / 2 each, whatever their loads do.
-
-    Up to what a load changes in a tick: the record has the load at its end.
-    """
+    """The work of spin is never less than the energy f R phi^2 / 2 stored in all patches, under changing loads. The
+    tolerance is the change of the load within a tick, because the record contains the load at its end."""
     engine_of, way = softly(kind), handling(kind, found, count)
     engine_of.reset()
     records = engine_of.run(way)
@@ -127,7 +125,7 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
         work += stiffness * spin * np.sum(turned * normal, axis=1)
         stored += 0.5 * stiffness * spin**2
         missed += np.abs(np.diff(stiffness, prepend=0.0) * spin) * np.linalg.norm(turned, axis=1)
-    # Sums of up to forty terms of up to 1e-3 J.
+    # Rounding of sums of up to forty terms of up to 1e-3 J.
     assert (np.cumsum(work) - stored + np.cumsum(missed)).min() > -1e-17
 
 
@@ -135,7 +133,7 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
 @examples(15)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
 def test_unequal_walls_give_no_energy(kind, found, count):
-    """One of them softer, with less friction and less torsion."""
+    """The same if one wall is softer, with less friction and less torsion."""
     engine_of = running(kind, unequal=True)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
@@ -146,10 +144,8 @@ def test_unequal_walls_give_no_energy(kind, found, count):
 @examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, found, count):
-    """Up to what a tick misses of the turn of a normal: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy.
-
-    Two patches go a way l each in a tick, the proxy's and the roll's, and the normals turn by l / D.
-    """
+    """As on planes, with a tolerance for the turn of the normals. Per tick the proxy and the roll move two patches by l
+    each, and the normals turn by l / D: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy."""
     engine_of = running(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))
@@ -164,12 +160,12 @@ def test_curved_bodies_give_no_energy(kind, found, count):
 
 
 SWAY = np.array([0.0002, -0.0003, 0.0004])
-"""How far a wall moves, m, to and fro in sixteen ticks, in its own frame: its normal is z."""
+"""Amplitude of a moving wall, m, with a period of sixteen ticks, in its frame: its normal is z."""
 
 
 @functools.cache
 def swaying(kind):
-    """The last wall moves."""
+    """Engine of a scene whose last wall moves."""
     objects = things(kind, STUFF)
     motion = {"kind": "sinusoid", "translation_m": SWAY.tolist(), "frequency_hz": 62.5}
     objects[-1] = objects[-1] | {"motion": motion}
@@ -179,8 +175,8 @@ def swaying(kind):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
-def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
-    """What hand and wall put in is never less than nothing: the force of the wall on the hand goes with the wall."""
+def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
+    """The work of hand and moving wall together is never negative."""
     engine_of = swaying(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))
@@ -198,8 +194,8 @@ def test_moving_body_gives_no_more_energy_than_its_own_work(kind, found, count):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
-def test_what_was_touched_first_changes_nothing(kind, found, count):
-    """A way and the same in a mirror, which meets the other body first."""
+def test_order_of_touches_changes_nothing(kind, found, count):
+    """The mirror image of a path, which touches the other object first, gives the mirrored forces and torques."""
     poses = handling(kind, found, count)
     a = visit(running(kind), poses)
     b = visit(running(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
@@ -213,7 +209,7 @@ def test_what_was_touched_first_changes_nothing(kind, found, count):
 def test_order_of_bodies_changes_nothing(kind, found, count):
     poses = handling(kind, found, count)
     a, b = visit(running(kind), poses), visit(running(kind, back=True), poses)
-    # Rounding of lengths of 10 mm times 1000 N/m; a sum of forty ticks.
+    # Rounding of lengths of 10 mm times 1000 N/m, summed over forty ticks.
     np.testing.assert_allclose(column(a, "force", 3), column(b, "force", 3), rtol=0, atol=1e-11)
     np.testing.assert_allclose(column(a, "torque", 3), column(b, "torque", 3), rtol=0, atol=1e-13)
 
@@ -222,24 +218,24 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, found, count):
-    """From tick to tick the force changes by no more than stiffness times motion, through every hand-over.
+    """From tick to tick the force changes by no more than stiffness times motion, also if the contact changes object.
 
-    A way of s takes the depth in a wall by s / sin(half the angle between two walls) at most. Normal forces follow by
-    K, friction by what its springs are wound by, by mu times the normal forces, and by the shares that go over, each
-    no more than the first.
+    A step s changes the depth in a wall by at most s / sin(half the angle between two walls). Normal forces change by K
+    times that. Friction changes with its springs, with mu times the normal forces and with the shares transferred, each
+    no more than the normal force.
     """
     poses = handling(kind, found, count)
     records = visit(running(kind, even=True), poses)
     way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
     jumps = np.linalg.norm(np.diff(column(records, "force", 3), axis=0), axis=1)
-    # Between ball and floor 70 degrees, between two balls 84, less what the normals turn in 3 mm of depth.
+    # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
     steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)
     assert (jumps <= 4.0 * steepest * 1000.0 * way + 1e-12).all()
 
 
 @functools.cache
 def elsewhere(kind):
-    """The scene turned about the origin, and by what."""
+    """Return an engine of the scene rotated about the origin, and the rotation."""
     q = np.array([0.5, 0.5, -0.1, 0.7]) / np.linalg.norm([0.5, 0.5, -0.1, 0.7])
     return engine(*things(kind, STUFF, q)), q
 

@@ -1,7 +1,7 @@
-"""Kernels as plain Python and compiled give the same bits: what `make test` proves of one holds for the other.
+"""Kernels give the same bits compiled and as plain Python, so results of the plain tests hold for both.
 
-Of the scenes that come with the program, whose kernels other tests need as well, and of a roll by each method. It
-compiles for half a minute, since that is what it compares.
+Covers the shipped scenes, whose kernels other tests compile too, and a roll by each method. Compiling takes half a
+minute.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ CENTERS = {
     "ribbed-plane": (0.0, 0.0, 0.01),
     "pinch": (0.0, 0.0, 0.05),
 }
-"""Of a scene and of its way: where the fingertip just touches, m; in pinch the index finger, the thumb beside it."""
+"""Position of first touch, m, for each scene; in pinch that of the index finger."""
 TICKS = 1200
 
 
 def way(center: Any) -> Any:
-    """Poses (n, 7) that press, drag, roll, spin and lift, again and again, ever further."""
+    """Poses (n, 7) that press, drag, roll, spin and lift repeatedly, with growing amplitude."""
     t = np.linspace(0.0, 12.0, TICKS)
     aside = 0.0005 * t
     away = [aside * np.sin(1.3 * t), aside * np.sin(1.7 * t), 0.004 * (0.3 - np.sin(0.9 * t))]
@@ -54,7 +54,7 @@ def records_of(name: str) -> Any:
 
 
 def write_records(folder: Path, names: Sequence[str]) -> None:
-    """Write a file of records for each scene: what the process without a compiler is started for."""
+    """Write a file of records for each scene, in a process without a compiler."""
     assert PLAIN
     for name in names:
         np.save(folder / name, records_of(name))
@@ -62,7 +62,7 @@ def write_records(folder: Path, names: Sequence[str]) -> None:
 
 @pytest.fixture(scope="module")
 def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the records of the selected scenes, by another process whose kernels are plain Python."""
+    """Folder with the records of the selected scenes, from another process whose kernels are plain Python."""
     folder = tmp_path_factory.mktemp("plain")
     selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
     names = [params["name"] for params in selected]
@@ -85,9 +85,9 @@ def test_logic_part_runs_plain_kernels_and_its_programs_machine_code() -> None:
 
 
 @pytest.mark.exhaustive
-def test_objects_in_rows_beside_one_alone_compile() -> None:
-    """Many of a type are in a row of whole objects, a single one is bare where kernels ask for no more: with friction
-    and torsion, of both."""
+def test_rows_of_objects_and_a_single_object_compile() -> None:
+    """Objects of equal type are stored in rows, a single one directly; contacts of both compile. Both have friction and
+    torsion."""
     wood = {
         "stiffness_n_per_m": 1000.0,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -119,7 +119,7 @@ LESS = ("paper-plane", "pinch")
     "name", [pytest.param(name, marks=[] if name in LESS else [pytest.mark.exhaustive]) for name in CENTERS]
 )
 def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
-    """All columns of all ticks, of all fingers: touched, stuck, slid, lifted and touched again."""
+    """All columns of all ticks and fingers are equal, over all contact modes."""
     compiled = records_of(name)
     assert np.load(plain / f"{name}.npy").tobytes() == compiled.tobytes()
     met = set(compiled[..., AT.contact_mode].ravel().tolist())
@@ -127,7 +127,7 @@ def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
 
 
 SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_rk45", "ellipsoid")}
-"""In `make test`: of the methods that no scene above has."""
+"""Cases in `make test`: the methods that no scene above uses."""
 
 
 @pytest.mark.sampled(1)
@@ -137,13 +137,13 @@ SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_
 )
 @pytest.mark.skipif(PLAIN, reason="there is nothing compiled to compare with")
 def test_rolls_are_the_same_numbers(method: str, name: str) -> None:
-    """Some compiled steps of 0.3 rad and the same source run by Python end with the same numbers."""
+    """Compiled steps of 0.3 rad and the same source in Python end with the same numbers."""
     center, normal = touching(SHAPES[name], np.random.default_rng(19))
     case = (METHODS[method], SHAPES[name], RADIUS, center, normal, (0.2, -0.15, 0.17), 8)
     (off, stretched, compiled), (plain_off, plain_stretched, plain) = roll_long(*case), roll_long.py_func(*case)
     assert (off, stretched) == pytest.approx((plain_off, plain_stretched), abs=1e-15)
     for a, b in zip(compiled, plain, strict=True):
-        # No contraction, and the same library for sin and cos: not much more than the last bit may differ.
+        # No floating-point contraction, and the same sin and cos: differences of little more than the last bit.
         assert a == pytest.approx(b, rel=1e-13, abs=1e-15)
 
 

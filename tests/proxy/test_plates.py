@@ -1,4 +1,4 @@
-"""The scene `plates` and its recording: a fingertip strokes seven materials, and each is felt as the library has it."""
+"""Scene `plates` and its recording: a stroke over seven materials gives the library's values."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from softfinger.proxy.engine import Engine
 pytestmark = pytest.mark.plain
 
 DEPTH_M = 0.002
-"""How far the recording presses: 12 mm down from 20 mm, on plates whose tops are z = 0, with a radius of 10 mm."""
+"""Depth of the recording: 12 mm down from 20 mm, on plates with their tops at z = 0, with a radius of 10 mm."""
 
 SETTLED = 18
-"""Ticks at rest in the depth after which the velocity filter, 2 ms at ticks of 1 ms, has (2/3)^18 < 1e-3 left."""
+"""Ticks at constant depth after which the velocity filter, 2 ms at ticks of 1 ms, has (2/3)^18 < 1e-3 left."""
 
 
-def test_each_plate_is_felt_in_turn_with_its_own_stiffness_and_friction() -> None:
-    """From left to right; at rest K d, sliding mu_d K d along the stroke, and mu_s K d where it begins to slide."""
+def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None:
+    """From left to right, the normal force is K d, and the friction peaks at mu_s K d and then is mu_d K d."""
     scene, poses = load_scene("plates"), load_poses("plates")
     records = Engine("plates").run(np.hstack([poses.position, poses.orientation]))
     touched = records["contact.object"]
@@ -32,11 +32,12 @@ def test_each_plate_is_felt_in_turn_with_its_own_stiffness_and_friction() -> Non
             SETTLED:
         ]
         normal = records["contact.normal_force"][pressed]
-        # Positions are rounded to 0.1 um, 5e-5 of the depth; damping adds nothing once the velocity filter has settled.
+        # Positions are rounded to 0.1 um, 5e-5 of the depth; damping is zero once the velocity filter has settled.
         assert normal == pytest.approx(values["stiffness_n_per_m"] * DEPTH_M, rel=1e-4)
         along = np.abs(records["force"][pressed, 1]) / normal
         slides = records["contact.mode"][pressed] == 2
         friction = values["friction"]
         assert slides.sum() > 30
-        assert along.max() == pytest.approx(friction["static"], rel=1e-6)  # the peak of a stick is exactly the limit
+        # The peak before a slide is exactly the limit.
+        assert along.max() == pytest.approx(friction["static"], rel=1e-6)
         assert np.median(along[slides]) == pytest.approx(friction["kinetic"], rel=1e-6)

@@ -1,4 +1,4 @@
-"""The record's table: what stands in it once is everywhere, and nothing else has to be told."""
+"""Record table: a field added there appears in the record, the wire format, the result files and the schema."""
 
 import shutil
 import subprocess
@@ -19,7 +19,7 @@ NEW = '    fault_level: Annotated[int, 2, "float", "V", "rotor", "a field that a
 
 
 def test_columns_follow_each_other():
-    """Each field begins where the one before it ends, under its own name; sizes and kinds are those there are."""
+    """Each field starts where the previous one ends; names, sizes and kinds are consistent."""
     assert [field.at for field in FIELDS] == list(AT)
     ends = [field.at + field.size for field in FIELDS]
     assert [0, *ends] == [*AT, RECORD_SIZE]
@@ -30,8 +30,7 @@ def test_columns_follow_each_other():
 
 
 def test_step_has_every_field_that_the_contact_fills():
-    """What a contact writes into a record, but for what it was called with and the list of patches, is in the engine's
-    Step."""
+    """The engine's Step contains every field that a contact writes, except its inputs and the list of patches."""
     row = np.full(RECORD_SIZE, np.nan)
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
@@ -50,7 +49,7 @@ def contact_types():
 
 
 def test_step_has_the_types_of_the_table():
-    """An int, a float or an array as the table says; the cause goes by its name."""
+    """Each value is an int, a float or an array as in the table; the cause is returned by name."""
     step = Step(np.arange(1.0, RECORD_SIZE + 1.0) % len(CAUSE_NAMES))
     assert step.cause in CAUSE_NAMES
     for name, field in STEP_FIELDS.items():
@@ -63,7 +62,7 @@ def test_step_has_the_types_of_the_table():
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
-    """A copy of the program whose record has one field more, added in the table and nowhere else."""
+    """Copy of the program with one field added to the record table."""
     root = tmp_path_factory.mktemp("tree")
     package = root / "softfinger"
     shutil.copytree(ROOT / ".dev" / "softfinger", package, symlinks=False)
@@ -119,7 +118,7 @@ sys.exit(main(["schema", "telemetry"]))
 
 
 def test_new_field_is_everywhere(tree):
-    """One line more in the table: the record, the wire, all results files and the schema have it."""
+    """One new line in the table adds the field to the record, the wire format, all result files and the schema."""
     done = run_in(tree, "-c", EVERYWHERE)
     assert done.returncode == 0, done.stderr
     assert '"fault.level"' in done.stdout
@@ -127,8 +126,8 @@ def test_new_field_is_everywhere(tree):
 
 
 @pytest.mark.exhaustive
-def test_new_field_is_asked_of_the_page(tree):
-    """The page that lists the fields no longer agrees, and the failure names the command that updates it."""
+def test_a_new_field_makes_the_reference_page_fail(tree):
+    """The reference page of the fields is out of date, and the failure names the command that updates it."""
     page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes[record.md]"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr

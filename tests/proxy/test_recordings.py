@@ -1,4 +1,4 @@
-"""The shipped recordings: written by the tool to the byte, and doing in contact what they are shipped for."""
+"""Shipped recordings: equal to the tool's output, and with the contact events they are shipped for."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def engine() -> Engine:
 
 @pytest.fixture(scope="module")
 def letter() -> Engine:
-    """The same scene under the paper's rule to the letter."""
+    """Engine with the same scene and the paper's original state machine."""
     scene = load_scene("paper-plane")
     assert scene.rolling is not None
     rolling = msgspec.structs.replace(scene.rolling, state_machine="paper")
@@ -49,7 +49,7 @@ def causes(records: np.ndarray) -> list[str]:
 
 
 def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
-    """Running the generator again gives the shipped files, byte for byte, and they are small."""
+    """The generator reproduces the shipped files byte for byte, and they are small."""
     written = recordings.write(tmp_path)
     assert sorted(path.stem for path in written) == shipped_names()
     for path in written:
@@ -59,7 +59,7 @@ def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", list(recordings.RECORDINGS))
 def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
-    """Start and end are the same pose off the object, at rest, so looping adds no return."""
+    """A recording starts and ends at rest in the same pose off the object, so a loop needs no return path."""
     poses = load_poses(name)
     start = list(recordings.RECORDINGS[name].start)
     assert poses.position[0].tolist() == poses.position[-1].tolist() == start
@@ -69,7 +69,7 @@ def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
 
 
 def test_all_modes_occur() -> None:
-    """The main recording is free, rolls and slides; small and followed rolls and spins alone do not slide."""
+    """The main recording contains free, rolling and sliding contact, and its spins reach the torsional limit."""
     records = run(Engine("paper-plane", rate_hz=250.0), "press-roll-spin-drag")
     assert {FREE, ROLLING, SLIDING} == set(records[:, AT.contact_mode].astype(int))
     order = causes(records)
@@ -79,11 +79,11 @@ def test_all_modes_occur() -> None:
     assert "theta_max" not in order
     spin = records[:, AT.torque + 2] + 0.0
     torsion = 0.004  # N m: 4 mm of friction length at 1 N
-    assert np.abs(spin).max() >= 0.99 * torsion  # the spins pass the torsional limit
+    assert np.abs(spin).max() >= 0.99 * torsion  # the spins reach the torsional limit
 
 
 def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
-    """A roll of 1 rad that the hand follows never slides, and its tangential force stays near zero."""
+    """A roll of 1 rad that the hand follows never slides, and its tangential force is near zero."""
     records, _ = rolled(engine)
     assert causes(records) == ["touch", "release"]
     # positions rounded to 0.1 um, and slerp against cubic between 100 Hz samples: 0.2 um at 1000 N/m
@@ -92,22 +92,22 @@ def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
 
 
 def test_three_taps(engine: Engine) -> None:
-    """Each tap touches and releases, straight on."""
+    """Each of three taps touches and releases, with a peak of 1 N."""
     records = run(engine, "tap")
     assert causes(records) == ["touch", "release"] * 3
     assert records[:, AT.contact_normal_force].max() == pytest.approx(1.0, abs=1e-9)
 
 
-# --- the two failures that the paper names, in a recorded roll ---------------------------------------
+# --- the paper's two failure cases, in a recorded roll -----------------------------------------------
 
 
 @dataclass(frozen=True)
 class Roll:
-    """What an engine made of the recorded roll while the finger was pressed in: arrays (n,) over its ticks.
+    """Result of the recorded roll while the finger is pressed in: arrays (n,) over its ticks.
 
     mode, force    mode and tangential force, N
     rolled         rad, since touch
-    slip           m, way of the contact point on the plane less that on the finger, summed up
+    slip           m, path of the contact point on the plane less that on the finger, accumulated
     """
 
     mode: np.ndarray
@@ -118,9 +118,9 @@ class Roll:
 
 @functools.cache
 def rolled(engine: Engine, aside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the records of the roll by 1 rad that the hand follows, and the rows in which the finger is pressed in.
+    """Return the records of the followed roll by 1 rad, and the rows in which the finger is pressed in.
 
-    aside  m, the hand drags across the roll before it rolls
+    aside  m, drag across the roll before it starts
     """
     poses = resample(load_poses("roll-follow"), 1000.0)
     pressed = np.flatnonzero(poses[:, 2] < R - 0.9e-3)
@@ -145,28 +145,28 @@ def recorded_roll(engine: Engine, aside: float = 0.0) -> Roll:
 
 
 def test_a_recorded_roll_rolls_and_does_not_slip(engine: Engine) -> None:
-    """First failure absent: through the whole roll the contact goes as far on the plane as on the finger."""
+    """First failure absent: the contact point travels as far on the plane as on the finger."""
     roll = recorded_roll(engine)
     assert (roll.mode == ROLLING).all()
     # The quaternions of the recording have eight decimals.
     assert roll.rolled[-1] == pytest.approx(1.0, abs=1e-6)
-    # The chord of the finger's arc of up to 1 mrad a tick is 4e-8 of it too short.
+    # The chord of the finger's arc of up to 1 mrad per tick is shorter by 4e-8 of it.
     assert np.abs(roll.slip).max() < 1e-9
 
 
 def test_letter_slips_in_the_recorded_roll(letter: Engine) -> None:
-    """First failure present: at theta_max the letter lets the finger slip by 0.5 mm, and rub at mu_d f_N from there."""
+    """First failure present: at theta_max the paper's rule slips by 0.5 mm and then slides at mu_d f_N."""
     roll = recorded_roll(letter)
     slides = int(np.argmax(roll.mode == SLIDING))
     assert roll.rolled[slides - 1] <= 0.06 < roll.rolled[slides] < 0.061
-    # A deflection of mu_d f_N / K that nothing has wound, in one tick; the tick's own roll is 10 um at most.
+    # An unwound deflection of mu_d f_N / K in one tick; the tick's roll is at most 10 um.
     assert roll.slip[slides] - roll.slip[slides - 1] == pytest.approx(0.5e-3, abs=1e-5)
     rolling_on = slice(slides, int(np.argmax(roll.rolled > 0.999)))
     assert roll.force[rolling_on] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_rolling_is_detected_under_a_tangential_force(engine: Engine) -> None:
-    """Second failure absent: dragged aside by 0.4 mm, with the force of it, the recorded roll rolls all the way."""
+    """Second failure absent: after a drag of 0.4 mm and under its force, the recorded roll is rolling to its end."""
     roll = recorded_roll(engine, aside=0.4e-3)
     assert roll.force[200:].min() > 0.39
     assert (roll.mode == ROLLING).all()
@@ -176,18 +176,18 @@ def test_rolling_is_detected_under_a_tangential_force(engine: Engine) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("aside", [0.0, 0.4e-3])
 def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> None:
-    """Second failure present: of 1 rad the letter sees 0.06 as rolling, and never again, not at rest either."""
+    """Second failure present: the paper's rule rolls for 0.06 rad of 1 rad and then slides for ever, even at rest."""
     roll = recorded_roll(letter, aside)
     slides = int(np.argmax(roll.mode == SLIDING))
     assert 0.06 < roll.rolled[slides] < 0.061
     assert (roll.mode[slides:] == SLIDING).all()
-    # The last 0.2 s of the recording before the release are at rest.
+    # The finger is at rest in the last 0.2 s before the release.
     assert np.ptp(roll.rolled[-150:]) < 1e-9
     assert len(roll.mode) - slides > 1500
 
 
-def test_every_recording_says_what_it_shows() -> None:
-    """And nothing is said of one that is not there."""
+def test_every_recording_has_a_description() -> None:
+    """motions.toml describes exactly the shipped recordings."""
     told = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
     assert sorted(told) == shipped_names()
     assert all(set(each) == {"motion", "course"} for each in told.values())

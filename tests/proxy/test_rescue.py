@@ -1,6 +1,6 @@
-"""A call that may end the process comes back: every trick of `rescue.py`, with MuJoCo's own errors.
+"""`rescue.py` returns from calls that would end the process, tested with MuJoCo's errors.
 
-It needs programs of its own: the handler of MuJoCo is one for a process.
+The tests start subprocesses, because MuJoCo has one error handler per process.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def stepped(model, data, count):
 
 
 def said_by(code: str, *words: str, **environment: str) -> str:
-    """What a program that begins with HEAD prints."""
+    """Return the output of a program that starts with HEAD."""
     done = subprocess.run(
         [sys.executable, "-c", HEAD + code, *words],
         env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment,
@@ -103,13 +103,14 @@ os._exit(0)
 """
 
 
-def test_an_error_comes_back_and_the_caller_goes_on(tmp_path: Path) -> None:
-    """A hundred errors in a row, with MuJoCo's words; values of the caller from before each jump are what they were.
-    After a reset the same data steps on, and Python's own call of MuJoCo still raises. Of four threads at a time, every
-    other one with an error in each of its calls, each jumps to its own call. Stepped by address outside of
-    `call_rescued`, a thread sleeps, and the program continues to its end.
+def test_the_caller_continues_after_an_error(tmp_path: Path) -> None:
+    """A hundred errors in a row return MuJoCo's message, and the caller's values from before each jump are unchanged.
 
-    The handler is compiled by one process and loaded by another, in which the key of the jump has another number.
+    After a reset the same data advances, and Python's call of MuJoCo still raises. Of four simultaneous threads, two of
+    which fail in each call, each jumps to its own call. A thread that steps by address outside of `call_rescued`
+    sleeps, and the program runs to its end.
+
+    One process compiles the handler, another with a different thread key loads it.
     """
     kept, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
     first = said_by(ERRORS, "0", SOFTFINGER_CACHE_DIR=kept)

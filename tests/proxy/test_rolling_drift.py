@@ -1,4 +1,4 @@
-"""No method drifts off the object in many steps, and the contact on the fingertip agrees with its pose."""
+"""Rolling methods do not drift off the object in many steps, and the fingertip's contact point matches its pose."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ pytestmark = pytest.mark.plain
 
 MILLION = 1_000_000
 LONG = ("sphere", "box")
-"""Shapes for the whole ten million steps of `make test-all`: a smooth one and one with edges. The others get a fifth of
-a million, to keep the test within a minute: an ellipsoid's closest point alone would take it."""
+"""Shapes for the ten million steps of `make test-all`: a smooth one and one with edges. The others get a fifth of a
+million, so that the test takes less than a minute; an ellipsoid's closest point is that slow."""
 SHORT = 1000
-"""Steps in `make test`: a roll leaves a smooth object by more than 1e-15 m a step, or not at all."""
+"""Steps in `make test`: if a roll drifts off a smooth object, it does so by more than 1e-15 m per step."""
 
 
 @pytest.mark.sampled(12)
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
-def test_the_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
-    """The contact point stays on the object within 1e-12 m, and the normal unit, at every step of a wandering roll."""
+def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
+    """At every step the contact point is on the object within 1e-12 m, and the normal has unit length."""
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     ticks = cases(SHORT, 10 * MILLION if name in LONG else MILLION // 5)
     off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)
-    # On a plane the path leads away, and rounding grows with the distance: 1e-16 of at most 10 m.
+    # On a plane the path leads far away, and rounding grows with the distance: 1e-16 of at most 10 m.
     assert off < 1e-12
     assert stretched < 1e-14
 
 
-# The fingertip's contact does not pass through the method: three of them, since each compiles a whole engine.
+# The fingertip's contact point does not depend on the method: three methods, since each compiles an engine.
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "montana_rk45"])
 def test_contact_on_the_fingertip_agrees_with_its_orientation(plane_scene: SceneFactory, method: str) -> None:
-    """Turned back into the world, the contact point on the fingertip is the one on the object, to rounding."""
+    """Rotated into the world, the contact point on the fingertip is the one on the object, to rounding."""
     options: dict[str, Any] = {"method": method} | ({"tolerance": 1e-12} if method == "montana_rk45" else {})
     engine = Engine(plane_scene(rolling=options, material={"friction": {"static": 1000.0, "kinetic": 1000.0}}))
     rng, q = np.random.default_rng(32), np.array([1.0, 0.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""The rolling methods against eighth-order integration: what is exact is exact, the rest has its order."""
+"""Rolling methods compared with eighth-order integration: accuracy, order of convergence, special rotations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", CLOSED)
 def test_rotation_vector_is_exact(name: str) -> None:
-    """A constant rate of up to half a turn a tick ends within 1e-10 m of the integrated path; so does the spin."""
+    """A constant rate of up to half a turn per tick gives the integrated end point and spin to 1e-13 m."""
     rng, shape = np.random.default_rng(11), SHAPES[name]
     worst = 0.0
     for _ in range(6):
@@ -47,13 +47,13 @@ def test_rotation_vector_is_exact(name: str) -> None:
         end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
         worst = max(worst, np.abs(np.array(out.center) - end).max(), RADIUS * np.abs(np.array(out.normal) - n).max())
         worst = max(worst, RADIUS * abs(out.spin - spin))
-    # Rounding, the reference's own 1e-13, and 1e-12 rad of spin across the rim of a cylinder, which is integrated.
+    # Rounding, the reference's error of 1e-13, and 1e-12 rad of integrated spin across the rim of a cylinder.
     assert worst < 1e-13
 
 
 @pytest.mark.parametrize("begins", ["barrel", "end"])
-def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begins: str) -> None:
-    """From a place in the middle of either, by itself and on to the rim: the integrated path."""
+def test_rotation_vector_is_exact_from_barrel_and_end_of_a_cylinder(begins: str) -> None:
+    """Rolls that start on the barrel or end of a capped cylinder match the integrated path, also across the rim."""
     rng, shape, crossed = np.random.default_rng(14), SHAPES["capped cylinder"], 0
     out_of = shape.radius + RADIUS, shape.half_length + RADIUS
     for _ in range(10):
@@ -64,10 +64,10 @@ def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begi
         w = rotation(rng)
         out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
         end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
-        leaves = abs(out.normal[2] - normal[2]) > 1e-9  # barrel and end each leave it as it is
+        leaves = abs(out.normal[2] - normal[2]) > 1e-9  # the normal's z component changes only on the rim
         past = leaves and abs(out.normal[2]) in (0.0, 1.0)
         crossed += leaves
-        # As above; but the step in which the rim ends holds a jump of the curvature, and errs by 3e-9 of the radius.
+        # As above; but a step that ends beyond the rim contains a jump of the curvature, with an error of 3e-9 r.
         most = 1e-8 * RADIUS if past else 1e-13
         assert max(np.abs(np.array(out.center) - end).max(), RADIUS * abs(out.spin - spin)) < most
         assert RADIUS * np.abs(np.array(out.normal) - n).max() < most
@@ -76,7 +76,7 @@ def test_rotation_vector_is_exact_from_the_barrel_and_the_end_of_a_cylinder(begi
 
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
 def test_rotation_vector_at_all_sizes(scale: float) -> None:
-    """From 10 um to 1 km the closed forms keep the same relative accuracy."""
+    """From 10 um to 1 km the closed forms have the same relative accuracy."""
     rng = np.random.default_rng(12)
     for shape in (model.Sphere(3.0 * scale, 1.0), model.Sphere(3.0 * scale, -1.0), model.Cylinder(2.0 * scale, 1.0)):
         x = tuple(float(v) for v in rng.normal(0, 0.1 * scale, 3))
@@ -84,7 +84,7 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
         center = tuple(p + scale * c for p, c in zip(point, n, strict=True))
         w = rotation(rng)
         out = roll(METHODS["rotation_vector"], shape, scale, center, n, rotations.exp(w))
-        # The reference is integrated in units of the fingertip, where its tolerances mean what they say.
+        # The reference integrates in units of the fingertip radius, for which its tolerances are meant.
         unit = shape._replace(radius=shape.radius / scale)
         end, _, _ = roll_in_frame(unit, 1.0, np.array(center) / scale, n, lambda _, w=w: w)
         assert np.abs(np.array(out.center) / scale - end).max() < 1e-11
@@ -93,20 +93,20 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SHAPES)
 def test_step_control_reaches_its_tolerance(name: str) -> None:
-    """montana_rk45 at 1e-12 stays within 1e-10 of the radius for up to half a turn, across edges too."""
+    """montana_rk45 at 1e-12 has an error below 1e-10 of the radius for up to half a turn, also across edges."""
     rng, shape = np.random.default_rng(13), SHAPES[name]
     for _ in range(2):
         center, normal = touching(shape, rng)
         w = rotation(rng)
         out = rolled_by(METHODS["montana_rk45"], shape, center, normal, w)
         end, _, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
-        # 1e-10 of the radius; where the curvature jumps the estimate is rougher, and the spin has none of its own.
+        # 1e-10 of the radius; the error estimate is rougher at jumps of the curvature and does not cover the spin.
         assert np.abs(np.array(out.center) - end).max() < 1e-12
         assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
 
 
 def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
-    """Distances (m) from the integrated end point of a path of 1.5 rad rolled in so many ticks."""
+    """Distances (m) from the integrated end point of a path of 1.5 rad, for each number of ticks."""
     rng = np.random.default_rng(seed)
     center, normal = touching(shape, rng)
     w = rotation(rng, 1.5, 1.5)
@@ -134,14 +134,14 @@ def test_order_of_convergence(method: str, name: str, order: float) -> None:
     """Halving the tick divides the error by two to the power of the method's order."""
     found = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
     for coarse, fine in pairwise(found):
-        # At these ticks the next order has a share of two per cent.
+        # At these ticks the next order contributes two per cent.
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
-    assert found[-1] > 1e-14  # far above rounding, or the ratios would say nothing
+    assert found[-1] > 1e-14  # far above rounding, so that the ratios mean something
 
 
 @pytest.mark.parametrize("name", ["plane", "sphere", "hollow sphere"])
 def test_euler_zxz_is_exact_without_spin(name: str) -> None:
-    """A roll about a tangent axis follows the great circle of a sphere, and the line of a plane, to rounding."""
+    """A roll about a tangent axis follows the great circle of a sphere and the line of a plane, to rounding."""
     rng, shape = np.random.default_rng(14), SHAPES[name]
     for _ in range(20):
         center, normal = touching(shape, rng)
@@ -157,7 +157,7 @@ def test_euler_zxz_is_exact_without_spin(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_rolling_over_the_edge_of_a_box(method: str) -> None:
-    """Rolled to an edge, round it and down the side: contact is kept, and the normal turns through the fan."""
+    """A roll round an edge and down the side is on the offset surface; the normal turns without a jump."""
     box, center, normal = SHAPES["box"], (0.0, 0.0148, 0.02), (0.0, 0.0, 1.0)
     turn = rotations.exp((-1e-3, 0.0, 0.0))
     angles = []
@@ -167,18 +167,18 @@ def test_rolling_over_the_edge_of_a_box(method: str) -> None:
         gap, _, _ = closest(box, center)
         assert gap == pytest.approx(RADIUS, abs=1e-17)
         angles.append(np.arctan2(normal[1], normal[2]))
-    # 0.02 rad on the face, pi / 2 on the edge, the rest down the side; and no jump.
+    # 0.02 rad on the face, pi / 2 on the edge, the remainder down the side.
     assert np.diff(angles).min() >= 0.0
     assert np.diff(angles).max() < 1.1e-3
     assert normal == (0.0, 1.0, 0.0)
-    # Fixed steps end their straight pieces at the edge within one tick, 10 um; the others meet it exactly.
+    # Methods with fixed steps end a straight segment within one tick of the edge, 10 um; the others meet it exactly.
     down = 0.01 - RADIUS * (1.7 - 0.02 - np.pi / 2)
     assert center[2] == pytest.approx(down, abs=1e-12 if method in ("rotation_vector", "montana_rk45") else 1e-5)
 
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_no_rotation_moves_nothing(method: str, name: str) -> None:
-    """The identity is not a roll and no spin, and leaves the centre where it is, to rounding."""
+    """The identity rotation gives no roll and no spin and does not move the centre, to rounding."""
     center, normal = touching(SHAPES[name], np.random.default_rng(15))
     out = roll(METHODS[method], SHAPES[name], RADIUS, center, normal, (1.0, 0.0, 0.0, 0.0))
     assert (out.motion, out.theta, out.spin) == ((0.0, 0.0, 0.0), 0.0, 0.0)
@@ -192,14 +192,14 @@ def test_tiny_rotation_rolls_by_its_tangential_part(method: str, name: str) -> N
     center, normal = touching(shape, rng)
     w = rotation(rng, 1e-12, 1e-12)
     out = roll(METHODS[method], shape, RADIUS, center, normal, rotations.exp(w))
-    # The normal turns by about as much, and all the rest is rounding.
+    # The normal turns by about 1e-12 rad too; the other errors are rounding.
     assert np.array(out.motion) == pytest.approx(RADIUS * np.cross(w, normal), abs=1e-10 * RADIUS * 1e-12)
     assert out.spin == pytest.approx(np.dot(w, normal), abs=1e-23)
 
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_pure_spin_does_not_roll(method: str, name: str) -> None:
-    """A rotation about the normal is all spin: half a turn, a right angle and a milliradian alike."""
+    """A rotation about the normal, of 1e-3 to 3 rad in either direction, gives spin and no roll."""
     center, normal = touching(SHAPES[name], np.random.default_rng(17))
     for angle in (1e-3, np.pi / 2, 3.0, -3.0):
         turn = rotations.exp(tuple(angle * float(n) for n in normal))
@@ -211,7 +211,7 @@ def test_pure_spin_does_not_roll(method: str, name: str) -> None:
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_rotations_near_half_a_turn(method: str, name: str) -> None:
-    """At and around pi, where the rotation's axis may flip, the result is finite and on the offset surface."""
+    """Just below and at pi, where the rotation axis may flip, the result is finite and on the offset surface."""
     rng, shape = np.random.default_rng(18), SHAPES[name]
     for angle in (np.pi - 1e-9, np.pi, np.pi * (1 - 1e-16)):
         center, normal = touching(shape, rng)
@@ -227,7 +227,7 @@ def test_rotations_near_half_a_turn(method: str, name: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> None:
-    """The scene's method, k_tau and tolerance reach the kernels; k_tau is the coupling's unless the scene says less."""
+    """Method, k_tau and tolerance of the scene reach the kernels; k_tau defaults to the coupling's stiffness."""
     built = build_scene(plane_scene(rolling={"method": method}))
     assert type(built.rolling) is type(METHODS[method])
     assert built.fingers[0].torque_stiffness == 1000.0
@@ -249,6 +249,6 @@ def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> N
 def test_a_scene_is_refused(
     plane_scene: SceneFactory, table: dict[str, Any], rolling: dict[str, Any], message: str
 ) -> None:
-    """Closed forms that do not exist, and options of another method, are faults that say what to do."""
+    """Missing closed forms and options of another method raise ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         plane_scene(table=table, rolling={"method": "rotation_vector"} | rolling)

@@ -1,4 +1,4 @@
-"""A finger that rolls without slip on an object that moves and turns: alone in its scene, or one of several."""
+"""A finger that rolls without slip on moving and rotating objects, single or among several."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def company(things: list[dict[str, Any]]) -> Scene:
 
 
 def along(where: list[dict[str, Any]], which: dict[str, Any], place: tuple[Array, Array]) -> list[Any]:
-    """The place of one object, and none for the others."""
+    """Pose of one object, and None for the others."""
     return [place if each is which else None for each in where]
 
 
 @pytest.mark.scaled
-def test_rolling_on_a_ball_that_moves_and_turns_winds_nothing(cases: Any) -> None:
-    """No slip: W = (R w_o + r w_f) / (R + r) turns the normal n, and the finger's centre is (R + r) n from the ball's.
+def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
+    """W = (R w_o + r w_f) / (R + r) turns the normal n of a roll without slip, and the tangential force is zero.
 
-    The probe is on the normal, DEPTH below the proxy. W and the rates are constant, so n = exp(W t) n_0 exactly, and no
-    tangential force is felt, however deep: of a tick in which anything turns by a, alone to the third order, as the
-    object's own turn and the finger's do not commute; among several to the second order of what is rolled in the
-    tangent plane, in which the depth is laid once where the tick begins and once where it ends.
+    The finger's centre is at (R + r) n from the sphere's, and the probe is on the normal, DEPTH below the proxy. W and
+    the rates are constant, so n = exp(W t) n_0 exactly. If anything turns by a in a tick, the error for a single object
+    is of third order in a, since the rotations of object and finger do not commute. Among several objects it is of
+    second order in the roll in the tangent plane, because the depth is applied at the start and at the end of the tick.
     """
     random = np.random.default_rng(3)
     for _ in range(cases(2, 40)):
@@ -69,14 +69,15 @@ def test_rolling_on_a_ball_that_moves_and_turns_winds_nothing(cases: Any) -> Non
 
 
 @pytest.mark.scaled
-def test_a_finger_that_goes_along_with_a_corner_as_one_body_winds_nothing(cases: Any) -> None:
-    """Two walls and a ball on a common carrier, the finger pressed into all three, and carried and turned with them.
+def test_moving_with_a_corner_as_one_body_winds_nothing(cases: Any) -> None:
+    """Two walls and a sphere on a common carrier; the finger, pressed into all three, moves and turns with them.
 
-    Nothing rolls, drags or spins: the force stays the one of depth, turned. Places of 0.1 m round to 1e-17 m, times K.
+    Nothing rolls, drags or spins: the force is that of the depth, rotated. Positions of 0.1 m round to 1e-17 m, times
+    K.
     """
     random = np.random.default_rng(4)
     wall = {"shape": "plane", "material": GRIP}
-    over = np.sqrt((R + RADIUS) ** 2 - 2.0 * R**2)  # the ball is below the finger that touches both walls
+    over = np.sqrt((R + RADIUS) ** 2 - 2.0 * R**2)  # the sphere is below the finger that touches both walls
     things = [(wall, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), (wall, [0.0, 0.0, 0.0], quaternion([0.0, np.pi / 2, 0.0]))]
     things.append((BALL, [0.0, -over, 0.0], [1.0, 0.0, 0.0, 0.0]))
     for _ in range(cases(2, 40)):

@@ -1,6 +1,6 @@
-"""Contact paths of the paper's Euler-decomposition rolling, against equations integrated independently.
+"""Contact paths of the paper's Euler-decomposition rolling, compared with independently integrated equations.
 
-The plane is z = 0, r = 10 mm. Friction is as high as a scene may have it, so that nothing slips.
+The plane is z = 0, r = 10 mm. Friction has the largest allowed value, so that nothing slips.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
 
 
 def quaternions(rotations: Array) -> Array:
-    """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step between two of them."""
+    """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step."""
     out, last = [np.array([1.0, 0.0, 0.0, 0.0])], rotations[0]
     for rotation in rotations[1:]:
         step = rotation @ last.T
@@ -43,7 +43,7 @@ def quaternions(rotations: Array) -> Array:
 
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
-    """Contact points (n, 3) m of a probe whose centre is over `follow` (n, 3), pressed `depth` in."""
+    """Contact points (n, 3) m of a probe whose centre is above `follow` (n, 3), pressed in by `depth`."""
     positions = follow + np.array([0.0, 0.0, R - depth])
     records = Engine(scene, 1.0 / dt).run(np.hstack([positions, turned]), dt)
     assert (records[:, AT.contact_mode] == ROLLING).all()
@@ -64,10 +64,8 @@ def paper_step() -> Array:
 
 @pytest.mark.parametrize("held", [False, True])
 def test_paper_experiment_along_a_line(plane_scene: SceneFactory, held: bool) -> None:
-    """Rates constant in the world: a line to (20, -30) mm, from which the decomposition strays by 2.1 and 3.1 um.
-
-    The engine computes the same path as eqs. 5-7 on matrices, whether the probe follows or is held.
-    """
+    """With constant world rates, the decomposition deviates by 2.1 and 3.1 um from a line to (20, -30) mm. The engine
+    computes the path of eqs. 5-7 on matrices, whether the probe follows or is at a fixed position."""
     table, w = published(), paper_step()
     dt, n = table["sampling_time"], round(table["duration"] / table["sampling_time"])
     times = np.linspace(0, table["duration"], n + 1)
@@ -78,21 +76,21 @@ def test_paper_experiment_along_a_line(plane_scene: SceneFactory, held: bool) ->
     largest = np.abs(by_hand - exact).max(axis=0)
     # Known to four decimals of a millimetre.
     assert largest == pytest.approx([0.0021e-3, 0.0031e-3, 0.0], abs=0.5e-7)
-    # Below what the paper found, which took the motion otherwise.
+    # Below the paper's values, which are for another interpretation of the motion.
     assert largest[0] < table["largest_difference_x"]
     assert largest[1] < table["largest_difference_y"]
 
     follow = np.zeros_like(exact) if held else exact
     path = engine_path(plane_scene(material=HIGH_FRICTION), follow, constant_turn(w, n), dt)
-    # 1e-13 m: rounding of 100 steps and of the angles' arcus tangens; 1e-5 mm would be asked.
+    # 1e-13 m: rounding of 100 steps and of the arctangents; the requirement is 1e-5 mm.
     assert path == pytest.approx(by_hand, abs=1e-13)
 
 
 def test_paper_experiment_along_an_arc() -> None:
-    """Rates constant in a contact frame that spins with the finger: the differences as printed, 0.004 and 0.004 mm.
+    """With constant rates in a contact frame that spins with the finger, the differences are 0.004 mm, as printed.
 
-    Each step's rotation is decomposed alone, and the frame turned by the spin found; turning it by
-    0.05 rad a step instead would leave 0.00003 mm, which is not what was published.
+    Each step's rotation is decomposed separately, and the frame turned by the resulting spin. Turning it by 0.05 rad
+    per step instead would give 0.00003 mm, which differs from the published value.
     """
     table, w = published(), paper_step()
     n = round(table["duration"] / table["sampling_time"])
@@ -106,7 +104,7 @@ def test_paper_experiment_along_an_arc() -> None:
     roll, _, spin = zxz_roll(rodrigues(w), normal, "phi")
     steps = [table["radius"] * turned(k * spin, np.cross(roll, normal)) for k in range(n)]
     largest = np.abs(np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) - exact).max(axis=0)
-    # Printed to 0.001 mm: half a unit of the last place.
+    # Printed to 0.001 mm: half a unit of the last digit.
     assert largest[0] == pytest.approx(table["largest_difference_x"], abs=0.5e-6)
     assert largest[1] == pytest.approx(table["largest_difference_y"], abs=0.5e-6)
 
@@ -124,13 +122,13 @@ TABLE = [
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize(("motion", "method", "heading", "largest_mm"), TABLE)
-def test_both_motions_and_both_readings(
+def test_both_motions_and_both_interpretations(
     motion: str, method: str, heading: str, largest_mm: tuple[float, float]
 ) -> None:
-    """Each method's distance from the integrated path, for both things the experiment may mean, to 1e-5 mm.
+    """Distance of each method from the integrated path, for both interpretations of the experiment, to 1e-5 mm.
 
-    In an arc the step is the same in the contact frame at each tick, and that frame turns by the spin the method
-    finds. The kernel agrees with the angles taken from matrices.
+    On an arc the step is constant in the contact frame, which turns by the method's spin. The kernel agrees with the
+    angles computed from matrices.
     """
     w, normal, n = paper_step(), np.array([0.0, 0.0, 1.0]), 100
 
@@ -163,18 +161,18 @@ def test_both_motions_and_both_readings(
 def test_constant_rate_against_the_rolling_equation(
     plane_scene: SceneFactory, rate: tuple[float, float, float]
 ) -> None:
-    """At a constant world rate and 1 kHz the path strays from the integrated equation by theta^2 / 24 at most."""
+    """At a constant world rate and 1 kHz, the path deviates from the integrated equation by at most theta^2 / 24."""
     dt, n = 1e-3, 500
     w = np.array(rate) * dt
     exact, _ = rolling_equation(lambda _: rate, R, np.linspace(0, n * dt, n + 1))
     path = engine_path(plane_scene(material=HIGH_FRICTION), exact, constant_turn(w, n), dt)
     length = np.linalg.norm(exact[-1])
-    # The tilt angle of a rotation w differs from its tangential part by less than a 24th of |w|^2.
+    # The tilt angle of a rotation w differs from its tangential part by less than |w|^2 / 24.
     assert np.abs(path - exact).max() <= length * (w @ w) / 24 + 1e-13
 
 
 def test_without_spin_the_path_is_exact(plane_scene: SceneFactory) -> None:
-    """A rotation about a tangent axis has no ambiguity: the path is the rolling equation's to rounding."""
+    """A rotation about a tangent axis gives the path of the rolling equation, to rounding."""
     dt, n = 1e-2, 100
     w = np.array([0.03, 0.02, 0.0])
     exact, _ = rolling_equation(lambda _: w / dt, R, np.linspace(0, n * dt, n + 1))
@@ -183,7 +181,7 @@ def test_without_spin_the_path_is_exact(plane_scene: SceneFactory) -> None:
 
 
 def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
-    """Under a rate that changes in size and direction, halving dt quarters the error."""
+    """For a rate that changes in size and direction, halving dt quarters the error."""
 
     def rate(t: float) -> Array:
         return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])
@@ -199,7 +197,7 @@ def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFa
 
 
 def test_contact_on_the_fingertip_needs_no_integration(plane_scene: SceneFactory) -> None:
-    """On the fingertip the contact is -r R^T n after any motion, to rounding."""
+    """The contact point on the fingertip is -r R^T n after any motion, to rounding."""
     rng, engine, q = np.random.default_rng(3), Engine(plane_scene()), np.array([1.0, 0, 0, 0])
     engine.step([0, 0, R - 0.001], q)
     for _ in range(50):
@@ -209,7 +207,7 @@ def test_contact_on_the_fingertip_needs_no_integration(plane_scene: SceneFactory
 
 
 def test_decomposition_does_not_depend_on_the_tangent_axes() -> None:
-    """Roll and spin of a step are the same whichever tangent axes the contact frame has."""
+    """Roll and spin of a step are the same for any tangent axes of the contact frame."""
     rng = np.random.default_rng(5)
     for _ in range(50):
         normal = rng.normal(size=3)
@@ -218,7 +216,7 @@ def test_decomposition_does_not_depend_on_the_tangent_axes() -> None:
         roll, theta, spin = zxz_roll(rotation, normal)
         turn = rodrigues(rng.normal(0, 1.0, 3))
         roll_turned, theta_turned, spin_turned = zxz_roll(turn @ rotation @ turn.T, turn @ normal)
-        # The turned frame's axes are others, because tangent_frame picks them by the normal's components.
+        # tangent_frame selects axes by the normal's components, so the rotated frame has other axes.
         assert roll_turned == pytest.approx(turn @ roll, abs=1e-13)
         assert (theta_turned, spin_turned) == pytest.approx((theta, spin), abs=1e-13)
         assert tangent_frame(normal)[:, 2] == pytest.approx(normal)

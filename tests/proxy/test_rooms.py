@@ -1,4 +1,4 @@
-"""A shape is one room: the program works without the folder of any of them, and without its place in the table."""
+"""The program works without the folder of a shape and its entry in the table of shapes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ print(touch.force.tolist())
 
 
 def rendered(package: Path) -> str:
-    """What the paper's plane does to a probe 0.5 mm deep, by the package in that folder."""
+    """Force of the paper's plane on a probe 0.5 mm deep, by the package in that folder."""
     environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(
         [sys.executable, "-c", RENDERED], capture_output=True, text=True, timeout=120, env=environment, check=False
@@ -32,8 +32,8 @@ def rendered(package: Path) -> str:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("room", ["heightmap", "mesh"])
-def test_the_plane_is_rendered_without_the_room(tmp_path: Path, room: str) -> None:
-    """Its folder and its name in `shapes/__init__.py` are all that has to go."""
+def test_the_plane_is_rendered_without_another_shape(tmp_path: Path, room: str) -> None:
+    """Only the shape's folder and its name in `shapes/__init__.py` are removed."""
     package = tmp_path / "softfinger"
     for folder in ("config", "drivers", "proxy", "server", "tools"):
         shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))

@@ -1,4 +1,4 @@
-"""Rotation kernels against the extended precision of the machine, on both sides of every seam."""
+"""Rotation kernels compared with extended precision, on both sides of every switch of formulas."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ pytestmark = [
 
 
 def test_sinc_is_exact_to_rounding():
-    """sin(x) / x within two units of the last place, small or large, either sign."""
+    """sin(x) / x is exact within two units of the last place, for small, large and negative arguments."""
     for x in ARGUMENTS.tolist():
         wide = np.longdouble(x)
         expected = float(np.sin(wide) / wide)
@@ -31,7 +31,7 @@ def test_sinc_is_exact_to_rounding():
 
 
 def test_angle_of_is_exact_to_rounding():
-    """2 atan2(s, c) within three units of the last place, for a sine and cosine of any common scale."""
+    """2 atan2(s, c) is exact within three units of the last place, for a sine and cosine of any common scale."""
     for ratio in ARGUMENTS.tolist():
         for c in (1.0, 0.7, 1e-3):
             s = ratio * c
@@ -46,14 +46,14 @@ def test_angle_of_is_exact_to_rounding():
     assert rotations.angle_of(1.0, 0.0) == np.pi
 
 
-def test_exp_and_log_undo_each_other():
-    """A rotation vector shorter than half a turn comes back from its quaternion, however short it is."""
+def test_exp_and_log_are_inverse():
+    """A rotation vector shorter than half a turn is recovered from its quaternion, for any length."""
     rng = np.random.default_rng(5)
     for length in np.geomspace(1e-150, 3.0, 200).tolist():
         axis = rng.normal(size=3)
         vector = length * axis / np.linalg.norm(axis)
         back = rotations.log(rotations.exp(tuple(vector)))
-        # Towards half a turn the cosine tells little, and the sine loses digits: a few roundings in all.
+        # Near half a turn the cosine is insensitive and the sine loses digits: a few roundings in all.
         np.testing.assert_allclose(back, vector, rtol=0, atol=8.0 * ULP * length)
 
 
@@ -69,7 +69,7 @@ def matrix_of(q):
 
 
 def test_quaternion_of_a_matrix_is_exact_to_rounding():
-    """Random rotations, and half turns and near half turns about every axis, come back from their matrices, w >= 0."""
+    """Random rotations, and half turns and near half turns, are recovered from their matrices, with w >= 0."""
     rng = np.random.default_rng(6)
     axes = [*np.eye(3), *(-np.eye(3)), *rng.normal(size=(20, 3))]
     quaternions = [*rng.normal(size=(500, 4)), [1.0, 0.0, 0.0, 0.0]]
@@ -81,13 +81,13 @@ def test_quaternion_of_a_matrix_is_exact_to_rounding():
         back = rotations.from_matrix(tuple(map(tuple, matrix_of(q).tolist())))
         assert back[0] >= 0.0
         assert sum(part * part for part in back) == pytest.approx(1.0, abs=4 * ULP)
-        # Up to sign the same; the matrix's own rounding is a few units of the last place, and no component is lost.
+        # Equal up to the sign; the matrix's rounding is a few units of the last place, and no component is lost.
         assert min(np.abs(back - q).max(), np.abs(back + q).max()) < 8 * ULP
 
 
-def test_what_was_normalised_stays_as_it_is():
-    """A unit quaternion that is recorded and read again has the same bits, whatever it was normalised from; and what is
-    farther from unit than rounding explains is normalised."""
+def test_unit_quaternions_are_not_renormalised():
+    """A normalised quaternion that is recorded and read again has the same bits. A quaternion farther from unit length
+    than rounding explains is normalised."""
     random = np.random.default_rng(5)
     for q in (random.standard_normal((20000, 4)) * random.uniform(0.5, 1.5, (20000, 1))).tolist():
         once = rotations.normalize(tuple(q))

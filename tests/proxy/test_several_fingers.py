@@ -1,4 +1,4 @@
-"""Several fingers over one world: the world goes on once a tick, and a finger feels only what it touches itself."""
+"""Several fingers in one world: the world advances once per tick, and fingers do not affect each other's contacts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 DT = 1e-3
 TICKS = 400
 ROOM = 64
-"""Numbers behind an outcome that nothing may touch."""
+"""Number of elements after an outcome that must stay unwritten."""
 THUMB = model.Finger(0.01, model.Coupling(1000.0, 1.0), 1000.0, 0.002, 0.0)
 INDEX = model.Finger(0.006, model.Coupling(700.0, 0.5), 500.0, 0.001, 1e-6)
 """Two fingertips that have no parameter in common."""
@@ -41,7 +41,7 @@ REMEMBERS = [
     {"kind": "stick_slip", "stiffness_n_per_m": 300.0, "force_max_n": 0.2},
     {"kind": "vibration", "amplitude_n": 0.1, "frequency_hz": 120.0},
 ]
-"""Effects with a memory of their visitor: an anchor, and a phase that waits while nobody touches."""
+"""Effects with state per finger: an anchor, and a phase that pauses without contact."""
 TURNS: dict[str, Any] = {"kind": "turntable", "rate_rad_per_s": 1.5}
 OBJECTS: dict[str, list[dict[str, Any]]] = {
     "a table": [{"shape": "plane"}],
@@ -53,7 +53,7 @@ OBJECTS: dict[str, list[dict[str, Any]]] = {
 
 
 def scene(name: str, *fingers: model.Finger) -> model.Scene:
-    """Objects that remember their visitors, and these fingers."""
+    """Scene of the named objects, with stateful effects, and `fingers`."""
     objects = [
         {"name": f"thing {i}", "material": RUBBER, "effect": REMEMBERS, **thing}
         for i, thing in enumerate(OBJECTS[name])
@@ -63,7 +63,7 @@ def scene(name: str, *fingers: model.Finger) -> model.Scene:
 
 
 def step_along(scene, values, start, state_values, poses, dt, contacts, times):
-    """One step for each of `poses` (ticks, fingers, 7); contacts (ticks, fingers, ...) and times (ticks,) come out."""
+    """Run one step for each of `poses` (ticks, fingers, 7); fill contacts (ticks, fingers, ...) and times (ticks,)."""
     parameters, state = unpack(scene, values), unpack(start, state_values)
     for i in range(poses.shape[0]):
         state, found = step(parameters, state, all_poses(poses[i], state.fingers), dt)
@@ -83,7 +83,7 @@ def write(row, contact):
 
 
 def all_poses(rows: Any, fingers: Any) -> Any:
-    """A Pose of each row, as many as there are fingers."""
+    """Return one Pose per row, one row per finger."""
     return tuple(pose_in(row) for row in rows)
 
 
@@ -113,12 +113,12 @@ def _write_all(rows, contacts):
 
 
 def numbers(kind: Any) -> int:
-    """In a named tuple of numbers and vectors; what else it has counts for one."""
+    """Count the numbers of a named tuple of numbers and vectors; other fields count as one."""
     return sum(3 if part is model.Vec3 else 1 for part in kind.__annotations__.values())
 
 
 def run(given: model.Scene, poses: Array) -> tuple[Array, Array, model.State]:
-    """Contacts (ticks, fingers, leaves), world times (ticks,) and the last state, of poses (ticks, fingers, 7)."""
+    """Contacts (ticks, fingers, leaves), world times (ticks,) and the final state, of poses (ticks, fingers, 7)."""
     start = start_state(given)
     leaves = numbers(model.Contact) - 1 + len(start.fingers[0].contacts) * numbers(model.ContactOutcome)
     contacts, times = np.full((*poses.shape[:2], leaves + ROOM), np.nan), np.zeros(len(poses))
@@ -133,7 +133,7 @@ compiled = entry(step_along)
 
 
 def stroke(radius: float, x: float, phase: float) -> Array:
-    """Poses (TICKS, 7) that come down onto the table at x, press, drag, roll, spin and leave it, at their own time."""
+    """Poses (TICKS, 7) that touch the table at x, press, drag, roll, spin and release it; `phase` shifts their time."""
     s = np.linspace(0.0, 2.0 * np.pi, TICKS) + phase
     poses = np.zeros((TICKS, 7))
     poses[:, 0] = x + 0.008 * np.sin(s)
@@ -147,7 +147,7 @@ def stroke(radius: float, x: float, phase: float) -> Array:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", OBJECTS)
 def test_two_fingers_on_one_object_are_two_runs_of_one(name: str) -> None:
-    """Fingers touch each other only through bodies that yield: on others, each has the bits it has alone."""
+    """On objects that do not yield, each of two fingers gets the same bits as in a run of one finger."""
     thumb, index = stroke(THUMB.radius, -0.02, 0.0), stroke(INDEX.radius, 0.03, 0.7)
     both, times, _ = run(scene(name, THUMB, INDEX), np.stack([thumb, index], axis=1))
     for place, (finger, poses) in enumerate([(THUMB, thumb), (INDEX, index)]):
@@ -155,12 +155,12 @@ def test_two_fingers_on_one_object_are_two_runs_of_one(name: str) -> None:
         np.testing.assert_array_equal(both[:, place], alone[:, 0])
         np.testing.assert_array_equal(times, times_alone)
         modes = set(alone[:, 0, 0])
-        assert FREE in modes and len(modes) == 3  # the stroke sees every mode, or it proves little
+        assert FREE in modes and len(modes) == 3  # the stroke must reach all three modes
     assert not np.array_equal(both[:, 0], both[:, 1])
 
 
-def test_fingers_keep_their_order() -> None:
-    """Which finger comes first decides nothing."""
+def test_order_of_fingers_changes_nothing() -> None:
+    """Reversing the order of the fingers reverses the order of the results."""
     name = "a turntable with a box on it"
     thumb, index = stroke(THUMB.radius, -0.02, 0.0), stroke(INDEX.radius, 0.03, 0.7)
     one, _, _ = run(scene(name, THUMB, INDEX), np.stack([thumb, index], axis=1))
@@ -168,24 +168,24 @@ def test_fingers_keep_their_order() -> None:
     np.testing.assert_array_equal(one, other[:, ::-1])
 
 
-def test_time_of_the_world_goes_on_once_a_tick() -> None:
-    """Two fingers do not make the turntable turn twice as fast: n ticks are n dt, summed up."""
+def test_world_time_advances_once_per_tick() -> None:
+    """With two fingers, n ticks still advance the turntable and the world time by n dt."""
     poses = np.stack([stroke(THUMB.radius, -0.02, 0.0)] * 2, axis=1)
     given = scene("a turntable with a box on it", THUMB, THUMB)
     _, times, after = run(given, poses)
     np.testing.assert_array_equal(times, np.cumsum(np.full(TICKS, DT)))
     assert after.world.time == times[-1]
-    poses = [read_pose(after.world.poses, at) for at in (0, 7)]  # of the first object, now and before
+    poses = [read_pose(after.world.poses, at) for at in (0, 7)]  # of the first object, now and one tick before
     angle, before = (2.0 * np.arctan2(q[3], q[0]) for _, q in poses)
     rate = TURNS["rate_rad_per_s"]
-    # An angle of up to a radian rounds to some 1e-16, and the sum of the steps of time by that much for each.
+    # An angle of up to a radian rounds to some 1e-16, and each step of time adds as much.
     assert angle == pytest.approx(rate * TICKS * DT, rel=0, abs=TICKS * 1e-15)
     assert angle - before == pytest.approx(rate * DT, rel=0, abs=TICKS * 1e-15)
 
 
 @pytest.fixture(scope="module")
 def pair_of_engines() -> tuple[Engine, dict[str, Engine]]:
-    """An engine for two fingers with couplings of their own, and one for each of them alone."""
+    """Engine for two fingers with different couplings, and one engine for each finger."""
     given = {"thumb": (0.01, 1000.0), "index": (0.006, 700.0)}
     objects = [{"name": "table", "shape": "plane", "material": RUBBER}]
     rest = {"rolling": {"method": "euler_zxz"}, "object": objects}
@@ -201,8 +201,8 @@ def pair_of_engines() -> tuple[Engine, dict[str, Engine]]:
     return both, {name: Engine(build(schema.Scene, tables | rest, name)) for name, tables in alone.items()}
 
 
-def test_engine_takes_and_gives_each_finger_by_name(pair_of_engines: tuple[Engine, dict[str, Engine]]) -> None:
-    """Each with the coupling and the torque stiffness that it has alone, to the bit, whatever order poses come in."""
+def test_engine_addresses_fingers_by_name(pair_of_engines: tuple[Engine, dict[str, Engine]]) -> None:
+    """Each finger gets the bits of its single-finger engine, with its coupling, for any order of the poses."""
     both, alone = pair_of_engines
     poses = {"index": stroke(0.006, 0.03, 0.7), "thumb": stroke(0.01, -0.02, 0.0)}
     found = both.run(poses)
@@ -211,7 +211,7 @@ def test_engine_takes_and_gives_each_finger_by_name(pair_of_engines: tuple[Engin
         np.testing.assert_array_equal(found[name], engine.run(poses[name]))
         assert len(np.unique(found[name][:, AT.contact_mode])) == 3
     again = both.run({name: rows[:1] for name, rows in poses.items()})
-    assert again["thumb"][0, AT.tick] == TICKS  # it goes on
+    assert again["thumb"][0, AT.tick] == TICKS  # a second run continues
 
 
 @pytest.mark.parametrize(
@@ -227,6 +227,6 @@ def test_engine_takes_and_gives_each_finger_by_name(pair_of_engines: tuple[Engin
 def test_poses_of_other_fingers_are_refused(
     pair_of_engines: tuple[Engine, dict[str, Engine]], poses: Any, said: str
 ) -> None:
-    """Which fingers there are, and what is wrong with what was given."""
+    """The error names the scene's fingers and the wrong poses."""
     with pytest.raises(PoseError, match=said):
         pair_of_engines[0].run(poses)

@@ -1,4 +1,4 @@
-"""Several objects at once, thin objects, moving objects: the proxy is the nearest point outside all of them."""
+"""Several objects, thin objects and moving objects: the proxy is the nearest point outside all of them."""
 
 import itertools
 
@@ -50,7 +50,7 @@ def engine(*objects, **tables):
 
 
 def go(running, points):
-    """Records of a straight visit to each of `points` (n, 3), upright."""
+    """Records of a run with one tick at each of `points` (n, 3), upright."""
     return running.run(np.hstack([np.asarray(points, float), np.tile(UPRIGHT, (len(points), 1))]))
 
 
@@ -68,13 +68,13 @@ def force(records):
     return records[:, at : at + 3]
 
 
-def test_corner_of_three_planes_holds_on_all_sides():
-    """A probe behind three walls has its proxy in the corner, and each wall pushes with its own spring."""
+def test_corner_of_three_planes():
+    """Behind three walls, the proxy is in the corner and each wall pushes with K times its depth."""
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
     records = go(
         corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
     )
-    # The planes' normals are turned from +z by a quaternion: rounding of some 1e-16 times metres.
+    # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
     np.testing.assert_allclose(proxy(records)[-1], [R, R, R], atol=1e-15)
     np.testing.assert_allclose(force(records)[-1], [2.0, 1.0, 1.5], atol=1e-10)
 
@@ -82,11 +82,11 @@ def test_corner_of_three_planes_holds_on_all_sides():
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
-    """Between two walls at any angle the proxy is the closed-form foot of the probe on their common line."""
+    """Between two walls at any angle the proxy is the foot of the probe on the groove's centre line, in closed form."""
     half = np.radians(angle) / 2.0
     n1, n2 = np.array([np.cos(half), 0.0, np.sin(half)]), np.array([-np.cos(half), 0.0, np.sin(half)])
     groove = engine(wall("one", n1), wall("two", n2))
-    height = R / np.sin(half)  # the sphere's centre when it rests on both
+    height = R / np.sin(half)  # centre of the sphere that touches both
     records = go(groove, way((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
     final = np.array([0.0005, 0.003, height - 0.002])
     inside = [R - n @ final for n in (n1, n2)]
@@ -94,21 +94,21 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     np.testing.assert_allclose(proxy(records)[-1], [0.0, 0.003, height], atol=1e-12)
 
 
-def test_constraints_do_not_take_turns():
-    """Dragged along a groove at constant depth, the force does not ripple from tick to tick."""
+def test_drag_along_a_groove_has_no_ripple():
+    """In a drag along a groove at constant depth, the force does not alternate between the walls from tick to tick."""
     n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
     groove = engine(wall("one", n1), wall("two", n2))
     height = R / 0.6
     down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
     along = way((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
     pushed = force(go(groove, np.vstack([down, along])))[110:]
-    # 50 um of travel a tick would show as 0.05 N if one wall were solved at a time.
+    # 50 um of travel per tick would appear as 0.05 N if the walls were solved alternately.
     assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
-    """Pressed alike, but for a nanometre to and fro, the contact stays that of one wall; with twice the load on the
-    other it becomes that one's, and stays so when both are alike again."""
+    """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
+    depth causes no switch, twice the load does, and equal depths do not switch back."""
     floor, left = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
@@ -117,11 +117,11 @@ def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     records = go(corner, np.vstack([begin, alike, more, alike]))
     first = records[:, AT.contact_object].tolist()
     assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
-    np.testing.assert_allclose(force(records)[-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times the nanometre
+    np.testing.assert_allclose(force(records)[-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
 
 
-def test_sphere_rests_in_a_dent_between_spheres():
-    """Three balls carry the fingertip: the proxy stays at a distance r from all of them."""
+def test_sphere_rests_between_three_spheres():
+    """On three balls the proxy is at a distance of one radius from each of them."""
     corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]
     balls = [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
     height = np.sqrt(0.02**2 - 0.012**2)
@@ -145,7 +145,7 @@ def test_sphere_rests_in_a_dent_between_spheres():
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_thin_object_is_not_jumped_over(shape, keys, tilt):
-    """A probe that crosses a thin object in a single tick is held on the side it came from."""
+    """A probe that crosses a thin object in a single tick leaves the proxy on its first side."""
     passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = go(passing, [start, start, end, end, end])
@@ -154,8 +154,8 @@ def test_thin_object_is_not_jumped_over(shape, keys, tilt):
     assert (force(records)[2:, 2] > 1.0).all()
 
 
-def test_two_thin_walls_are_met_one_after_the_other():
-    """While one plate is touched, a second behind the edge of the way is not passed through."""
+def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
+    """A finger that slides along one plate stops at a second thin plate in its path."""
     plates = [
         thing("plate", "box", size_m=[0.2, 0.2, 0.001]),
         thing("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
@@ -167,8 +167,8 @@ def test_two_thin_walls_are_met_one_after_the_other():
     np.testing.assert_allclose(proxy(records)[-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 
-def test_where_two_objects_meet_nothing_gets_through():
-    """Two boxes side by side make one table: dragging across the seam leaves the proxy's height alone."""
+def test_no_gap_at_the_seam_of_two_objects():
+    """Two boxes next to each other form one table: a drag across the seam does not change the proxy's height."""
     table = [thing(f"half {i}", "box", (x, 0.0, -0.05), size_m=[0.1, 0.1, 0.1]) for i, x in enumerate((-0.05, 0.05))]
     down = way((-0.03, 0.0, 0.02), (-0.03, 0.0, 0.009), 100)
     records = go(engine(*table), np.vstack([down, way((-0.03, 0.0, 0.009), (0.03, 0.0, 0.009), 1000)]))
@@ -178,7 +178,7 @@ def test_where_two_objects_meet_nothing_gets_through():
 
 
 def test_inside_of_a_box_is_a_corner_too():
-    """The inside of a box holds the fingertip on three walls at once."""
+    """In the corner of a hollow box, three walls push at once."""
     room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
     records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
     np.testing.assert_allclose(proxy(records)[-1], [0.04, 0.04, -0.04], atol=1e-12)
@@ -187,7 +187,7 @@ def test_inside_of_a_box_is_a_corner_too():
 
 
 def test_friction_in_a_groove_carries_the_load_of_both_walls():
-    """Along a groove the friction limit is that of both normal forces together."""
+    """In a groove the friction limit is the sum of the limits of both normal forces."""
     n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
     grip = {"friction": {"static": 0.6, "kinetic": 0.5}}
     groove = engine(wall("one", n1, **grip), wall("two", n2, **grip))
@@ -202,7 +202,7 @@ def test_friction_in_a_groove_carries_the_load_of_both_walls():
 
 
 def test_contact_rides_on_a_moving_object():
-    """On a table that moves to and fro the stuck fingertip's contact goes along; the hand held still feels it."""
+    """On a table that oscillates, the stuck contact moves with the table and pulls the still hand."""
     grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     motion = {"kind": "sinusoid", "translation_m": [0.0002, 0.0, 0.0], "frequency_hz": 2.0}
     table = thing("table", "plane", material=grip, motion=motion)
@@ -210,7 +210,7 @@ def test_contact_rides_on_a_moving_object():
     records = go(engine(table, **stiff), [(0.0, 0.0, 0.0095)] * 500)
     t = np.arange(1, 501) * 0.001
     moved = 0.0002 * np.sin(2.0 * np.pi * 2.0 * t)
-    # Stuck at first touch, which is the first tick; 0.5 N press, at most 0.4 mm * 1000 N/m of drag is cut at 0.3 N.
+    # The first tick sticks. With 0.5 N of load, the drag of up to 0.4 mm * 1000 N/m is limited to 0.3 N.
     expected = np.clip(1000.0 * (moved - moved[0]), -0.3, 0.3)
     stuck = records[:, AT.contact_mode] == 1
     assert stuck[:100].all()
@@ -218,7 +218,7 @@ def test_contact_rides_on_a_moving_object():
 
 
 def test_turning_table_spins_the_contact():
-    """A turntable under a still fingertip winds up torsion against its own turn."""
+    """A turntable under a still fingertip winds up torsion in the opposite direction."""
     material = {
         "stiffness_n_per_m": 1000.0,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -227,13 +227,13 @@ def test_turning_table_spins_the_contact():
     motion = {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": 0.5}
     table = thing("table", "plane", material=material, motion=motion)
     records = go(engine(table), [(0.0, 0.0, 0.009)] * 101)
-    # 100 ticks of 0.5 mrad after touch: the table has turned by 0.05 rad, so the finger has by -0.05 against it.
+    # In the 100 ticks after the touch the table turns by 0.05 rad, so the finger turns by -0.05 rad relative to it.
     np.testing.assert_allclose(records[-1, AT.contact_spin], -0.05, rtol=1e-9)
     np.testing.assert_allclose(records[-1, AT.torque + 2], 0.0025, rtol=1e-9)
 
 
 def test_relative_rotation_of_a_rolling_ball_drives_rolling():
-    """A ball that turns under a still fingertip rolls the contact as the fingertip turning the other way would."""
+    """A ball that turns under a still fingertip rolls the contact as far as a fingertip that turns oppositely."""
     grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
     tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
     turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
@@ -249,7 +249,7 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
 
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
-    """A probe that rests anywhere in a cluttered corner has a proxy that rests as well."""
+    """If the probe rests anywhere in a cluttered corner, the proxy comes to rest as well."""
     rng = np.random.default_rng(5)
     clutter = [
         wall("floor", (0, 0, 1)),
@@ -260,14 +260,14 @@ def test_proxy_never_oscillates_at_rest(cases):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
         moved = np.linalg.norm(np.diff(proxy(records)[-50:], axis=0), axis=1)
-        # Each tick is at least as still as the one before (to rounding): near a medial axis it only takes longer.
+        # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
         assert moved[-1] < 1e-6, target
 
 
 @pytest.mark.scaled
 def test_proxy_is_outside_every_object_on_random_walks(cases):
-    """Whatever the probe does among several objects, the proxy keeps its radius from all of them."""
+    """For random walks of the probe between several objects, the proxy's distance to each is at least its radius."""
     rng = np.random.default_rng(6)
     balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
     scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), -0.02)]

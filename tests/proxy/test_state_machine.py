@@ -163,7 +163,7 @@ def test_release_from_sliding_at_the_surface(plane_scene: SceneFactory) -> None:
 
 
 def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) -> None:
-    """A finger withdrawn so fast that damping cancels the force stays in contact until it is outside."""
+    """A finger withdrawn so fast that damping cancels the force is in contact until it is outside."""
     scene = plane_scene(material={"damping_ns_per_m": 10.0})
     trace = drive(Engine(scene), pressed(0.002).go(10).go(30, move=[0, 0, 0.006]))
     inside = (trace.poses[:, 2] < R) & (trace.normal_force == 0.0)
@@ -177,7 +177,7 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
-def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
+def test_a_followed_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
     """Three radians rolled back and forth, with the hand following the contact: touch is the only event."""
     along = R * np.cross(axis, [0, 0, 1])
     hand = pressed()
@@ -189,11 +189,11 @@ def test_an_honest_roll_never_slides(plane_scene: SceneFactory, axis: list[float
 
 
 def test_a_roll_followed_with_a_lag_never_slides(plane_scene: SceneFactory) -> None:
-    """A hand that lags 0.4 mm behind the roll for a radian keeps rolling under a constant force."""
+    """A hand that lags 0.4 mm behind the roll for a radian rolls under a constant force, without a slide."""
     hand = pressed().go(40, turn=[0.04, 0, 0]).go(1000, move=[0, -R, 0], turn=[1, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.events == [(1, "touch")]
-    # Counting the whole roll instead of the lag would slide at 0.06 rad.
+    # A rule that counts the roll instead of the lag would slide at 0.06 rad.
     assert trace.force[41:] == pytest.approx(np.tile([0, -0.4, 1], (1001, 1)), abs=1e-11)
 
 
@@ -210,7 +210,7 @@ def test_a_hand_that_follows_gets_its_cone_back(plane_scene: SceneFactory) -> No
 
 
 def test_drag_against_a_roll_does_not_wind_up(plane_scene: SceneFactory) -> None:
-    """The cone bounds the force while rolling one way and dragging the other, for any duration."""
+    """The cone bounds the force of a roll in one direction and a drag in the other, for any duration."""
     trace = drive(Engine(plane_scene()), pressed().go(2000, move=[0, 0.05, 0], turn=[5, 0, 0]))
     assert len(trace.events) == 2
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
@@ -250,7 +250,7 @@ def test_paper_row_rolling_is_kept(plane_scene: SceneFactory) -> None:
     trace = drive(Engine(plane_scene()), hand)
     assert ((0.6 * trace.normal_force[1:]) ** 2 - trace.tangential[1:] ** 2 > 0.0).all()
     assert (trace.mode[1:] == ROLLING).all()
-    # No slip: the proxy stays at the first contact point.
+    # No slip: the proxy does not move from the first contact point.
     assert trace.proxy[1:, :2] == pytest.approx(0.0, abs=1e-17)
 
 
@@ -334,11 +334,10 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
 @pytest.mark.parametrize("kinetic", [0.5, 0.6])
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
 @pytest.mark.parametrize("slide", [0.0, 0.01])
-def test_standing_still_does_not_chatter(
+def test_a_finger_at_rest_does_not_chatter(
     plane_scene: SceneFactory, cases: Cases, kinetic: float, resolution: float, slide: float
 ) -> None:
-    """At rest, with encoders that flicker by one step of 10 um, a finger sticks once and stays so, also with mu_d =
-    mu_s."""
+    """At rest, with encoders that flicker by one step of 10 um, a finger sticks for good, also with mu_d = mu_s."""
     hand, rng = pressed(), np.random.default_rng(13)
     hand.go(200, move=[slide, 0, 0])
     rest, x = hand.at, hand.x.copy()
@@ -351,7 +350,7 @@ def test_standing_still_does_not_chatter(
 
 
 def test_the_stop_band_is_half_a_millimetre_a_second(plane_scene: SceneFactory) -> None:
-    """A slip whose low-passed speed never enters the band does not stop; one that does, and rests, stops."""
+    """A slip stops only if its low-passed speed enters the band of 0.5 mm/s and the finger rests."""
     # One tick of slip at 50 mm/s between pauses: each adds 4.5 mm/s to the low-passed speed, which a pause of n ticks
     # multiplies by 1.1^-n. It enters the band after 24 ticks at the earliest.
     for pause, sticks in ((20, False), (80, True)):
@@ -389,8 +388,8 @@ def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, 
 LETTER = {"rolling": {"state_machine": "paper"}}
 
 
-def test_letter_agrees_where_it_is_meant(plane_scene: SceneFactory) -> None:
-    """For a held roll, theta_max and a plain drag, the literal rule switches on the same tick as the default."""
+def test_letter_agrees_in_the_papers_cases(plane_scene: SceneFactory) -> None:
+    """For a roll in place, theta_max and a plain drag, the literal rule switches on the same tick as the default."""
     held = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
     assert held.causes == ["touch"]
     assert held.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
@@ -419,14 +418,14 @@ def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_slides_a_finger_that_follows(plane_scene: SceneFactory) -> None:
-    """The literal rule counts the whole roll, so a finger that follows its roll perfectly slides at theta_max."""
+    """The literal rule counts the entire roll, so a finger that follows its roll perfectly slides at theta_max."""
     hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
     trace = drive(Engine(plane_scene(**LETTER)), hand)
     assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
 
 
 def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
-    """Friction stays at exactly mu_d f_N and drives a reversing hand, which creates energy."""
+    """Friction is exactly mu_d f_N and drives a reversing hand, which creates energy."""
     hand = pressed().go(200, move=[0.01, 0, 0])
     turn = hand.at
     hand.go(200, move=[-0.01, 0, 0])
@@ -437,7 +436,7 @@ def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_never_sticks_after_an_exact_stop(plane_scene: SceneFactory) -> None:
-    """The force stays on the cone and never inside it, so a finger at rest keeps sliding."""
+    """The force is on the cone and never inside it, so a finger at rest continues to slide."""
     trace = drive(Engine(plane_scene(**LETTER)), pressed().go(200, move=[0.01, 0, 0]).go(500))
     assert trace.causes == ["touch", "drag"]
     assert (trace.mode[-400:] == SLIDING).all()
@@ -459,7 +458,7 @@ def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -
         ({"torsion": {"model": "limit_surface"}}, "has independent limits only"),
     ],
 )
-def test_letter_knows_coulomb_only(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
+def test_letter_requires_coulomb_friction(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
     """The paper's rule raises ConfigError when combined with a law outside the paper."""
     with pytest.raises(ConfigError, match=message):
         plane_scene(material=material, **LETTER)

@@ -1,4 +1,4 @@
-"""Surfaces: signed distance, nearest point, normal and curvature of every shape, at every scale, from both sides."""
+"""Signed distance, nearest point, normal and curvature of every shape, at all scales, outside and inside."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def size_of(shape: Any) -> float:
 
 
 def leaves(shape: Any) -> list[float]:
-    """All numbers of a shape but its side."""
+    """All numbers of a shape except its side and normal."""
     fields = shape._asdict()
     fields.pop("side", None)
     fields.pop("normal", None)
@@ -83,7 +83,7 @@ def leaves(shape: Any) -> list[float]:
 
 
 def scaled(shape: Any, factor: float) -> Any:
-    """The shape, `factor` times as large."""
+    """Return the shape scaled by `factor`."""
     fields = shape._asdict()
     for key, value in fields.items():
         if key not in {"side", "normal"}:
@@ -92,7 +92,7 @@ def scaled(shape: Any, factor: float) -> Any:
 
 
 def random_shape(kind: type, rng: np.random.Generator, size: float) -> Any:
-    """A shape of that kind, of any proportions up to 1 : 100."""
+    """Return a random shape of that class, with proportions up to 1 : 100."""
     a, b, c = (float(v) for v in size * 10.0 ** rng.uniform(-2.0, 0.0, 3))
     side = 1.0 if rng.random() < 0.5 else -1.0
     build = {
@@ -114,7 +114,7 @@ kinds = st.sampled_from(KINDS)
 
 
 def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
-    """A point from deep inside a shape to far outside it, sometimes in a plane of symmetry."""
+    """Return a point deep inside to far outside a shape, sometimes in a plane of symmetry."""
     x = unit(rng) * size_of(shape) * 10.0 ** rng.uniform(-3.0, 1.5)
     return np.where(rng.random(3) < 0.15, 0.0, x)
 
@@ -126,22 +126,22 @@ def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
 @examples(150, 1250)
 @given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
 def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
-    """Against formulas that need no nearest point, for any proportions and size, in and out."""
+    """The gap matches formulas that need no nearest point, for random proportions and sizes, inside and outside."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     for _ in range(8):
         x = near_or_far(shape, rng)
         gap, _, _ = compiled_closest(shape, triple(x))
         expected = getattr(shape, "side", 1.0) * signed_distance(shape, x)
-        # A few roundings of numbers as large as the shape and the place.
+        # A few roundings of numbers as large as the shape and the point.
         assert abs(gap - expected) <= 8 * EPS * max(size_of(shape), float(np.linalg.norm(x)))
 
 
 @pytest.mark.scaled
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
-def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
-    """x = point + gap normal with a unit normal, and the point itself is on the surface."""
+def test_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
+    """x = point + gap normal with a unit normal, and the point is on the surface."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     x = near_or_far(shape, rng)
@@ -154,7 +154,7 @@ def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: floa
     else:
         assert signed_distance(shape, np.array(point)) == pytest.approx(0.0, abs=rounding)
     away = np.array(point) + gap * np.array(normal) - x
-    # On an ellipsoid rounding turns the normal by as much as its sharpest end is small.
+    # On an ellipsoid the rounding error of the normal grows with the ratio of its axes.
     sharp = max(shape.semi_axes) / min(shape.semi_axes) if kind is model.Ellipsoid else 1.0
     assert np.linalg.norm(away) <= rounding * sharp
 
@@ -162,16 +162,16 @@ def test_the_way_to_the_nearest_point_is_along_the_normal(kind: type, size: floa
 @pytest.mark.scaled
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
-def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, seed: int) -> None:
-    """From a surface point r along its normal, over faces, edges and corners alike, the nearest is that point, at r."""
+def test_nearest_point_recovers_the_surface_point(kind: type, size: float, seed: int) -> None:
+    """A point at r along the normal of a surface point, on face, edge or corner, has that nearest point."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     for point, normal, _, room in contacts(shape, rng):
         r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
         gap, found, n = compiled_closest(shape, triple(point + r * normal))
         extent = max(size_of(shape), float(np.linalg.norm(point)))
-        # In a hollow all but filled, nearness differs by a tenth only and rounding shows tenfold; where an ellipsoid
-        # is 100 times as long as thick it is bent 10^4 times as much at one place as at another.
+        # In a hollow that is almost filled, distances differ by a tenth only, and rounding errors are tenfold. An
+        # ellipsoid 100 times as long as thick has curvatures with a ratio of 10^4.
         rounding = 64 * EPS * (1e4 if kind is model.Ellipsoid else 1.0)
         assert gap == pytest.approx(r, abs=16 * EPS * extent)
         assert np.linalg.norm(found - point) <= rounding * extent
@@ -182,7 +182,7 @@ def test_a_fingertip_put_on_the_surface_is_found_there(kind: type, size: float, 
 @examples(80, 400)
 @given(size=scales, flat=st.floats(0.0, 8.0), needle=st.floats(0.0, 8.0), seed=seeds)
 def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float, seed: int) -> None:
-    """Against 60 digits, with axes up to 10^8 apart, or equal, in planes of symmetry, at the centre, close and far."""
+    """Compared with 60 digits: axes up to 10^8 apart or equal, in planes of symmetry, at the centre, near and far."""
     rng = np.random.default_rng(seed)
     spread = min(1.0, 8.0 / max(flat + needle, 1e-9))
     axes = rng.permutation(size * np.array([1.0, 10.0 ** (-spread * flat), 10.0 ** (-spread * needle)]))
@@ -202,16 +202,15 @@ def test_ellipsoid_to_machine_precision(size: float, flat: float, needle: float,
 
 @pytest.mark.parametrize("off", [0.0, 1e-59, 1e-30, 1e-16, 1e-9])
 @pytest.mark.parametrize("thin", [0.9, 0.1, 1e-4, 1e-8])
-def test_ellipsoid_where_its_medial_surface_ends(thin: float, off: float) -> None:
-    """At the centre of curvature of the sharpest end, hardly off the plane of symmetry, the slowest to converge."""
+def test_ellipsoid_at_the_end_of_its_medial_surface(thin: float, off: float) -> None:
+    """Near the centre of curvature of the sharpest end, close to a plane of symmetry, where convergence is slowest."""
     for axes, x in (
         ((1.0, thin, 1.0), (1.0 - thin * thin, off, 0.0)),
         ((1.0, thin, thin), ((1.0 - thin * thin) * (1.0 - 1e-15), off, off)),
         ((1.0, thin, 0.5), ((1.0 - thin * thin) * 0.6, off, (0.25 - thin * thin) / 0.5 * 0.8)),
     ):
         gap, point, normal = compiled_closest(model.Ellipsoid(axes, 1.0), x)
-        # The point itself is not defined better than to the root of rounding here; how far it is, and that it
-        # is the foot of x, are.
+        # The nearest point is defined only to the root of rounding here; its distance and direction are exact.
         assert abs(gap - float(ellipsoid_foot(axes, x)[0])) <= 4 * EPS
         assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= 1e-15 / thin
 
@@ -219,7 +218,7 @@ def test_ellipsoid_where_its_medial_surface_ends(thin: float, off: float) -> Non
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("axes", [(0.9, 0.5, 0.7), (2.0, 0.3, 0.3), (1.0, 1.0, 0.05)])
 def test_ellipsoid_against_minimisation(axes: Triple) -> None:
-    """No point that a general minimiser finds on the ellipsoid is nearer, and the best it finds is as near."""
+    """A general minimiser finds the same distance to the ellipsoid."""
     rng, a = np.random.default_rng(7), np.array(axes)
 
     def distance(free: Array, x: Array) -> float:
@@ -231,13 +230,13 @@ def test_ellipsoid_against_minimisation(axes: Triple) -> None:
         starts = [x / a, *np.eye(3), *-np.eye(3)]
         least = min(minimize(distance, start, args=(x,), tol=1e-10).fun for start in starts)
         assert (gap > 0.0) == (np.linalg.norm(x / a) > 1.0)
-        # 1e-9: the minimiser's own precision near a minimum, which it cannot undercut.
+        # precision of the minimiser near a minimum
         assert abs(gap) == pytest.approx(least, abs=1e-9)
 
 
 @every_shape
 def test_gradient_of_the_gap_is_the_normal(shape: Any) -> None:
-    """Central differences of the signed distance, away from where several points are nearest."""
+    """The normal equals central differences of the signed distance, except near points with several nearest points."""
     rng, h, tested = np.random.default_rng(3), 1e-5, 0
     while tested < 40:
         x = near_or_far(shape, rng)
@@ -246,18 +245,18 @@ def test_gradient_of_the_gap_is_the_normal(shape: Any) -> None:
             (compiled_closest(shape, triple(x + h * e)), compiled_closest(shape, triple(x - h * e))) for e in np.eye(3)
         ]
         turned = max(float(np.linalg.norm(np.subtract(side[2], normal))) for pair in steps for side in pair)
-        # Where the normal jumps there is no gradient; where it turns fast the difference is not a derivative.
+        # At a jump of the normal there is no gradient; where the normal turns fast, the difference is inaccurate.
         if turned > 1e-2:
             continue
         gradient = np.array([(plus[0] - minus[0]) / (2.0 * h) for plus, minus in steps])
-        # turned^2: what central differences leave out; 1e-10: rounding of numbers up to 30 over 2 h.
+        # turned^2: truncation error of central differences; 1e-10: rounding of numbers up to 30 over 2 h.
         assert np.linalg.norm(gradient - normal) <= turned**2 + 1e-9
         tested += 1
 
 
 @pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 0.0) > 0.0])
-def test_inside_is_outside_seen_from_the_other_side(shape: Any) -> None:
-    """With the side turned the nearest point stays, gap and normal change sign."""
+def test_inside_negates_gap_and_normal(shape: Any) -> None:
+    """The inside of a shape has the same nearest point; gap and normal change sign."""
     rng = np.random.default_rng(4)
     for _ in range(50):
         x = triple(near_or_far(shape, rng))
@@ -284,10 +283,10 @@ SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
 
 
 @pytest.mark.parametrize(("shape", "x", "gap", "point", "normal"), SYMMETRIC)
-def test_where_many_points_are_nearest_one_is_chosen(
+def test_tied_nearest_points_are_resolved_deterministically(
     shape: Any, x: Triple, gap: float, point: Triple, normal: Triple
 ) -> None:
-    """At centres, on axes and core circles the answer is a fixed one of the nearest points, exactly."""
+    """At centres, on axes and on core circles, a fixed one of the nearest points is returned, exactly."""
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 
@@ -295,7 +294,7 @@ def test_where_many_points_are_nearest_one_is_chosen(
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds, x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
-    """From 1e-308 to 1e100 m, gap and point are finite, the normal is a unit vector, and curvatures are finite."""
+    """For coordinates up to 1e100 m, gap, point and curvatures are finite and the normal is a unit vector."""
     shape = random_shape(kind, np.random.default_rng(seed), size)
     gap, point, normal = compiled_closest(shape, x)
     assert math.isfinite(gap)
@@ -309,8 +308,8 @@ def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: T
 
 @pytest.mark.parametrize("x", [(5e-324, 0.0, 0.0), (1e-320, 1e-310, 0.0), (0.0, 1e-170, -1e-200), (1e-160, 1e-90, 0.1)])
 @every_shape
-def test_the_smallest_numbers_do_no_harm(shape: Any, x: Triple) -> None:
-    """Coordinates whose squares and inverses leave the range of float64 are as good as zero."""
+def test_tiny_coordinates_count_as_zero(shape: Any, x: Triple) -> None:
+    """Coordinates whose squares or inverses are out of the range of float64 give the result of zeros."""
     gap, point, normal = compiled_closest(shape, x)
     nothing = compiled_closest(shape, triple(np.where(np.abs(x) < 1e-80, 0.0, x)))
     # Rounding of lengths below 1 m.
@@ -326,20 +325,20 @@ def test_the_smallest_numbers_do_no_harm(shape: Any, x: Triple) -> None:
 @examples(100, 1000)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_curvature_of_the_offset_surface(kind: type, size: float, seed: int) -> None:
-    """Against the closed forms k / (1 + r k), an edge's 1 / r included, and fundamental forms for the ellipsoid."""
+    """Matches k / (1 + r k), with 1 / r at edges, and for the ellipsoid the fundamental forms."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     for point, normal, (k1, k2), room in contacts(shape, rng):
         r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
         expected = [1.0 / r if math.isinf(k) else k / (1.0 + r * k) for k in (k1, k2)]
         found = compiled_curvature(shape, r, triple(point), triple(normal))[:2]
-        # The reference's fundamental forms lose as many digits as the ellipsoid is longer than thick, squared.
+        # The reference's fundamental forms lose as many digits as the squared ratio of the ellipsoid's axes has.
         assert sorted(found) == pytest.approx(sorted(expected), rel=1e-8 if kind is model.Ellipsoid else 1e-12)
 
 
 @every_shape
 def test_curvature_against_finite_differences(shape: Any) -> None:
-    """Moving the fingertip's centre by h along a principal direction turns the normal by k h in that direction."""
+    """A step h of the fingertip's centre along a principal direction turns the normal by k h in that direction."""
     rng = np.random.default_rng(6)
     for _ in range(20):
         for point, normal, _, room in contacts(shape, rng):
@@ -352,13 +351,13 @@ def test_curvature_against_finite_differences(shape: Any) -> None:
             h, center = 1e-4, point + r * normal
             for k, d in ((k1, d1), (k2, d2)):
                 ahead, behind = (np.array(compiled_closest(shape, triple(center + s * d))[2]) for s in (h, -h))
-                # (k h)^2 with k up to 20 / m: what central differences leave out, relative to k.
+                # (k h)^2 with k up to 20 / m: truncation error of central differences, relative to k.
                 assert np.linalg.norm((ahead - behind) / (2.0 * h) - k * d) <= 1e-4
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1e2, 1e5, 1e8])
 def test_curvature_at_the_ends_of_long_ellipsoids(ratio: float) -> None:
-    """At the ends of the axes the radii of curvature are a^2 / c, however flat or needle-like the ellipsoid."""
+    """At the ends of the axes the radii of curvature are a^2 / c, for flat and needle-like ellipsoids."""
     axes = np.array([1e-5, 1e-5 * ratio, 1e-5 * math.sqrt(ratio)])
     shape = model.Ellipsoid(triple(axes), 1.0)
     for i in range(3):
@@ -370,8 +369,8 @@ def test_curvature_at_the_ends_of_long_ellipsoids(ratio: float) -> None:
 
 
 @every_shape
-def test_an_edge_survives_a_turned_frame(shape: Any) -> None:
-    """A normal that was rotated away and back has lost its exact zeros; the curvature is the same."""
+def test_curvature_at_edges_tolerates_rounded_normals(shape: Any) -> None:
+    """A normal without exact zeros, rounded by 1e-15, gives the same curvature."""
     rng = np.random.default_rng(8)
     for point, normal, _, room in contacts(shape, rng):
         r = min(0.2, 0.5 * room)
@@ -381,8 +380,8 @@ def test_an_edge_survives_a_turned_frame(shape: Any) -> None:
 
 
 @pytest.mark.parametrize("slope", [1e-6, 0.1])
-def test_an_edge_has_a_fan_however_narrow(slope: float) -> None:
-    """A normal a millionth off a face's is in the fan of the edge: 1 / r across, and none along it."""
+def test_edges_have_a_fan_of_normals(slope: float) -> None:
+    """A normal that is 1e-6 off a face's belongs to the edge: curvature 1 / r across it and 0 along it."""
     n = triple(np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0))
     assert compiled_curvature(model.Box((0.5, 0.9, 0.3)), 0.1, (0.5, 0.2, 0.3), n)[:2] == (10.0, 0.0)
     rim = compiled_curvature(model.CappedCylinder(0.5, 0.8), 0.1, (0.5, 0.0, 0.8), n)
@@ -393,9 +392,9 @@ def test_an_edge_has_a_fan_however_narrow(slope: float) -> None:
 
 @pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 1.0) < 0.0 or isinstance(s, model.Torus)])
 def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
-    """A hollow filled exactly, or overfilled, gives large numbers, not infinite ones."""
+    """A hollow that the fingertip fills or does not fit into gives large but finite curvatures."""
     rng = np.random.default_rng(9)
-    # The last is a ball as an ellipsoid, filled to the last bit.
+    # The last case is a spherical ellipsoid that is filled exactly.
     for hollow, radius in [
         *((shape, length) for length in leaves(shape)),
         (shape, 10.0),
@@ -414,7 +413,7 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
 @examples(100, 500)
 @given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
 def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite: bool) -> None:
-    """The old normal goes to the new one, the axis across both stays, lengths are kept, close to opposite too."""
+    """The old normal is rotated to the new one about their common perpendicular, also close to opposite ones."""
     rng = np.random.default_rng(seed)
     before, v = unit(rng), unit(rng)
     after = (-before if opposite else before) + 10.0**nearness * unit(rng)
@@ -426,7 +425,7 @@ def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite
         return np.array(compiled_transport(SHAPES[1], triple(w), triple(before), triple(after)))
 
     tangent = v - (v @ before) * before
-    # The half-way plane is known as well as the sum of the normals is long.
+    # The accuracy of the half-way plane depends on the length of the sum of the normals.
     slack = 16 * EPS / max(float(np.linalg.norm(before + after)), 1e-14)
     assume(slack < 0.1)
     assert abs(np.linalg.norm(carried(tangent)) - np.linalg.norm(tangent)) <= 16 * EPS
@@ -438,7 +437,7 @@ def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite
 
 
 def test_transport_between_opposite_normals() -> None:
-    """Half a turn: a tangent stays a tangent of the same length, and the frame right-handed."""
+    """Half a turn preserves lengths, tangents and the handedness of the frame."""
     rng = np.random.default_rng(10)
     for _ in range(50):
         n = unit(rng)
@@ -448,8 +447,8 @@ def test_transport_between_opposite_normals() -> None:
         assert frame @ n == pytest.approx(-n, abs=1e-14)
 
 
-def test_a_plane_carries_nothing() -> None:
-    """On a plane the normal does not turn: a vector comes out bit for bit."""
+def test_transport_on_a_plane_is_the_identity() -> None:
+    """On a plane the normal does not turn: a vector is returned bit for bit."""
     assert compiled_transport(SHAPES[0], (0.1, 0.2, 0.3), (0.6, 0.0, 0.8), (0.6, 0.0, 0.8)) == (0.1, 0.2, 0.3)
 
 
@@ -457,8 +456,8 @@ def test_a_plane_carries_nothing() -> None:
 
 
 @every_shape
-def test_all_is_relative_to_size(shape: Any) -> None:
-    """Scaled by a power of two, from about 1e-5 to 1e3 m, every answer scales exactly: no length is built in."""
+def test_results_scale_with_the_size(shape: Any) -> None:
+    """Scaling by powers of two, from about 1e-5 to 1e3 m, scales all results exactly: no length is built in."""
     rng = np.random.default_rng(11)
     for _ in range(40):
         x = near_or_far(shape, rng)
@@ -472,8 +471,8 @@ def test_all_is_relative_to_size(shape: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", [model.Box, model.Ellipsoid])
-def test_axes_may_be_named_in_any_order(kind: type) -> None:
-    """Permuting and mirroring the axes of a box or an ellipsoid permutes and mirrors the answer."""
+def test_permuted_axes_give_permuted_results(kind: type) -> None:
+    """Permuting and mirroring the axes of a box or an ellipsoid permutes and mirrors the result."""
     rng = np.random.default_rng(12)
     for _ in range(100):
         shape, order = random_shape(kind, rng, 1.0), rng.permutation(3)
@@ -482,15 +481,15 @@ def test_axes_may_be_named_in_any_order(kind: type) -> None:
         other = shape._replace(**{shape._fields[0]: triple(np.array(shape[0])[order])})
         gap, point, normal = compiled_closest(shape, triple(x))
         g, p, n = compiled_closest(other, triple((signs * x)[order]))
-        # Sums of three are taken in another order.
+        # Sums of three terms are added in another order.
         assert g == pytest.approx(gap, abs=1e-14)
         assert p == pytest.approx((signs * point)[order], abs=1e-13)
         assert n == pytest.approx((signs * normal)[order], abs=1e-11)
 
 
 @every_shape
-def test_compiled_is_what_python_computes(shape: Any) -> None:
-    """Bit for bit, so that a kernel can be debugged as plain Python."""
+def test_compiled_kernels_match_plain_python(shape: Any) -> None:
+    """Results are equal bit for bit, so that a kernel can be debugged as plain Python."""
     rng = np.random.default_rng(13)
     for _ in range(60):
         x, v = triple(near_or_far(shape, rng)), triple(unit(rng))
@@ -502,13 +501,13 @@ def test_compiled_is_what_python_computes(shape: Any) -> None:
 
 
 @pytest.mark.parametrize("searched", [model.Mesh, model.Heightmap])
-def test_a_search_that_may_not_end_has_no_answer_without_saying_so(searched: Any) -> None:
-    """`closest` of a mesh or a height map would lose that flag, so neither has it."""
+def test_closest_is_not_defined_for_meshes_and_height_maps(searched: Any) -> None:
+    """`closest` cannot report an incomplete search, so it is not defined for shapes that need one."""
     with pytest.raises(TypeError, match="closest is not defined"):
         closest(searched(*searched._fields), (0.0, 0.0, 0.0))
 
 
-# --- a way in a tick -------------------------------------------------------------------------------
+# --- continuous collision ------------------------------------------------------------------------
 
 
 def on_a_ring(rng: np.random.Generator) -> Array:
@@ -522,16 +521,16 @@ THIN: dict[str, tuple[Any, Callable[[np.random.Generator], Array]]] = {
     "needle": (model.Capsule(0.002, 0.9, 1.0), lambda rng: rng.uniform(-1.0, 1.0, 3) * [0.0, 0.0, 0.9]),
     "ring": (model.Torus(0.8, 0.002, 1.0), on_a_ring),
 }
-"""Shapes, and places in them for a way to go through."""
+"""Shapes, and a function that returns a random point inside, for a path to cross."""
 SAMPLED = 400
-"""Places of a way that are looked at by the reference."""
+"""Points of a path that the reference samples."""
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", THIN)
-def test_no_way_leads_through_a_thin_object(name: str) -> None:
-    """However flat a way between two places outside is: where the fingertip would be clearly inside on it,
-    the way is stopped, and at a place outside."""
+def test_no_path_crosses_a_thin_object(name: str) -> None:
+    """A path that takes the fingertip clearly inside a thin object is stopped, at a point outside of it. Start and end
+    are outside; the path may be nearly parallel to the object."""
     (shape, within), rng, radius, stopped = THIN[name], np.random.default_rng(8), 0.002, 0
     for _ in range(400):
         through = within(rng)

@@ -177,7 +177,7 @@ def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, 
     """The path follows the edges of a box, into and out of the object. The force is a polynomial in each cell, so the
     quadrature is exact."""
     rng = np.random.default_rng(seed)
-    count = 15  # odd: the spline's pieces end at whole cells from the centre
+    count = 15  # odd: the spline's pieces end at integer cells from the centre
     engine = Engine(scene(rng.uniform(size=(count, count))))
     (x0, x1), (y0, y1), (z0, z1) = (*rng.uniform(-SIZE, SIZE, (2, 2)), R - rng.uniform(HEIGHT, 2e-3, 2))
     way = [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1), (x0, y0, z1), (x0, y0, z0)]
@@ -362,7 +362,7 @@ def test_clamped_border_is_level(scene: Make) -> None:
     assert np.ptp(near[:, 2]) > 1e-3
 
 
-def test_clamped_border_of_a_cylinder_goes_on_level_along_it_and_repeats_around_it(scene: Make) -> None:
+def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make) -> None:
     """Beyond the rows the value of the border applies all around; the texture repeats after an eighth of a turn."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
@@ -503,7 +503,7 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
     np.testing.assert_array_equal(forces(engine, points), before)
 
 
-# --- what a scene may say -------------------------------------------------------------------------
+# --- scene file ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -519,7 +519,7 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
         ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
     ],
 )
-def test_faults_are_said(scene: Make, changes: dict[str, Any], said: str) -> None:
+def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_scene(scene(OBLIQUE.samples(), changes))
     assert said in str(caught.value)
@@ -556,7 +556,7 @@ def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch:
     assert 0.1 * bend < max(bends) * 3e-4 / (2.0 * step) < bend
 
 
-def test_shipped_ribs_are_the_cosine_that_their_file_says() -> None:
+def test_shipped_ribs_are_a_cosine() -> None:
     grid = read_grid(FOLDERS[schema.Scene] / "ribs.csv")
     expected = 0.5 + 0.5 * np.cos(2.0 * np.pi * (np.arange(16) + 0.5) / 16.0)
     np.testing.assert_allclose(grid, expected[None], rtol=0.0, atol=5.1e-7)  # six digits

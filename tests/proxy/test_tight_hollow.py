@@ -1,9 +1,9 @@
-"""A fingertip in a hollow that it nearly fills, and in a slot: friction in closed form, and no event without a cause.
+"""Fingertip in a hollow that it nearly fills, and in a slot: friction in closed form, and no spurious events.
 
-In a round hollow of radius R the centre moves on a sphere of radius h = R - r. With the probe held at the distance d
-from the middle, and the contact a radians beside it, the depth is d cos a - h and the tangential deflection d sin a:
-what a slide keeps is d sin a = mu (d cos a - h). On a ball h = -(R + r) and d = depth + h; on a plane both grow without
-bound, and what is left is mu times the depth.
+In a round hollow of radius R the centre moves on a sphere of radius h = R - r. With the probe at a fixed distance d
+from the middle and the contact at an angle a to it, the depth is d cos a - h and the tangential deflection d sin a. A
+slide ends at d sin a = mu (d cos a - h). On a sphere h = -(R + r) and d = depth + h; on a plane both are infinite, and
+the deflection is mu times the depth.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 
 
 def held_aside(h: float, d: float, mu: float) -> float:
-    """The angle a, rad, from zero to where the depth is none."""
+    """Angle a, rad, between zero and the angle of zero depth."""
     sign = np.sign(h)
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
 
@@ -38,7 +38,7 @@ def causes(records: Array) -> list[str]:
 
 
 def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: int) -> Array:
-    """Records of a finger pressed 1 mm, held, and rolled by `turn` rad about x, from the tick after touch on."""
+    """Records of a finger pressed 1 mm, held in position and rolled by `turn` rad about x, from the tick of touch."""
     table = {"shape": "sphere", "radius_m": radius, "inside": inside}
     running = Engine(make(table=table, rolling={"method": "rotation_vector"}))
     angles = np.concatenate([[0.0], np.linspace(0.0, turn, ticks + 1)])
@@ -51,13 +51,13 @@ def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("ticks", [30, 100, 2000], ids=lambda n: f"{n} ticks")
 @pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4, 2e-3, 1e-2], ids=lambda h: f"{1e3 * h:g} mm")
-def test_a_roll_in_a_hollow_slides_where_the_cone_holds_it(
+def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
     plane_scene: SceneFactory, clearance: float, ticks: int
 ) -> None:
-    """Rolled 1 rad about x the finger slides aside by a: force, normal force and cause; the torque turns it back.
+    """After a roll of 1 rad about x, deflection, normal force, torque and cause match the closed form.
 
-    A tick turns the contact by up to 0.2 rad, and the normal force of the friction limit is that before it slid back:
-    a share of mu tan a times that turn is missed.
+    A tick turns the contact by up to 0.2 rad, and the friction limit uses the normal force before the slip, an error of
+    mu tan a times that turn.
     """
     records = rolled(plane_scene, R + clearance, True, 1.0, ticks)
     h, d = clearance, clearance + DEPTH
@@ -67,7 +67,7 @@ def test_a_roll_in_a_hollow_slides_where_the_cone_holds_it(
     tangential, normal = K * d * np.sin(a), K * (d * np.cos(a) - h)
     assert column(records, "contact.tangential_force")[-1] == pytest.approx(tangential, rel=1e-3 + missed)
     assert column(records, "contact.normal_force")[-1] == pytest.approx(normal, rel=1e-3 + missed)
-    # The roll carries the centre to -y over the floor of the hollow, as on a plane; the hand is drawn after it.
+    # The roll carries the centre to -y over the floor of the hollow, as on a plane, and pulls the hand there.
     y = column(records, "proxy.position", 3)[-1, 1]
     assert y == pytest.approx(-h * np.sin(a), rel=1e-3 + 2.0 * missed)
     assert column(records, "torque", 3)[-1, 0] == pytest.approx(-R * tangential, rel=1e-3 + missed)
@@ -75,18 +75,16 @@ def test_a_roll_in_a_hollow_slides_where_the_cone_holds_it(
 
 
 @pytest.mark.parametrize("inside", [True, False])
-def test_a_wide_hollow_and_a_large_ball_are_planes(plane_scene: SceneFactory, inside: bool) -> None:
-    """R = 100 m: mu_d times 1 N, to the share of depth over R."""
+def test_a_wide_hollow_and_a_large_sphere_are_planes(plane_scene: SceneFactory, inside: bool) -> None:
+    """With R = 100 m the force is mu_d times 1 N, to the ratio of depth and R."""
     records = rolled(plane_scene, 100.0, inside, 1.0, 1000)
     assert column(records, "contact.tangential_force")[-1] == pytest.approx(0.5, rel=1e-4)
     assert column(records, "force", 3)[-1] == pytest.approx([0.0, -0.5, 1.0], abs=2e-4)
 
 
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3])
-def test_a_stuck_roll_winds_what_the_turning_normal_makes_of_the_depth(
-    plane_scene: SceneFactory, clearance: float
-) -> None:
-    """Before it slides, rolled by theta, a = r theta / h and the force is K d sin a: more than K r theta by d / h."""
+def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(plane_scene: SceneFactory, clearance: float) -> None:
+    """While a roll by theta sticks, a = r theta / h and the force is K d sin a, d / h times K r theta for small a."""
     h, d = clearance, clearance + DEPTH
     turn = 0.8 * held_aside(h, d, MU_S) * h / R
     records = rolled(plane_scene, R + clearance, True, turn, 200)
@@ -101,8 +99,8 @@ TABLES: dict[str, Any] = {"rolling": {"method": "rotation_vector"}, "coupling": 
 
 @pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4])
 @pytest.mark.parametrize("aslant", [0.0, 0.1])
-def test_a_finger_that_crosses_a_slot_touches_the_other_wall(clearance: float, aslant: float) -> None:
-    """From one wall to the other within a tick: a new touch with nothing wound up, no drag and no reversal."""
+def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant: float) -> None:
+    """From one wall to the other within a tick: a touch without wind-up, and no drag or reversal event."""
     offset = -R - clearance
     slot = engine(wall("left", (1, 0, 0), offset, **GRIP), wall("right", (-1, 0, 0), offset, **GRIP), **TABLES)
     x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
@@ -113,9 +111,9 @@ def test_a_finger_that_crosses_a_slot_touches_the_other_wall(clearance: float, a
     assert [CAUSE_NAMES[int(c)] for c in column(records, "contact.cause")] == ["none", "touch", "none", "touch", "none"]
 
 
-def test_beside_another_object_a_hollow_is_the_same_hollow() -> None:
-    """Pressed 1.5 mm into a bowl with 1 mm of clearance and led round: the force of the bowl alone, with a plane that
-    is metres away."""
+def test_a_far_object_does_not_change_a_hollow() -> None:
+    """Pressed 1.5 mm into a bowl with 1 mm of clearance and moved round it, the force is that of the bowl. A plane
+    metres away is in the scene."""
     clearance, depth = 0.001, 0.0015
     bowl = {"name": "bowl", "shape": "sphere", "radius_m": R + clearance, "inside": True}
     floor = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -9.0]}
@@ -132,7 +130,7 @@ def test_beside_another_object_a_hollow_is_the_same_hollow() -> None:
 
 FAR = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -9.0]}
 HALF = 0.005
-"""Of the capsule's length, m."""
+"""Half length of the capsule, m."""
 
 
 def ends(distance: float) -> list[dict[str, Any]]:
@@ -171,18 +169,16 @@ NEARLY_FILLED: dict[str, Any] = {
     "tube between planes": (lambda h: [{"shape": "cylinder", "radius_m": R + h}, *ends(R + h)], in_short_tube),
     "dome": (lambda h: [{"shape": "sphere", "radius_m": R + h}, ends(R)[0]], in_dome),
 }
-"""Objects, of which the first is touched from inside; and the place nearest to one that the centre may have."""
+"""Objects, the first of which is touched from inside, and the function that returns the nearest allowed centre."""
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", NEARLY_FILLED)
-def test_whatever_else_is_there_a_hollow_holds_the_fingertip_nearest_to_the_probe(
-    name: str, clearance: float, cases: Cases
-) -> None:
-    """Moved at once to a place and from there to another, up to ten clearances from the middle: at rest the force is
-    the spring's to the nearest place in closed form."""
+def test_proxy_in_a_hollow_is_the_nearest_point_to_the_probe(name: str, clearance: float, cases: Cases) -> None:
+    """At rest, the force is that of the spring to the nearest allowed centre, in closed form. The probe jumps to one
+    random position and then to another, up to ten clearances from the middle."""
     objects, nearest = NEARLY_FILLED[name]
     hollow, *others = objects(clearance)
     material = {"material": {"stiffness_n_per_m": K}}
@@ -194,7 +190,7 @@ def test_whatever_else_is_there_a_hollow_holds_the_fingertip_nearest_to_the_prob
         for place in ([0.0, 0.0, 0.1 * clearance], there, *[probe] * 6):
             found = running.step(place, [1.0, 0.0, 0.0, 0.0])
         wanted = K * (nearest(probe, clearance) - probe)
-        # The search ends where a round moves the proxy by less than 1e-13 of the radius, or after ten of them.
+        # The search ends if a round moves the proxy by less than 1e-13 of the radius, or after ten rounds.
         np.testing.assert_allclose(found.force, wanted, rtol=0.0, atol=1e-6 * (1.0 + np.linalg.norm(wanted)))
 
 
@@ -207,9 +203,9 @@ ALONE: dict[str, Any] = {
 
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
-def test_a_hollow_touched_from_afar_begins_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """With friction, in one tick out of the middle, up to thirty clearances: the proxy is the nearest place, and the
-    force the spring's alone."""
+def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
+    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
+    has no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

@@ -1,4 +1,4 @@
-"""The moment about the normal: its limits, and the proxy that turns.
+"""Moment about the normal: its limits, and the proxy with a rotational degree of freedom.
 
 The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz.
 """
@@ -26,13 +26,13 @@ pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-14
-"""Rounding of some hundred additions of angles of 0.1 rad times 0.05 N m/rad, N m."""
+"""Bound on the rounding of several hundred additions of angles of 0.1 rad times 0.05 N m/rad, N m."""
 
 PROXY = {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}
 
 
 def pressed(depth: float = 0.001) -> Hand:
-    """A hand that was free on its first tick and is pressed in from its second."""
+    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
     return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
@@ -45,7 +45,7 @@ def pressed(depth: float = 0.001) -> Hand:
 def test_moment_saturates_at_the_torsional_limit(
     plane_scene: SceneFactory, depth: float, exponent: float | None
 ) -> None:
-    """The moment grows as k_z phi up to mu_t f_N, or mu_t f_N (f_N / 1 N)^gamma, either way round."""
+    """In both directions the moment grows as k_z phi up to mu_t f_N, or mu_t f_N (f_N / 1 N)^gamma."""
     load = 1000 * depth
     limit = 0.004 * load ** (1 + (exponent or 0.0))
     for sign in (1, -1):
@@ -66,8 +66,8 @@ def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
-def test_lifting_lets_the_anchor_slip(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
-    """A wound finger that is lifted unwinds with its limit, and pressing again does not bring the moment back."""
+def test_lifting_reduces_the_moment_permanently(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+    """If a wound finger is lifted, the moment falls with its limit and does not return when it is pressed again."""
     hand = pressed(0.002).go(100, turn=[0, 0, 0.1])
     wound = hand.at
     hand.go(100, move=[0, 0, 0.0018])
@@ -82,14 +82,14 @@ def test_lifting_lets_the_anchor_slip(plane_scene: SceneFactory, torsion: dict[s
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
-def test_a_frictionless_finger_still_winds(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
-    """Without friction the tangential force is none, and the moment is that of the same torsion with friction."""
+def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+    """Without friction the tangential force is zero, and the moment equals that of the same torsion with friction."""
     hand = pressed(0.0015).go(300, turn=[0, 0, 0.3]).go(300, move=[0.01, 0, 0.0005], turn=[0, 0, -0.2])
     smooth = drive(Engine(plane_scene(rolling=None, material={"friction": None, "torsion": torsion})), hand)
     rough = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
     assert smooth.tangential.max() == 0.0
     assert np.abs(smooth.torque[:, :2]).max() == 0.0
-    # Of a moment that turns about z as the finger does, the same bits.
+    # The moment turns about z with the finger, so the bits are equal.
     assert (smooth.torque[:, 2] == rough.torque[:, 2]).all()
 
 
@@ -98,7 +98,7 @@ def test_a_frictionless_finger_still_winds(plane_scene: SceneFactory, torsion: d
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, sign: int) -> None:
-    """The moment peaks at the static torsional limit, slips at the kinetic one, is kept by a stop, and peaks again."""
+    """The moment peaks at the static torsional limit, slips at the kinetic one, persists at a stop, and peaks again."""
     hand = pressed().go(499, turn=[0, 0, sign * 0.5])
     stop = hand.at
     hand.go(200)
@@ -106,7 +106,7 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
     hand.go(300, turn=[0, 0, sign * 0.3])
     trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
     moment = -sign * trace.torque[:, 2]
-    # 499 ticks for 0.5 rad: 0.08 rad falls between two ticks.
+    # 499 ticks for 0.5 rad: 0.08 rad is between two ticks.
     peak = int(moment[:stop].argmax())
     assert peak == 1 + int(np.ceil(0.08 / 0.5 * 499))
     assert moment[peak] == pytest.approx(0.004, rel=1e-12)
@@ -114,13 +114,13 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
     assert moment[peak + 1 : again + 1] == pytest.approx(0.003, rel=1e-12)
     assert moment[again:].max() == pytest.approx(0.004, rel=1e-12)
     assert moment[-1] == pytest.approx(0.003, rel=1e-12)
-    # The proxy turns after the probe by all that is not wound.
+    # The proxy follows the probe except for the wound angle.
     assert abs(trace.steps[-1].spin) == pytest.approx(0.06, rel=1e-12)
     assert trace.causes == ["touch"]
 
 
 def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
-    """Turned back, the proxy stays until the moment has reached the static limit the other way."""
+    """After a reversal the proxy sticks until the moment reaches the static limit in the other direction."""
     hand = pressed().go(300, turn=[0, 0, 0.3])
     turn = hand.at
     hand.go(300, turn=[0, 0, -0.3])
@@ -132,8 +132,8 @@ def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
     assert np.diff(back[:peak]) == pytest.approx(0.05 * 1e-3, abs=EXACT)
 
 
-def test_the_two_cones_know_nothing_of_each_other(plane_scene: SceneFactory) -> None:
-    """Dragging and spinning at once, the proxy slides at mu_d f_N and turns at its own kinetic limit."""
+def test_friction_and_torsion_have_independent_limits(plane_scene: SceneFactory) -> None:
+    """Dragged and spun together, the proxy slides at mu_d f_N and turns at the kinetic torsional limit."""
     trace = drive(
         Engine(plane_scene(material={"torsion": PROXY})), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8])
     )
@@ -144,8 +144,8 @@ def test_the_two_cones_know_nothing_of_each_other(plane_scene: SceneFactory) -> 
 
 
 @pytest.mark.scaled
-def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFactory) -> None:
-    """With the kinetic limit left out it is the static one, and every tick is that of the independent model."""
+def test_equal_limits_give_the_independent_model(plane_scene: SceneFactory) -> None:
+    """The kinetic limit defaults to the static one, and then every tick equals that of the independent model."""
     independent = Engine(plane_scene())
     proxy = Engine(plane_scene(material={"torsion": {"model": "soft_finger_proxy"}}))
 
@@ -163,7 +163,7 @@ def test_a_proxy_without_a_drop_is_the_independent_model(plane_scene: SceneFacto
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.003, 0.004])
 def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases: Cases, kinetic: float) -> None:
-    """Held at rest after a spin, through encoders that flicker by one step of 1 mrad, it stays stuck."""
+    """At rest after a spin, with encoders that flicker by one step of 1 mrad, the proxy sticks."""
     hand, rng = pressed().go(300, turn=[0, 0, 0.3]), np.random.default_rng(3)
     rest = hand.at
     flicker = 1e-3 * rng.integers(-1, 2, cases(1000, 3000))
@@ -172,12 +172,12 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     engine = Engine(plane_scene(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}}))
     records = engine.run(np.array(hand.poses))
     spin = column(records, "contact.spin")[rest + 200 :]
-    # Stuck, the wind-up follows the flicker and nothing is lost: what it is above the flicker is constant.
+    # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12
 
 
-# --- the file --------------------------------------------------------------------------------------
+# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -190,13 +190,13 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     ],
 )
 def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> None:
-    """A torsion table that contradicts itself is refused with what to change."""
+    """A contradictory or out-of-range torsion table raises ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the law, which is what gets compiled, has the parts the scene names and no others."""
+    """The type of the torsion law, which selects the compiled code, has only the parts that the scene specifies."""
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
         (None, None),
@@ -211,7 +211,7 @@ def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    """Beside a turning proxy the other objects get its type, with one limit for sticking and slipping, or with none."""
+    """If one object has a turning proxy, all get its type, with equal limits, or with zero limits without torsion."""
     mapping = paper_mapping()
     table = mapping["object"][0]
     turning = {**table["material"], "torsion": {**table["material"]["torsion"], **PROXY}}

@@ -1,4 +1,4 @@
-"""Named tuples with some of their fields changed, in a kernel and as plain Python."""
+"""Functions on tuples, in a kernel and as plain Python."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.jit.tuples import (
 
 
 class Thing(NamedTuple):
-    """Fields of three types, one of which is not there."""
+    """Fields of three types, one of which may be None."""
 
     size: float
     place: Any
@@ -33,13 +33,13 @@ def moved(thing: Thing, place: Any) -> Any:
 
 @pytest.mark.plain
 @pytest.mark.parametrize("place", [(1.0, 2.0, 3.0), 4.0, (5.0, Thing(6.0, None, 7))])
-def test_fields_get_other_values_of_any_type_and_the_rest_stays(place: Any) -> None:
+def test_fields_are_replaced_by_values_of_any_type(place: Any) -> None:
     found = moved(Thing(0.5, None, 3), place)
     assert type(found) is Thing
     assert found == Thing(1.0, place, 3)
 
 
-def test_a_kernel_does_not_compile_that_names_a_field_which_is_not_there() -> None:
+def test_an_unknown_field_name_does_not_compile() -> None:
     @entry
     def misspelt(thing: Thing) -> Any:
         return replace(thing, "plaec", 1.0)
@@ -55,7 +55,7 @@ def half_and_third(number: float, other: float, factor: float) -> tuple[float, f
 
 @jit
 def behind(number: float, others: tuple[float, float]) -> tuple[float, float]:
-    """The number, and how much the others are, each doubled once more the farther behind it is."""
+    """Return the number, and the sum of `others` with the second weighted twice."""
     return number, others[0] + 2.0 * others[1]
 
 
@@ -71,8 +71,8 @@ def of_all(numbers: Any, others: Any, things: Any) -> Any:
 
 @pytest.mark.plain
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_each_of_a_tuple_however_many_there_are(count: int) -> None:
-    """What kernels do to every finger, contact and effect, in order; a fold takes the last one first."""
+def test_functions_apply_to_tuples_of_any_length(count: int) -> None:
+    """Maps preserve the order; a fold starts with the last element."""
     numbers, others = (1.0, 2.0, 4.0)[:count], (3.0, 6.0, 9.0)[:count]
     things = (Thing(0.5, None, 3), Thing(1.5, None, 3), Thing(2.5, None, 3))[:count]
     mapped, made = of_all(numbers, others, things)

@@ -1,4 +1,4 @@
-"""A URDF as the model of a scene: a lid of a mesh on a hinge, its name, the files of its package, the time step."""
+"""URDF models: a mesh lid on a hinge, names of geoms, files of packages, time step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ URDF = """
 
 
 def written(folder: Path, file: str = "package://toys/lid.stl", beside: str = "lid.stl") -> str:
-    """The URDF's file, and the lid's: a plate of 80 x 60 x 10 mm, in mm."""
+    """Write the URDF and the lid, a plate of 80 x 60 x 10 mm in mm; return the URDF's path."""
     place = folder / beside
     place.parent.mkdir(exist_ok=True)
     trimesh.creation.box(extents=(80.0, 60.0, 10.0)).export(place)
@@ -53,8 +53,8 @@ def written(folder: Path, file: str = "package://toys/lid.stl", beside: str = "l
 
 
 @pytest.mark.parametrize("beside", ["lid.stl", "toys/lid.stl"])
-def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(beside: str, tmp_path: Path) -> None:
-    """`package://toys/lid.stl` is lid.stl beside the URDF, or toys/lid.stl below; what is only seen is not touched."""
+def test_geoms_have_the_names_of_links_and_meshes_are_found(beside: str, tmp_path: Path) -> None:
+    """`package://toys/lid.stl` is lid.stl next to the URDF or toys/lid.stl below it; visual geometry is ignored."""
     rule = schema.GeomMaterial(name="lid", material=schema.Material(stiffness_n_per_m=2.0))
     world = schema.World(
         model=written(tmp_path, beside=beside), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
@@ -64,7 +64,7 @@ def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(besi
     assert all(thing is not None for thing in found.values())
     bottom, lid, ball = (thing for thing in found.values() if thing is not None)
     assert isinstance(lid, schema.Mesh) and lid.mesh == "lid"
-    # In its axes of inertia, and in 32 bits.
+    # Along the principal axes of inertia, and in 32 bits.
     assert sorted(about(lid).report.size_m) == pytest.approx([0.01, 0.06, 0.08], rel=1e-6)
     assert isinstance(bottom, schema.Box) and isinstance(ball, schema.Sphere)
     assert [thing.material.stiffness_n_per_m for thing in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
@@ -73,10 +73,8 @@ def test_geoms_are_called_as_their_links_and_meshes_are_found_in_the_folder(besi
 
 @pytest.mark.parametrize("prefix", ["package://toys", "package:///toys", "model://toys"])
 def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path) -> None:
-    """Up to the root, with its name and without; MuJoCo permits white space in front of the XML.
-
-    A root that would have the package is suggested.
-    """
+    """The search covers all folders up to the root, with the package's name and without. MuJoCo permits white space
+    before the XML. A root that would contain the package is suggested."""
     folder = tmp_path / "toys" / "robots" / "urdf"
     folder.mkdir(parents=True)
     model = Path(written(folder, f"{prefix}/meshes/lid.stl", "../../meshes/lid.stl"))
@@ -90,11 +88,9 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
-def test_a_lid_turns_about_its_hinge_under_a_finger(substeps: int, tmp_path: Path) -> None:
-    """Pressed from above: what the finger gives, force times arm times time, is I theta' + c theta.
-
-    A URDF has no time step: a tick's is taken.
-    """
+def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
+    """Pressed from above, the lid gains I theta' + c theta, which equals force times arm times time. A URDF has no time
+    step, so that of a tick is used."""
     scene = {
         "fingertip": {"radius_m": R},
         "world": {"model": written(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},
@@ -110,20 +106,20 @@ def test_a_lid_turns_about_its_hinge_under_a_finger(substeps: int, tmp_path: Pat
     turned, faster = engine.data.qpos[0] - begun[0], engine.data.qvel[0] - begun[1]
     inertia = 0.0005 + 0.3 * 0.05**2
     assert felt.min() > 0.3 and turned > 1e-3
-    # The plate tilts by 0.01 rad at the most, and its top is 5 mm above the hinge: the arm changes by 0.2 %.
+    # The plate tilts by at most 0.01 rad, and its top is 5 mm above the hinge: the arm changes by 0.2 %.
     assert inertia * faster + DAMPING * turned == pytest.approx(1e-3 * felt.sum() * arm, rel=5e-3)
     assert 0.0 < engine.data.qpos[0] < math.atan2(0.001, arm)
 
 
 @pytest.mark.parametrize("file", ["package://toys/../../secret.stl", "package://../secret.stl", "../secret.stl"])
 def test_no_file_outside_of_its_folder_is_read(file: str, tmp_path: Path) -> None:
-    """Not by a package's name either."""
+    """A package's name cannot lead out of the folder either."""
     world = schema.World(model=written(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
     with pytest.raises(ConfigError, match="outside of its folder"):
         list(taken(world))
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     world = schema.World(
         model=written(tmp_path, "package://toys/none.stl"), material=schema.Material(stiffness_n_per_m=1.0)
     )
