@@ -13,11 +13,14 @@ gmsh = pytest.importorskip("gmsh")
 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
-from softfinger.proxy.elastic.compliance import patch_loads, solve_patches  # noqa: E402
-from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
+from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals  # noqa: E402
+from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
+from softfinger.proxy.kernels.elastic.spots import respond_alone, spot_on  # noqa: E402
+from softfinger.proxy.kernels.numerics import mat3  # noqa: E402
 from softfinger.proxy.meshes.prepared import about  # noqa: E402
+from softfinger.proxy.scene import build_scene  # noqa: E402
 
 pytestmark = pytest.mark.plain
 
@@ -172,14 +175,51 @@ def test_the_boundary_is_closed_and_faces_outward() -> None:
     assert quality(volume).min() > 0.1
 
 
-def pad(folder: Path, triangles: Any = None, **changes: Any) -> Any:
+def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
     vertices, faces = box(0.03, 0.03, 0.012)
     lines = [f"v {x} {y} {z}" for x, y, z in vertices]
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
     (folder / "pad.obj").write_text("\n".join(lines))
     elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
     thing = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
-    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]}).object[0]
+    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]})
+
+
+def pad(folder: Path, **changes: Any) -> Any:
+    """Return the elastic object of `pad_scene`."""
+    return pad_scene(folder, **changes).object[0]
+
+
+def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_path: Path) -> None:
+    from scipy.sparse.linalg import spsolve
+
+    config = pad_scene(tmp_path)
+    thing, kernel = config.object[0], build_scene(config)
+    assert thing.elastic is not None
+    volume = volume_of(thing, thing.elastic.resolution_m)
+    solid = solid_of(volume, thing.elastic)
+    mesh = kernel.objects.body.shape.row[0]
+    vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
+    normals = vertex_normals(volume.vertices, boundary(volume))
+    random = np.random.default_rng(46)
+    facets = random.choice(np.flatnonzero((kernel.elastic.nodes.array[corners] >= 0).all(axis=1)), 100)
+    loads, spots, forces = [], [], random.normal(size=(100, 3))
+    for facet in facets:
+        weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
+        normal = np.cross(places[1] - places[0], places[2] - places[0])
+        own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
+        patches = patch_loads(solid, volume.vertices[own], normals[own], thing.elastic.radius_m)
+        loads.append(np.stack([patch @ weights for patch in patches], axis=1))
+        up = tuple((normal / np.linalg.norm(normal)).tolist())
+        spots.append(spot_on(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
+    nodal = np.stack([load @ force for load, force in zip(loads, forces, strict=True)], axis=1)
+    direct = np.zeros(nodal.shape)
+    direct[solid.free] = spsolve(solid.matrix, nodal[solid.free])
+    for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
+        found = mat3.times(respond_alone(kernel.elastic, spot).compliance, tuple(force))
+        assert found == pytest.approx(
+            load.T @ moved / thing.elastic.youngs_pa, rel=1e-8, abs=1e-8 * max(map(abs, found))
+        )
 
 
 @pytest.mark.parametrize(
