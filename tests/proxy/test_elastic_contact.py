@@ -13,7 +13,7 @@ from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.elastic import step
-from softfinger.proxy.kernels.elastic.spots import respond_alone, respond_to_other, spot_on
+from softfinger.proxy.kernels.elastic.spots import compliance_of, compute_node_rows, spot_on
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.meshes.reading import Arrays
@@ -48,7 +48,7 @@ def compliance_at(engine: Engine, facet: int, point: Any) -> Any:
     """Return the compliance (3, 3) m/N at a point of a facet."""
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     spot = spot_on(elastic, body, float(facet), tuple(point), (0.0, 0.0, 1.0))
-    return np.array(respond_alone(elastic, spot).compliance)
+    return np.array(compliance_of(spot, compute_node_rows(elastic, spot, spot)))
 
 
 def facet_below(engine: Engine, x: float, y: float) -> int:
@@ -183,7 +183,8 @@ def test_two_fingers_feel_each_other_through_the_body() -> None:
         spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
         for point in (held, beside)
     )
-    there, back = (np.array(response.compliance) for response in respond_to_other(elastic, one, two))
+    there = np.array(compliance_of(one, compute_node_rows(elastic, one, two)))
+    back = np.array(compliance_of(two, compute_node_rows(elastic, two, one)))
     assert there == pytest.approx(back.T, abs=1e-10 * abs(there).max())
 
 
