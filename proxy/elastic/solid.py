@@ -65,7 +65,8 @@ class Solid:
             )
         self.free: Final = np.flatnonzero(~fixed)
         stiffness = self._assemble(linear_elasticity(*lame_parameters(1.0, poisson)))
-        stiffness = stiffness[self.free][:, self.free]  # of all unknowns it is no longer needed
+        stiffness = stiffness[self.free]  # in two steps, so that at most two copies are in memory
+        stiffness = stiffness[:, self.free]
         self.factors: Final = Factors(stiffness, places[self.free])
         """Factors of the matrix of the free unknowns, in their order."""
 

@@ -17,6 +17,7 @@ from softfinger.proxy.kernels.elastic.spots import compliance_of, compute_node_r
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.meshes.reading import Arrays
+from softfinger.proxy.record import LARGE_STRAIN
 
 pytestmark = pytest.mark.plain
 
@@ -186,6 +187,14 @@ def test_two_fingers_feel_each_other_through_the_body() -> None:
     there = np.array(compliance_of(one, compute_node_rows(elastic, one, two)))
     back = np.array(compliance_of(two, compute_node_rows(elastic, two, one)))
     assert there == pytest.approx(back.T, abs=1e-10 * abs(there).max())
+
+
+def test_the_strains_under_two_fingers_are_added() -> None:
+    """Each finger alone strains the pad by less than 10 %."""
+    one, two = (np.tile(at(x, 0.0, 0.001), (4, 1)) for x in (-0.009, 0.009))
+    assert Engine(scene()).run(one)["contact.nonlinear"][-1] == 0
+    both = Engine(scene(fingers=2)).run({"a": one, "b": two})
+    assert [both[name]["contact.nonlinear"][-1] for name in "ab"] == [LARGE_STRAIN, LARGE_STRAIN]
 
 
 def test_the_work_across_facets_is_the_change_of_the_energy_of_springs_and_body() -> None:
