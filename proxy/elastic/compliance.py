@@ -19,6 +19,8 @@ from softfinger.proxy.elastic.solid import Doubles, Solid
 
 BLOCK: Final = 128
 """Right-hand sides that are solved together."""
+STRIP: Final = 16
+"""Right-hand sides whose displacement gradients are in memory together."""
 
 
 def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
@@ -103,18 +105,20 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     from scipy.sparse import hstack
 
     count = loads[0].shape[1]
-    together = hstack(loads).tocsc()  # component by component
+    together = hstack(loads).tocsr()[solid.free].tocsc()  # component by component
     blocks, bending = np.empty((count, count, 3, 3)), np.empty((2, 3 * count))
-    back, gradient = together.T.tocsr(), _surface_gradient(solid)
+    back, gradient = together.T, _surface_gradient(solid)[:, solid.free]
     # Loads that begin in the same fronts are solved together, so that the others are skipped.
-    first = np.minimum.reduceat(solid.front[together.indices], together.indptr[:-1])
+    first = np.minimum.reduceat(solid.factors.number[together.indices], together.indptr[:-1])
     parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
 
     def solve(part: NDArray[np.int64]) -> None:
-        moved = solid.solve(together[:, part].toarray())
+        moved = together[:, part].toarray()
+        solid.factors.solve(moved)
         axis, patch = np.divmod(part, count)
         blocks.transpose(2, 0, 3, 1)[:, :, axis, patch] = (back @ moved).reshape(3, count, len(part))
-        bending[:, part] = _largest_parts(gradient, moved)
+        for strip in range(0, len(part), STRIP):
+            bending[:, part[strip : strip + STRIP]] = _largest_parts(gradient, moved[:, strip : strip + STRIP])
 
     solved = 0
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:  # the kernels release the interpreter lock

@@ -22,6 +22,8 @@ Whole = NDArray[np.int64]
 
 LEAF: Final = 192
 """Number of unknowns that are not divided further."""
+STRIP: Final = 256
+"""Columns of a front that are changed together: copies of a whole front would be the peak of memory."""
 
 
 class Front(NamedTuple):
@@ -43,7 +45,7 @@ class Factors:
     Parameters
     ----------
     matrix
-        Sparse (n, n), with both triangles.
+        Sparse (n, n) by rows (CSR), with both triangles.
     places
         (n, 3) m, positions of the unknowns.
 
@@ -56,8 +58,7 @@ class Factors:
     """
 
     def __init__(self, matrix: Any, places: Doubles) -> None:
-        self._matrix, self._places = matrix.tocsr(), places
-        self._couplings = self._matrix.astype(bool).astype(np.int32)
+        self._matrix, self._places = matrix, places
         self._fronts: Final[list[Front]] = []
         self._is_high = np.zeros(len(places), bool)
         self._position = np.full(len(places), -1)
@@ -67,7 +68,7 @@ class Factors:
         weakref.finalize(self, self._file.close)
         self._eliminate(np.arange(len(places)))
         self._file.flush()
-        del self._matrix, self._couplings
+        del self._matrix, self._places
 
     def solve(self, loads: Doubles) -> None:
         """Replace the right-hand sides (n, k) by the solutions."""
@@ -110,12 +111,14 @@ class Factors:
         beyond = later[self.number[later] < 0]
         count, unknowns = len(own), np.concatenate([own, beyond])
         self._position[unknowns] = np.arange(len(unknowns))
-        matrix = np.zeros((len(unknowns), len(unknowns)))
+        matrix = np.zeros((len(unknowns), len(unknowns)), order="F")
         at = self._position[rows.col]
         matrix[at[at >= 0], rows.row[at >= 0]] = rows.data[at >= 0]
         while children:
             of_child, change = children.pop()
-            matrix[np.ix_(self._position[of_child], self._position[of_child])] += change
+            at = self._position[of_child]
+            for columns in _strips(len(at)):
+                matrix[np.ix_(at, at[columns])] += change[:, columns]
             del change
         self._position[unknowns] = -1
         try:
@@ -124,7 +127,11 @@ class Factors:
             raise ValueError("fixed: the body can still move: choose a larger region in each of its parts") from error
         below = solve_triangular(square, matrix[count:, :count].T, lower=True, check_finite=False)
         self._write(own, beyond, square, below)
-        return beyond, matrix[count:, count:] - below.T @ below
+        rest = matrix[count:, count:].copy(order="F")
+        del matrix
+        for columns in _strips(len(beyond)):
+            rest[:, columns] -= below.T @ below[:, columns]
+        return beyond, rest
 
     def _divide(self, part: Whole) -> tuple[list[Whole], Whole]:
         """Return two parts without a common entry of the matrix, and the unknowns that separate them."""
@@ -134,7 +141,13 @@ class Factors:
         ordered = part[places[:, np.ptp(places, axis=0).argmax()].argsort(kind="stable")]
         low, high = np.array_split(ordered, 2)
         self._is_high[high] = True
-        separates = self._couplings[low] @ self._is_high > 0
+        rows = self._matrix[low]
+        separates = np.logical_or.reduceat(self._is_high[rows.indices], rows.indptr[:-1])  # no row is empty
         self._is_high[high] = False
         separates[0] |= not separates.any()  # a front is not empty
         return [each for each in (low[~separates], high) if len(each)], low[separates]
+
+
+def _strips(count: int) -> list[slice]:
+    """Return the columns of a front with `count` columns, in strips."""
+    return [slice(first, first + STRIP) for first in range(0, count, STRIP)]

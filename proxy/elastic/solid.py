@@ -54,7 +54,6 @@ class Solid:
         # Of one tetrahedron, since all would have 1 kB of quadrature for each unknown.
         self.basis: Final[Any] = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementTetP2()), intorder=2, elements=[0])
         self._skfem: Final[Any] = skfem
-        stiffness = self._assemble(linear_elasticity(*lame_parameters(1.0, poisson)))
         places = self.basis.doflocs.T
         component = np.empty(self.basis.N, np.int64)
         for of in (self.basis.nodal_dofs, self.basis.edge_dofs):
@@ -65,17 +64,17 @@ class Solid:
                 f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed"
             )
         self.free: Final = np.flatnonzero(~fixed)
-        self.matrix: Final = stiffness[self.free][:, self.free].tocsc()
-        self._factors: Final = Factors(self.matrix, places[self.free])
-        self.front: Final = np.full(self.basis.N, self.basis.N)
-        """Number of the front that eliminates each unknown, in the order of elimination; N if it is fixed."""
-        self.front[self.free] = self._factors.number
+        stiffness = self._assemble(linear_elasticity(*lame_parameters(1.0, poisson)))
+        stiffness = stiffness[self.free]  # in two steps, so that at most two copies are in memory
+        stiffness = stiffness[:, self.free]
+        self.factors: Final = Factors(stiffness, places[self.free])
+        """Factors of the matrix of the free unknowns, in their order."""
 
     def solve(self, loads: Doubles) -> Doubles:
         """Return the displacements (N, k) times 1 Pa under nodal forces (N, k), N."""
         found = np.zeros(loads.shape)
         moved = loads[self.free]
-        self._factors.solve(moved)
+        self.factors.solve(moved)
         found[self.free] = moved
         return found
 

@@ -8,16 +8,21 @@ import msgspec
 import numpy as np
 import pytest
 
-pytest.importorskip("skfem")
+skfem = pytest.importorskip("skfem")
 gmsh = pytest.importorskip("gmsh")
+
+from skfem.models.elasticity import lame_parameters, linear_elasticity  # noqa: E402
 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
-from softfinger.proxy.elastic.compliance import patch_loads, solve_patches  # noqa: E402
-from softfinger.proxy.elastic.prepared import body_of  # noqa: E402
+from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals  # noqa: E402
+from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
+from softfinger.proxy.kernels.elastic.spots import compliance_of, compute_node_rows, spot_on  # noqa: E402
+from softfinger.proxy.kernels.numerics import mat3  # noqa: E402
 from softfinger.proxy.meshes.prepared import about  # noqa: E402
+from softfinger.proxy.scene import build_scene  # noqa: E402
 
 pytestmark = pytest.mark.plain
 
@@ -156,13 +161,15 @@ def test_every_part_of_a_body_is_solved_separately() -> None:
 
 
 def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
-    volume = fill(*box(0.03, 0.03, 0.012), 0.006)
+    """On a body thinner than the radius of the patch: the lower face bears none of the load."""
+    volume = fill(*box(0.03, 0.03, 0.004), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
-    (load, _, _) = patch_loads(solid, np.array([[0.014, 0.016, 0.012]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
+    (load, _, _) = patch_loads(solid, np.array([[0.014, 0.016, 0.004]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
     nodal = load.toarray()[:, 0]
     assert nodal.sum() == pytest.approx(1.0, rel=1e-12)
     # The quadrature of the disc, which the facets cut, has an error of some per cent of its radius.
-    assert solid.basis.doflocs @ nodal == pytest.approx([0.014, 0.016, 0.012], abs=0.0003)
+    assert solid.basis.doflocs @ nodal == pytest.approx([0.014, 0.016, 0.004], abs=0.0003)
+    assert solid.basis.doflocs[2] @ nodal == pytest.approx(0.004, rel=1e-9)
 
 
 def test_the_boundary_is_closed_and_faces_outward() -> None:
@@ -172,14 +179,64 @@ def test_the_boundary_is_closed_and_faces_outward() -> None:
     assert quality(volume).min() > 0.1
 
 
-def pad(folder: Path, triangles: Any = None, **changes: Any) -> Any:
+def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
     vertices, faces = box(0.03, 0.03, 0.012)
     lines = [f"v {x} {y} {z}" for x, y, z in vertices]
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
     (folder / "pad.obj").write_text("\n".join(lines))
     elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
     thing = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
-    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]}).object[0]
+    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]})
+
+
+def pad(folder: Path, **changes: Any) -> Any:
+    """Return the elastic object of `pad_scene`."""
+    return pad_scene(folder, **changes).object[0]
+
+
+@pytest.mark.parametrize("youngs_pa", [1e4, 1e5])
+def test_a_block_sags_under_gravity_by_its_weight(tmp_path: Path, youngs_pa: float) -> None:
+    """Without lateral strain, each height z of a column of height h sinks by rho g (h z - z^2 / 2) / E."""
+    still, sagged = (
+        body_of(pad(tmp_path, poisson=0.0, youngs_pa=youngs_pa, **more)).surface.vertices
+        for more in ({}, {"density_kg_per_m3": 1000.0})
+    )
+    z = still[:, 2]
+    sag = 1000.0 * 9.80665 / youngs_pa * (0.012 * z - 0.5 * z**2)
+    assert sagged == pytest.approx(still - sag[:, None] * (0.0, 0.0, 1.0), abs=1e-8 * sag.max())
+
+
+def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_path: Path) -> None:
+    from scipy.sparse.linalg import spsolve
+
+    config = pad_scene(tmp_path)
+    thing, kernel = config.object[0], build_scene(config)
+    assert thing.elastic is not None
+    volume = volume_of(thing, thing.elastic.resolution_m)
+    solid = solid_of(volume, thing.elastic)
+    mesh = kernel.objects.body.shape.row[0]
+    vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
+    normals = vertex_normals(volume.vertices, boundary(volume))
+    random = np.random.default_rng(46)
+    facets = random.choice(np.flatnonzero((kernel.elastic.nodes.array[corners] >= 0).all(axis=1)), 100)
+    loads, spots, forces = [], [], random.normal(size=(100, 3))
+    for facet in facets:
+        weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
+        normal = np.cross(places[1] - places[0], places[2] - places[0])
+        own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
+        patches = patch_loads(solid, volume.vertices[own], normals[own], thing.elastic.radius_m)
+        loads.append(np.stack([patch @ weights for patch in patches], axis=1))
+        up = tuple((normal / np.linalg.norm(normal)).tolist())
+        spots.append(spot_on(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
+    nodal = np.stack([load @ force for load, force in zip(loads, forces, strict=True)], axis=1)
+    basis = skfem.Basis(solid.basis.mesh, solid.basis.elem, intorder=2)
+    stiffness = linear_elasticity(*lame_parameters(thing.elastic.youngs_pa, thing.elastic.poisson)).assemble(basis)
+    fixed = basis.get_dofs(lambda x: np.isclose(x[2], 0.0))
+    free, direct = np.setdiff1d(np.arange(basis.N), fixed), np.zeros(nodal.shape)
+    direct[free] = spsolve(stiffness.tocsc()[free][:, free], nodal[free])
+    for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
+        found = mat3.times(compliance_of(spot, compute_node_rows(kernel.elastic, spot, spot)), tuple(force))
+        assert found == pytest.approx(load.T @ moved, rel=1e-8, abs=1e-8 * max(map(abs, found)))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Spots of an elastic surface: contact points with their load, its slopes, and the compliance between them."""
+"""Spots of an elastic surface: contact points with their load, the compliance between them, and slopes of both."""
 
 from math import sqrt
 from typing import Any, NamedTuple
@@ -47,17 +47,10 @@ class Spot(NamedTuple):
     spring: Mat3
 
 
-class Response(NamedTuple):
-    """Compliance m/N between two spots, and the slopes of the displacement with the position of each.
-
-    compliance  displacement at the first under unit loads at the second
-    at          slope with the first position, under the load of the second
-    by          slope with the second position
-    """
-
-    compliance: Mat3
-    at: Mat3
-    by: Mat3
+@jit
+def empty_spot() -> Spot:
+    """Return a spot without load on no facet."""
+    return Spot((-1, -1, -1), ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
 
 
 @jit
@@ -91,32 +84,35 @@ def compute_node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat
 
 
 @jit
-def respond(one: Spot, two: Spot, rows: Any, back: Any) -> Response:
-    """Compute the response at `one` to loads at `two`.
+def compliance_of(spot: Spot, rows: Any) -> Mat3:
+    """Return the compliance (3, 3) m/N at a spot from the `rows` of its nodes."""
+    found = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
+    return mat3.plus(mat3.plus(found, spot.weights[1], rows[1]), spot.weights[2], rows[2])
 
-    rows  of the nodes of `one`
+
+@jit
+def slope_at(one: Spot, two: Spot, rows: Any) -> Mat3:
+    """Return the slope (3, 3) of the displacement at `one` under the load of `two` with the position of `one`.
+
+    rows  of the nodes of `one` under loads at `two`
+    """
+    found = mat3.ZEROS
+    for i in range(3):
+        found = mat3.plus_outer(found, mat3.times(rows[i], two.load), one.slopes[i])
+    return found
+
+
+@jit
+def slope_by(one: Spot, two: Spot, rows: Any, back: Any) -> Mat3:
+    """Return the slope (3, 3) of the displacement at `one` with the position of `two`, whose load and point change.
+
+    rows  of the nodes of `one` under loads at `two`
     back  of the nodes of `two` under loads at `one`: transposed, by reciprocity, the response to loads on these nodes
     """
-    compliance, at, by = mat3.ZEROS, mat3.ZEROS, mat3.ZEROS
+    found = mat3.product(compliance_of(one, rows), two.spring)
     for i in range(3):
-        compliance = mat3.plus(compliance, one.weights[i], rows[i])
-        at = mat3.plus_outer(at, mat3.times(rows[i], two.load), one.slopes[i])
-        by = mat3.plus_outer(by, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
-    return Response(compliance, at, by)
-
-
-@jit
-def respond_alone(elastic: Elastic, spot: Spot) -> Response:
-    """Compute the response at a spot to its own load."""
-    rows = compute_node_rows(elastic, spot, spot)
-    return respond(spot, spot, rows, rows)
-
-
-@jit
-def respond_to_other(elastic: Elastic, one: Spot, two: Spot) -> tuple[Response, Response]:
-    """Compute the responses at `one` to loads at `two`, and at `two` to loads at `one`."""
-    rows, back = compute_node_rows(elastic, one, two), compute_node_rows(elastic, two, one)
-    return respond(one, two, rows, back), respond(two, one, back, rows)
+        found = mat3.plus_outer(found, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
+    return found
 
 
 @jit
@@ -234,7 +230,7 @@ def nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
     shapes = all_bare(objects)
     _, facet, left = deepest(shapes, position, EVERYWHERE, NOBODY, ROOM)
     if facet < 0.0 or left < 0:
-        return Spot((-1, -1, -1), ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
+        return empty_spot()
     _, point, normal, _ = closest_to_within(shapes, facet, position, left)
     return replace(spot_on(elastic, objects.body, facet, point, normal), "slopes", mat3.ZEROS)
 

@@ -18,9 +18,12 @@ from softfinger.proxy.kernels.elastic.spots import (
     ZERO,
     Spot,
     bending_under,
+    compliance_of,
+    compute_node_rows,
     contact_spot,
-    respond_alone,
-    respond_to_other,
+    empty_spot,
+    slope_at,
+    slope_by,
     spot_of,
 )
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -30,6 +33,7 @@ from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, P
 from softfinger.proxy.kernels.model.elastic import Elastic, Surface
 from softfinger.proxy.kernels.numerics import mat3, vec3
 from softfinger.proxy.kernels.numerics.frames import turn_out_of
+from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
 from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN
@@ -37,7 +41,7 @@ from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LA
 ROUNDS = 6
 """Largest number of rigid steps of a finger in a tick."""
 SOLVED = 1e-11
-"""Change of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
+"""Error of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
 """Rotation and strain above which the body is no longer linear."""
@@ -168,62 +172,54 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = share_in_tick(elastic, dt)
-    rest, bent = vec3.scale(1.0 - gain, last.displacement), (0.0, 0.0)
-    moves, rise = mat3.ZEROS, ZERO
-    u = extrapolate(last, state.fingers[0], poses[0])
+    rest, u = vec3.scale(1.0 - gain, last.displacement), extrapolate(last, state.fingers[0], poses[0])
     before = relative_to(body, state.fingers[0], last.displacement)
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
-        goal, moves, rise, bent = rest, mat3.ZEROS, ZERO, (0.0, 0.0)
+        spot = empty_spot()
         if contact.mode != FREE:
             spot = contact_spot(elastic, body, finger, before, after, contact, dt)
-            given, bent = respond_alone(elastic, spot), bending_under(elastic, spot)
-            goal = vec3.add_scaled(rest, gain, mat3.times(given.compliance, spot.load))
-            moves = mat3.plus(mat3.plus(mat3.product(given.compliance, spot.spring), 1.0, given.at), 1.0, given.by)
-            rise = mat3.times(mat3.transpose(given.at), spot.load)
-        change = mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), vec3.sub(goal, u))
-        if left == 0 or vec3.dot(change, change) <= SOLVED**2:
+        rows = compute_node_rows(elastic, spot, spot)
+        goal = vec3.add_scaled(rest, gain, mat3.times(compliance_of(spot, rows), spot.load))
+        error = vec3.sub(goal, u)
+        if left == 0 or vec3.dot(error, error) <= SOLVED**2:
             break
-        u = vec3.add(u, change)
-    # With damping, too, it is that of the surface at rest: else slow cycles would make energy.
-    slope = mat3.times(mat3.transpose(mat3.inverse(mat3.plus(mat3.IDENTITY, 1.0, moves))), rise)
-    surface = surface_after(scene, finger, last, u, contact, bent, dt)
+        moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
+        u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
+    # With damping, too, the slope is that of the surface at rest: else slow cycles would make energy.
+    at = slope_at(spot, spot, rows)
+    matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
+    slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
+    surface = surface_after(scene, finger, last, u, contact, bending_under(elastic, spot), dt)
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
 @jit
-def correct_both(elastic: Elastic, one: Spot, two: Spot, gain: float, short: Any) -> Any:
-    """Solve Newton's equations of two fingers.
+def linearize_both(elastic: Elastic, one: Spot, two: Spot, rows: Any, gain: float) -> Any:
+    """Return Newton's matrix of two fingers, four blocks (3, 3), and the gradients (3,) N of load times displacement.
 
-    short    displacements (3,) m that are wanted less those without the loads, as functions of the loads, of each
-    returns  corrections (3,) m, and forces (3,) N of the slope of the surface
+    rows  of the nodes of `one` under loads at `one` and `two`, and of `two` at `two`
     """
-    r11, r22 = respond_alone(elastic, one), respond_alone(elastic, two)
-    r12, r21 = respond_to_other(elastic, one, two)
-    goal_one = vec3.add(mat3.times(r11.compliance, one.load), mat3.times(r12.compliance, two.load))
-    goal_two = vec3.add(mat3.times(r21.compliance, one.load), mat3.times(r22.compliance, two.load))
-    lack_one, lack_two = vec3.add_scaled(short[0], gain, goal_one), vec3.add_scaled(short[1], gain, goal_two)
-    at_one, at_two = mat3.plus(r11.at, 1.0, r12.at), mat3.plus(r21.at, 1.0, r22.at)
-    a = mat3.plus(
-        mat3.IDENTITY, gain, mat3.plus(mat3.plus(mat3.product(r11.compliance, one.spring), 1.0, at_one), 1.0, r11.by)
-    )
-    d = mat3.plus(
-        mat3.IDENTITY, gain, mat3.plus(mat3.plus(mat3.product(r22.compliance, two.spring), 1.0, at_two), 1.0, r22.by)
-    )
-    b = mat3.plus(mat3.ZEROS, gain, mat3.plus(mat3.product(r12.compliance, two.spring), 1.0, r12.by))
-    c = mat3.plus(mat3.ZEROS, gain, mat3.plus(mat3.product(r21.compliance, one.spring), 1.0, r21.by))
+    r11, r12, r22 = rows
+    r21 = compute_node_rows(elastic, two, one)
+    at_one = mat3.plus(slope_at(one, one, r11), 1.0, slope_at(one, two, r12))
+    at_two = mat3.plus(slope_at(two, two, r22), 1.0, slope_at(two, one, r21))
+    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_one, 1.0, slope_by(one, one, r11, r11)))
+    b = mat3.plus(mat3.ZEROS, gain, slope_by(one, two, r12, r21))
+    c = mat3.plus(mat3.ZEROS, gain, slope_by(two, one, r21, r12))
+    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_two, 1.0, slope_by(two, two, r22, r22)))
+    gradients = mat3.times(mat3.transpose(at_one), one.load), mat3.times(mat3.transpose(at_two), two.load)
+    return (a, b, c, d), gradients
+
+
+@jit
+def solve_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3, one: Vec3, two: Vec3) -> tuple[Vec3, Vec3]:
+    """Solve a x + b y = one, c x + d y = two for x and y (3,)."""
     a_inverse = mat3.inverse(a)
     left = mat3.product(c, a_inverse)
     rest = mat3.inverse(mat3.plus(d, -1.0, mat3.product(left, b)))
-    second = mat3.times(rest, vec3.sub(lack_two, mat3.times(left, lack_one)))
-    first = mat3.times(a_inverse, vec3.sub(lack_one, mat3.times(b, second)))
-    # The same with the transposed matrix.
-    rise_one = vec3.scale(gain, mat3.times(mat3.transpose(at_one), one.load))
-    rise_two = vec3.scale(gain, mat3.times(mat3.transpose(at_two), two.load))
-    right = mat3.transpose(mat3.product(a_inverse, b))
-    slope_two = mat3.times(mat3.transpose(rest), vec3.sub(rise_two, mat3.times(right, rise_one)))
-    slope_one = mat3.times(mat3.transpose(a_inverse), vec3.sub(rise_one, mat3.times(mat3.transpose(c), slope_two)))
-    return first, second, slope_one, slope_two
+    y = mat3.times(rest, vec3.sub(two, mat3.times(left, one)))
+    return mat3.times(a_inverse, vec3.sub(one, mat3.times(b, y))), y
 
 
 @press.of(2)
@@ -232,7 +228,6 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     gain = share_in_tick(elastic, dt)
     rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
     u, v = extrapolate(last[0], state.fingers[0], poses[0]), extrapolate(last[1], state.fingers[1], poses[1])
-    slope_u, slope_v = ZERO, ZERO
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     for left in range(ROUNDS - 1, -1, -1):
@@ -240,13 +235,21 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         x = spot_of(elastic, objects, fingers[0], before_one, one, first, dt)
         y = spot_of(elastic, objects, fingers[1], before_two, two, second, dt)
-        short = (vec3.sub(rest_u, u), vec3.sub(rest_v, v))
-        change_u, change_v, slope_u, slope_v = correct_both(elastic, x, y, gain, short)
-        if left == 0 or vec3.dot(change_u, change_u) + vec3.dot(change_v, change_v) <= SOLVED**2:
+        rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
+        coupling = compliance_of(x, rows[1])
+        goal_u = vec3.add(mat3.times(compliance_of(x, rows[0]), x.load), mat3.times(coupling, y.load))
+        goal_v = vec3.add(mat3.times(mat3.transpose(coupling), x.load), mat3.times(compliance_of(y, rows[2]), y.load))
+        error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
+        error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
+        if left == 0 or vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v) <= SOLVED**2:
             break
+        (a, b, c, d), _ = linearize_both(elastic, x, y, rows, gain)
+        change_u, change_v = solve_both(a, b, c, d, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
-    if gain < 1.0 and body.material.friction is None:  # as for one finger
-        _, _, slope_u, slope_v = correct_both(elastic, x, y, 1.0, short)
+    (a, b, c, d), gradients = linearize_both(elastic, x, y, rows, 1.0)  # as for one finger
+    slope_u, slope_v = solve_both(
+        mat3.transpose(a), mat3.transpose(c), mat3.transpose(b), mat3.transpose(d), gradients[0], gradients[1]
+    )
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
     bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
