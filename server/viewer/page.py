@@ -107,6 +107,7 @@ class Page:
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=1.1)
         self._camera: Camera | None = None
+        self.server.on_client_connect(self._place_camera)
         self._scene: schema.Scene | None = None
         self._file_vertices: Final[dict[int, Array]] = {}
         self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
@@ -192,10 +193,20 @@ class Page:
         if camera == self._camera:
             return
         self._camera = camera
-        views = [client.camera for client in self.server.get_clients().values()]
-        for view in (self.server.initial_camera, *views):
-            for name, value in camera._asdict().items():
-                setattr(view, name, value)
+        for name, value in camera._asdict().items():
+            setattr(self.server.initial_camera, name, value)
+        for client in self.server.get_clients().values():
+            self._place_camera(client)
+
+    def _place_camera(self, client: viser.ClientHandle) -> None:
+        """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""
+        camera = self._camera
+        if camera is None:
+            return
+        factor = max(1.0, client.camera.image_height / client.camera.image_width)
+        look_at = np.array(camera.look_at)
+        client.camera.position = look_at + factor * (camera.position - look_at)
+        client.camera.look_at, client.camera.fov = look_at, camera.fov
 
     def drive(self, object_index: int, position: Any, orientation: Any) -> None:
         """Move a driven object of the scene."""

@@ -61,7 +61,7 @@ def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
 
 
 def test_the_layout_fits_the_window(screen: Screen) -> None:
-    """At 1280 x 800 the three plots need no scroll, labels have one line, also after the window was narrow."""
+    """At 1280 x 800 the plots need no scroll and labels have one line, also after the window was narrow as a phone."""
     page, plots = screen.page, screen.page.locator(".uplot")
 
     def canvas_width() -> float:
@@ -72,6 +72,11 @@ def test_the_layout_fits_the_window(screen: Screen) -> None:
     assert eventually(lambda: plots.count() == 3)
     page.set_viewport_size({"width": 390, "height": 844})
     assert eventually(lambda: canvas_width() == 390.0)
+    page.reload()
+    page.locator("canvas").first.wait_for()
+    assert eventually(lambda: page.evaluate("() => Boolean(window.__viserMutable?.nodeRefFromName['/objects'])"))
+    # A phone shows 2 cm on both sides of the fingertip, as wide windows do.
+    assert eventually(lambda: all(0.0 < screen.at((x, 0.0, 0.6))[0] < 390.0 for x in (-2.0, 2.0)))
     page.set_viewport_size({"width": 1280, "height": 800})
     assert eventually(lambda: 880.0 < canvas_width() < 900.0)
     assert eventually(lambda: plots.count() == 3)
