@@ -13,6 +13,7 @@ from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.progress import progress
 
 ALL: Final = "all participants"
 AVERAGED_COLUMNS: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")
@@ -61,9 +62,13 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     if not counted:
         raise ConfigError("no trial beyond practice has been answered: nothing to draw yet")
     participants = sorted({row["participant"] for row in counted})
+    if len(participants) > max(1, len(excluded)):
+        participants.append(ALL)
+    pairs = [(participant, each.name) for participant in participants for each in conditions(experiment)]
     groups = []
-    for participant in [*participants, *([ALL] if len(participants) > max(1, len(excluded)) else [])]:
-        for condition in (each.name for each in conditions(experiment)):
+    with progress("fitting", len(pairs)) as done:
+        for number, (participant, condition) in enumerate(pairs):
+            done(number)
             group_rows = [
                 row
                 for row in counted
@@ -71,16 +76,8 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
                 and (row["participant"] == participant or (participant == ALL and row["participant"] not in excluded))
             ]
             if group_rows:
-                groups.append(
-                    Group(
-                        participant,
-                        condition,
-                        len(group_rows),
-                        fit_answers(experiment, group_rows),
-                        group_rows,
-                        mean_columns(group_rows),
-                    )
-                )
+                fitted, means = fit_answers(experiment, group_rows), mean_columns(group_rows)
+                groups.append(Group(participant, condition, len(group_rows), fitted, group_rows, means))
     return groups
 
 

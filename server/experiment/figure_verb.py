@@ -15,6 +15,7 @@ from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, wri
 from softfinger.server.experiment.report import write_report
 from softfinger.server.experiment.session_figures import draw_session
 from softfinger.server.experiment.surveys import compare_scores, survey_table
+from softfinger.server.progress import progress
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,19 +29,22 @@ def run(args: argparse.Namespace) -> int:
     journals = sorted(root.glob(JOURNAL))
     answers, excluded = read_surveys(journals), excluded_participants(experiment, rows)
     surveys = survey_table(experiment, answers, excluded)
-    paths = draw(experiment, groups, out)
-    paths += draw_session(experiment, rows, surveys, groups, out)
+    with progress("drawing", 2 + args.report) as done:
+        paths = draw(experiment, groups, out)
+        done(1)
+        paths += draw_session(experiment, rows, surveys, groups, out)
+        done(2)
+        if args.report:
+            report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
+            with new_file(report) as file:
+                file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
+            paths.append(report)
     write_csv(out / "numbers.csv", numbers)
     text = json.dumps([replace_nan(row) for row in numbers], indent=1)
     with new_file(out / "numbers.json") as file:
         file.write(text.encode() + b"\n")
     if surveys:
         write_csv(out / "surveys.csv", surveys)
-    if args.report:
-        report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
-        with new_file(report) as file:
-            file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
-        paths.append(report)
     if args.json:
         print(text)
         return 0

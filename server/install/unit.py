@@ -11,8 +11,8 @@ RTPRIO: Final = 95
 """Above the servo's 80 and its supervisor's 81, below the kernel's threads at 99."""
 
 HEAD: Final = """\
-# Written by `softfinger install`, which knows it by its content: changed here, it is kept and no longer updated.
-# Changes of your own are better off in a drop-in: systemctl {scope}edit softfinger
+# Written by `softfinger install`. A file that you edit is neither updated nor removed any more.
+# Write your changes into a drop-in instead: systemctl {scope}edit softfinger
 [Unit]
 Description=softfinger, a haptic rendering server
 Documentation=https://github.com/softfinger/softfinger

@@ -138,15 +138,24 @@ def touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
     return poses
 
 
-def measure(scene: schema.Scene, poses: Array, blocks: int = 50) -> Cost:
-    """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary."""
+def measure(
+    scene: schema.Scene, poses: Array, blocks: int = 50, done: Callable[[int], None] = lambda number: None
+) -> Cost:
+    """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary.
+
+    `done` is called with the number of blocks that are measured.
+    """
     tree = build_scene(scene)
     parameters, state = packed(tree), packed(start_state(tree))
     stretches = max(1, len(poses) // STRETCH_STEPS)
     steps = len(poses) // stretches * stretches
     watch, cpu = stopwatch(blocks, stretches), np.zeros(blocks, np.int64)
     time_steps(parameters, state, poses, 0.001, stopwatch(1, stretches), cpu[:1].copy())
-    _, touching = time_steps(parameters, state, poses, 0.001, watch, cpu)
+    touching = 0
+    for block in range(blocks):
+        row = slice(block, block + 1)
+        touching += time_steps(parameters, state, poses, 0.001, watch._replace(ns=watch.ns[row]), cpu[row])[1]
+        done(block + 1)
     step_ns = watch.ns * (stretches / steps)
     return Cost(
         median_ns=float(np.mean(np.median(step_ns, axis=0))),

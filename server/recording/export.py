@@ -14,7 +14,7 @@ from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Ticks
-from softfinger.server.recording.results import RESULTS_MAX, csv_lines
+from softfinger.server.recording.results import RESULTS_MAX, write_csv_rows
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
 GROUP_ROWS: Final = 65536
@@ -87,7 +87,7 @@ def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
     for part in ticks:
         if not count:
             file.write((",".join(column_names(part)) + "\n").encode())
-        file.write(csv_lines(part.rows))
+        write_csv_rows(file, part.rows)
         count += len(part.rows)
     return count
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from itertools import groupby, repeat
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -44,10 +45,9 @@ BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
 """Limit of records read: 33 minutes at 1 kHz, 3 GB."""
 CSV_CHUNK_ROWS: Final = 500
-"""Rows formatted at a time; they fit into the processor's cache."""
+"""Rows formatted at a time, which fit into the processor's cache; also rows per progress report."""
 MAX_PLAIN_INTEGER: Final = 1e16
 """Integers from here on are written with an exponent."""
-PROGRESS_MIN_ROWS: Final = 50_000  # about a second of writing; for less, the bar would only flash
 
 _JSON: Final = msgspec.json.Encoder()
 _MINUS_ZERO: Final = msgspec.Raw(b"-0")
@@ -58,7 +58,7 @@ log: Final = logging.getLogger(__name__)
 def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
     """Write records in the format of the file ending: .csv, .npz or .mcap.
 
-    The file appears complete or not at all. Long writes show their progress if stderr is a terminal.
+    The file appears complete or not at all. Long writes report their progress on stderr.
 
     Parameters
     ----------
@@ -144,12 +144,15 @@ def _prefix(finger: str) -> str:
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     file.write((",".join(_prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
     for block in blocks:
-        file.write(csv_lines(block.reshape(len(block), -1)))
+        write_csv_rows(file, block.reshape(len(block), -1))
 
 
-def csv_lines(rows: Array) -> bytes:
-    """Format rows (n, width) as lines of CSV, which restore every float64 exactly."""
-    return b"".join(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]) for at in range(0, len(rows), CSV_CHUNK_ROWS))
+def write_csv_rows(file: IO[bytes], rows: Array) -> None:
+    """Write rows (n, width) as lines of CSV, which restore every float64 exactly; report the progress."""
+    with progress("writing csv", len(rows)) as done:
+        for at in range(0, len(rows), CSV_CHUNK_ROWS):
+            file.write(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]))
+            done(at)
 
 
 def _format_chunk(rows: Array) -> bytes:
@@ -195,12 +198,15 @@ def _read_csv(path: Path, finger: str) -> Array:
                     f"{path}, line 1: the columns are not those of this version's results{_finger_suffix(finger)}"
                 )
             values = array("d")
-            while line := file.readline(LINE_MAX):
-                cells = line.split(b",")
-                if len(cells) != len(header):
-                    raise ValueError(f"a line of {len(cells)} numbers, must be {len(header)}")
-                values.extend(map(float, cells[first : first + RECORD_SIZE]))
-                _check_count(path, len(values) // RECORD_SIZE)
+            with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as done:
+                while line := file.readline(LINE_MAX):
+                    if not len(values) % (CSV_CHUNK_ROWS * RECORD_SIZE):
+                        done(file.tell())
+                    cells = line.split(b",")
+                    if len(cells) != len(header):
+                        raise ValueError(f"a line of {len(cells)} numbers, must be {len(header)}")
+                    values.extend(map(float, cells[first : first + RECORD_SIZE]))
+                    _check_count(path, len(values) // RECORD_SIZE)
         return np.array(values, dtype=np.float64).reshape(-1, RECORD_SIZE)
     except ValueError as error:
         raise RecordingError(f"{path}: not a results file: {error}") from error
@@ -356,9 +362,9 @@ class McapResults(Closeable):
 
 
 def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
-    """Yield the fingers' records (n, RECORD_SIZE) in joint blocks, with a progress bar on a terminal."""
+    """Yield the fingers' records (n, RECORD_SIZE) in joint blocks; report the progress."""
     count = min(map(len, fingers))
-    with progress(f"writing {kind}", count) if count >= PROGRESS_MIN_ROWS else nullcontext(lambda number: None) as done:
+    with progress(f"writing {kind}", count) as done:
         for start in range(0, count, BLOCK_ROWS):
             block = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
             yield block[0][:, None] if len(block) == 1 else np.stack(block, axis=1)

@@ -12,7 +12,8 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file, open_input
 from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, check_poses
-from softfinger.server.recording.results import csv_lines
+from softfinger.server.progress import progress
+from softfinger.server.recording.results import CSV_CHUNK_ROWS, write_csv_rows
 
 SKIPPED: Final = "-"
 """Name of a column that does not belong to the pose."""
@@ -97,10 +98,12 @@ def read_table(path: Path, layout: Layout) -> Poses:
     """
     numbers, values, dialect = array("q"), array("d"), _Dialect()
     try:
-        with open_input(path) as file:
+        with open_input(path) as file, progress(f"reading {path.name}", path.stat().st_size) as done:
             number = 0
             while line := file.readline(LINE_MAX):
                 number += 1
+                if not number % CSV_CHUNK_ROWS:
+                    done(file.tell())
                 if number == 1:
                     line = _without_mark(path, line)
                 if number <= layout.skip or _is_comment(line, len(layout.columns)):
@@ -198,4 +201,4 @@ def write_poses(path: Path, poses: Poses) -> None:
     """Write the table for a replay; the file appears complete or not at all."""
     with new_file(path) as file:
         file.write(",".join(POSE_COLUMNS).encode() + b"\n")
-        file.write(csv_lines(np.column_stack(poses)))
+        write_csv_rows(file, np.column_stack(poses))

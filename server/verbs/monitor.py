@@ -195,6 +195,8 @@ def line(board: Board) -> str:
             f"rate {health.rate:.1f}/s late p99 {health.late.p99 * 1e6:.1f} us "
             f"exec p99 {health.exec.p99 * 1e6:.1f} us missed {health.missed} drops {health.drops}"
         )
+        if health.preparing:
+            parts.append(f"preparing: {health.preparing};")
     parts.append(f"lost {board.lost} events {board.event_count}")
     if board.events:
         parts.append(f"(last: {_format_event(board.events[-1])})")
@@ -261,6 +263,8 @@ def render(board: Board, width: int, height: int) -> RenderableType:
             rows.add_row(name, f"{figures}  us")
         rows.add_row("ticks", f"{_format_fixed(health.rate, 0, 1)} /s   missed {health.missed}   drops {health.drops}")
         rows.add_row("energy", f"{_format_fixed(health.energy_total * 1e3, 0, 3)} mJ")
+        if health.preparing:
+            rows.add_row("preparing", Text(health.preparing, style="yellow"))
     rows.add_row("lost here", Text(str(board.lost), style="red" if board.lost else ""))
     title = Text(f"softfinger  {board.endpoint}")  # not markup: an IPv6 address has brackets
     if board.outage_text:

@@ -1,4 +1,4 @@
-// What viser 1.1 has no setting for: the sheet of controls on a phone, its note about WebGL, and held keys.
+// What viser 1.1 has no setting for: the sheet of controls on a phone, its note about WebGL, titles of plots, and held keys.
 const SHEET = "[style*='max-height: 60%']"; // viser shows it in narrow windows instead of the docked panel
 const NOTE = "Software WebGL";
 const NOTE_MS = 8000;
@@ -22,7 +22,8 @@ function closeNote() {
 }
 
 const style = doc.createElement("style");
-style.textContent = `${SHEET}, ${SHEET} [style*="width: 20em"] { width: 100% !important; }`;
+style.textContent = `${SHEET}, ${SHEET} [style*="width: 20em"] { width: 100% !important; }
+.u-title { line-height: 18px; padding: 0 !important; }`; // three plots fit into a window of 800 pixels
 doc.head.append(style);
 fold(20);
 setTimeout(closeNote, doc.querySelector(SHEET) ? 0 : NOTE_MS);

@@ -33,7 +33,7 @@ from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiv
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
-COMPILING: Final = "the scene is compiled, which takes up to half a minute; the old one is rendered until then"
+PREPARING: Final = "the scene is prepared; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
 POSE_KEYS: Final = ("position_m", "orientation_wxyz")
@@ -105,6 +105,7 @@ class LivePage:
             self._hand.update_pose(finger, rows[-1])
             self._play.update(finger, rows[-1])
         self._play.step(dt)
+        self._page.preparing = received.preparing
         self._page.move_bodies(received.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first_tick] for finger, rows in received.ticks.items()})
 
@@ -238,7 +239,7 @@ class LivePage:
         )
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
-        self._page.show_message(COMPILING)
+        self._page.show_message(PREPARING)
         self._scene_commands.submit(
             name, Request("set_scene", values, lambda result: self._page.show_message(""), self._show_refusal)
         )

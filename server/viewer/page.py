@@ -47,22 +47,20 @@ TITLE: Final = "softfinger"
 TEXT_HTML: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
 NO_DEVICES: Final[Mapping[str, LowDofDevice]] = MappingProxyType({})
-ARROW: Final = "arrow, N per 10 mm"
+ARROW: Final = "arrow, N/cm"
 FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
-PANEL_WIDTH: Final = 380
-"""Width of the controls, pixels."""
 NOTIFICATION_S: Final = 12.0
 """Duration of a notification: long enough to read three lines twice."""
-PROMPT_WIDTH: Final = 640
-"""Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
-[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); }
+[style*="right: 0px"][style*="z-index: 5"] {
+  width: 640px !important; right: 50% !important; transform: translateX(50%);
+}
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
 @media (min-width: 1800px) { [style*="right: 0px"][style*="z-index: 5"] { zoom: 1.6; } }
 </style>"""
-"""Centres the docked panel of viser 1.1, enlarges it in large windows, and makes the sheet of a phone fill it."""
+"""Centres and widens the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
 
 
 _push: Final = AsyncMessageBuffer.push
@@ -109,6 +107,7 @@ class Page:
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=1.1)
         self._camera: Camera | None = None
+        self.server.on_client_connect(self._place_camera)
         self._scene: schema.Scene | None = None
         self._file_vertices: Final[dict[int, Array]] = {}
         self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
@@ -120,12 +119,13 @@ class Page:
         self._text_updated_s, self._plotted_s, self._shown_s, self._closed = 0.0, 0.0, 0.0, False
         gui = self.server.gui
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(PANEL_WIDTH)
         self._message = gui.add_markdown("", visible=False)
         self.refusal = ""
         """Text of the latest notification."""
+        self.preparing = ""
+        """Progress of what the daemon prepares, shown below the values of the tick."""
         self._state_text = gui.add_html(TEXT_HTML.format("waiting for the first tick"))
-        self._paused = gui.add_checkbox("pause the picture", False)
+        self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
 
@@ -134,7 +134,6 @@ class Page:
         for part in (self._state_text, self._paused, self.tabs):
             part.visible = False
         self.server.gui.add_html(PROMPT_STYLE)
-        self.server.gui.main_panel.set_width(PROMPT_WIDTH)
 
     def add_views(self) -> None:
         """Add the tabs for view settings and plots; call after the data source has added its tabs."""
@@ -142,13 +141,13 @@ class Page:
         with self.tabs.add_tab("Show"):
             for name, text in (
                 ("cone", "friction cone"),
-                ("traces", "trace of the contact"),
-                ("ghost", "probe apart from proxy"),
-                ("patches", "contact points and normals"),
+                ("traces", "contact trace"),
+                ("ghost", "separate probe"),
+                ("patches", "contact normals"),
             ):
                 _bind(gui.add_checkbox(text, getattr(looks, name)), looks, name)
             _bind(gui.add_slider(ARROW, 0.1, 10.0, 0.1, looks.newtons_per_cm), looks, "newtons_per_cm")
-            _bind(gui.add_slider("torsion, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm")
+            _bind(gui.add_slider("arc, deg/mN m", 5.0, 200.0, 5.0, looks.degrees_per_mnm), looks, "degrees_per_mnm")
             gui.add_button("wipe traces").on_click(lambda event: self.clear_traces())
         self._plots = Plots(gui, self.tabs.add_tab("Plots"))
 
@@ -194,10 +193,20 @@ class Page:
         if camera == self._camera:
             return
         self._camera = camera
-        views = [client.camera for client in self.server.get_clients().values()]
-        for view in (self.server.initial_camera, *views):
-            for name, value in camera._asdict().items():
-                setattr(view, name, value)
+        for name, value in camera._asdict().items():
+            setattr(self.server.initial_camera, name, value)
+        for client in self.server.get_clients().values():
+            self._place_camera(client)
+
+    def _place_camera(self, client: viser.ClientHandle) -> None:
+        """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""
+        camera = self._camera
+        if camera is None:
+            return
+        factor = max(1.0, client.camera.image_height / client.camera.image_width)
+        look_at = np.array(camera.look_at)
+        client.camera.position = look_at + factor * (camera.position - look_at)
+        client.camera.look_at, client.camera.fov = look_at, camera.fov
 
     def drive(self, object_index: int, position: Any, orientation: Any) -> None:
         """Move a driven object of the scene."""
@@ -269,7 +278,10 @@ class Page:
                     else ""
                 )
                 for name, row in self._newest.items()
-            ) + TEXT_HTML.format(f"arrow: {self._newtons_per_cm:g} N per 10 mm")
+            ) + TEXT_HTML.format(
+                f"arrow: {self._newtons_per_cm:g} N/cm"
+                + (f"<br>the daemon prepares: {html.escape(self.preparing)}" if self.preparing else "")
+            )
         if now - self._plotted_s > PLOT_S and not self._paused.value:
             self._plotted_s = now
             self._plots.show()

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 TRACE_TICKS: Final = 2000
 """Ticks before the new position that are drawn as a trace after a seek."""
 SPEEDS: Final = ("0.1", "0.25", "0.5", "1", "2")
-EVENTS: Final = ("the one before", "the next")
+EVENTS: Final = ("previous", "next")
 DEFAULT_SCENE: Final = "paper-plane"
 
 

@@ -24,7 +24,7 @@ PADDING: Final = (7, 24, 7, 0)
 """Space around a plot, pixels, for the figures at the ends of its axis: top, right, bottom, left."""
 AXIS_WIDTH: Final = 58
 """Width of the vertical axis, pixels: room for 10,000 us."""
-LABEL_SPACE: Final = 15
+LABEL_SPACE: Final = 12
 """Least distance of two figures of the vertical axis, pixels: each plot has more than one."""
 TIME_HEIGHT: Final = 35
 """Height of the time axis, pixels."""

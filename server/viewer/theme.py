@@ -6,6 +6,8 @@ from typing import Any, Final
 
 from softfinger.server.viewer.scripts import add_script, run_script
 
+SETTINGS: Final[dict[str, Any]] = {"show_logo": False, "show_share_button": False, "control_width": "large"}
+"""Settings of viser. Its panel of controls has the width of the theme, also in a window that was narrow."""
 SWITCH: Final = (
     '<div style="padding: 0 0.75em 0.5em; text-align: right"><button type="button" role="switch" data-theme-switch '
     'aria-checked="false" style="font: inherit; font-size: 0.85em; color: inherit; background: none; cursor: pointer; '
@@ -17,7 +19,7 @@ class Theme:
     """Theme switch, the script that reports its value, and the script of the layout."""
 
     def __init__(self, gui: Any) -> None:
-        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.configure_theme(**SETTINGS)
         gui.add_html(SWITCH)
         run_script(gui, "layout")
         self._field = add_script(gui, "theme")
@@ -26,4 +28,4 @@ class Theme:
     def _on_report(self, event: Any) -> None:
         chosen = self._field.value.split()[1:]
         if event.client is not None and chosen in (["dark"], ["light"]):
-            event.client.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=chosen == ["dark"])
+            event.client.gui.configure_theme(**SETTINGS, dark_mode=chosen == ["dark"])

@@ -14,21 +14,27 @@ from softfinger.config.errors import HapticError
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import record_of, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, WORLD, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, WORLD, finger_of
 
 QUEUE_MAX: Final = 8192
 """Maximum of queued ticks per finger, and of queued events."""
-TOPICS: Final = (CONTACT, FINGERS, EVENT, WORLD)
+TOPICS: Final = (CONTACT, FINGERS, EVENT, HEALTH, WORLD)
 WAIT_S: Final = 0.2
 """Period at which a thread checks whether it should exit."""
 
 
 class ReceivedData(NamedTuple):
-    """New data: records (n, RECORD_SIZE) by finger, events, and the latest poses of bodies by name."""
+    """Ticks and events since the last call, and latest state.
+
+    ticks      records (n, RECORD_SIZE) by finger
+    bodies     poses by name
+    preparing  progress of what the daemon prepares
+    """
 
     ticks: dict[str, NDArray[np.float64]]
     events: list[dict[str, Any]]
     bodies: dict[str, Any]
+    preparing: str
 
 
 class TelemetryReceiver:
@@ -39,6 +45,7 @@ class TelemetryReceiver:
         self._rows: dict[str, deque[list[float]]] = {}
         self._events = deque[dict[str, Any]](maxlen=QUEUE_MAX)
         self._bodies: dict[str, Any] = {}
+        self._preparing = ""
         self._closing = threading.Event()
         self.problem = ""
         self._thread = threading.Thread(target=self._receive_samples, name="ticks", daemon=True)
@@ -56,6 +63,8 @@ class TelemetryReceiver:
             finger = finger_of(sample.topic)
             if sample.topic == WORLD:
                 self._bodies = {body.name: (body.position, body.orientation) for body in sample.data.bodies}
+            elif sample.topic == HEALTH:
+                self._preparing = sample.data.preparing
             elif finger is None:
                 self._events.append(sample.data)
             else:
@@ -64,7 +73,7 @@ class TelemetryReceiver:
     def take(self) -> ReceivedData:
         """Return the data received since the last call."""
         ticks = {finger: np.array(rows) for finger, queue in list(self._rows.items()) if (rows := _drain(queue))}
-        return ReceivedData(ticks, _drain(self._events), self._bodies)
+        return ReceivedData(ticks, _drain(self._events), self._bodies, self._preparing)
 
     def close(self) -> None:
         self._closing.set()

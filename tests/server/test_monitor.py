@@ -261,7 +261,7 @@ def test_escape_sequences_are_shown_as_text():
     assert r"\x1b[2J" in monitor.line(board)
 
 
-def board_with(*records, health=True):
+def board_with(*records, preparing=""):
     """Return a board that has received the messages of some ticks from a publisher."""
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
@@ -269,6 +269,7 @@ def board_with(*records, health=True):
     ):
         while samples.receive(0.02) is None:  # a subscription takes effect after a delay
             publisher.event("test", "joined")
+        publisher.set_preparing(preparing)
         for some in records:
             publisher.publish(some)
         board = monitor.Board("tcp://127.0.0.1:5555")
@@ -309,6 +310,13 @@ def test_the_dashboard_fits_the_terminal(width, height):
         r"1400 contact slip cause=drag from=1 to=2 object=0 force=\[0\.5, -?\S+, 0\] .* point=\[.*\]", events
     )
     assert "number 0 of the scene" in text
+
+
+def test_what_the_daemon_prepares_is_shown():
+    """The progress of a scene that the daemon compiles is a row of the dashboard and a part of the line."""
+    board = board_with(pressed(), preparing="compiling kernel 12")
+    assert any("preparing" in line and "compiling kernel 12" in line for line in drawn(board))
+    assert "preparing: compiling kernel 12;" in monitor.line(board)
 
 
 def test_bars_are_empty_after_the_server_stopped():

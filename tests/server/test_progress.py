@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 from helpers.terminal import Screen, on_terminal
 from numba.core import event
@@ -17,7 +18,14 @@ from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS, CompileProgress
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.server import progress as display
+from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.progress import name_warmup, progress_text
+from softfinger.server.recording.export import export
+from softfinger.server.recording.results import read_results
+from softfinger.server.recording.tables import make_layout, read_table
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
@@ -107,6 +115,32 @@ def test_stability_shows_its_share() -> None:
             ]
         assert process.wait(30) == 0
     assert len(set(shares)) > 2 and shares == sorted(shares)
+
+
+@pytest.mark.real_time  # the reporting thread shares the processor with the work
+def test_long_waits_show_their_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each wait reports a share that grows, in lines without a terminal: here every millisecond."""
+    monkeypatch.setattr(display, "QUIET_S", 1e-3)
+    monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
+    records, table, study = tmp_path / "in.npz", tmp_path / "in.csv", Experiment("stiffness-discrimination")
+    np.savez(records, records=np.random.default_rng(1).normal(size=(20_000, RECORD_SIZE)))
+    table.write_text("".join(f"{number} 0 0 0.01\n" for number in range(30_000)))
+    rows = [
+        row | row["levels"] | {"participant": name}
+        for number, name in enumerate("abcd", 1)
+        for row in study.rehearse(number)
+    ]
+    capsys.readouterr()
+    export(records, tmp_path / "out.csv")
+    read_table(table, make_layout("t,x,y,z", 1.0, 1.0, None, 0))
+    read_results(tmp_path / "out.csv")
+    fit_groups(study.file, rows)
+    lines = capsys.readouterr().err.splitlines()
+    for what in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):
+        shares = [int(found[1]) for line in lines if (found := re.fullmatch(rf"{what} (\d+)% \.\.\. \d+ s", line))]
+        assert len(set(shares)) > 2 and shares == sorted(shares), what
 
 
 class Looking(Folder):

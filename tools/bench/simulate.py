@@ -18,7 +18,7 @@ from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.server.recording.results import SUFFIXES, csv_lines
+from softfinger.server.recording.results import SUFFIXES, write_csv_rows
 from softfinger.tools.measure import Array, show
 
 RATE_HZ: Final = 1000.0
@@ -33,7 +33,9 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(dir=args.folder) as made:
         poses = Path(made, "poses.csv")
         with progress("first run, which compiles kernels that are not cached"):
-            poses.write_bytes(",".join(POSE_COLUMNS).encode() + b"\n" + csv_lines(motion(args.poses, ticks)))
+            with poses.open("wb") as file:
+                file.write(",".join(POSE_COLUMNS).encode() + b"\n")
+                write_csv_rows(file, motion(args.poses, ticks))
             simulate(args.scene, poses, Path(made, "warm.npz"))
         with progress("simulating", rounds * len(SUFFIXES)) as done:
             for turn in range(rounds):

@@ -128,8 +128,8 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
 
 def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Measure the cost of a contact step, in contact, relative to the period."""
-    with progress("measuring the contact step"):
-        cost = step_cost(scene, touching_poses(scene), STEP_BLOCKS)
+    with progress("measuring the contact step", STEP_BLOCKS) as done:
+        cost = step_cost(scene, touching_poses(scene), STEP_BLOCKS, done)
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
     return Check(
         "contact step",

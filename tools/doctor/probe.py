@@ -147,7 +147,9 @@ def join_rows(parts: list[Array]) -> Array:
 
 
 def glance(report: Mapping[str, Any]) -> list[str]:
-    """Return the picture of the axes, and the most important figures for a user."""
+    """Return the picture of the axes, and the most important figures for a user; nothing without an open device."""
+    if report["device"] is None:
+        return []
     text = picture(report)
     if (seen := report["exchange"]) is not None:
         text.append(f"  {seen['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")

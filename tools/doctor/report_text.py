@@ -24,10 +24,10 @@ def lines(report: Report, file: Path) -> list[str]:
     text += _measured(report)
     if report["counts"]:
         text.append("  the driver counted: " + ", ".join(f"{name} {value}" for name, value in report["counts"].items()))
-    if report["questions"]:
+    if report["questions"] and report["device"] is not None:  # one that was opened
         text.append("only visible on hardware")
-    for one in report["questions"]:
-        text += [f"  {one['question']}", f"    {one['answer']}"]
+        for one in report["questions"]:
+            text += [f"  {one['question']}", f"    {one['answer']}"]
     text.append(f"the complete report is in {file}: attach it to an issue")
     return text
 

@@ -26,8 +26,8 @@ NAIL_HALF_WIDTH_RAD: Final = 0.68
 NAIL_CENTRE, NAIL_HALF_LENGTH = 0.1, 0.66
 NAIL_CORNERS: Final = 13
 """Corners per side of the nail."""
-SHADOW_STEPS: Final = 8
-SHADOW_OPACITY: Final = 0.14
+SHADOW_STEPS: Final = 14
+SHADOW_OPACITY: Final = 0.085
 """Discs of a shadow and the opacity of each: they add up towards the centre."""
 
 
@@ -80,7 +80,7 @@ def finger(radii: Array) -> Mesh:
 def nail(radii: Array) -> Mesh:
     """Return the nail of `finger(radii)`."""
     grid = np.linspace(-1.0, 1.0, NAIL_CORNERS)
-    across, along = (each.ravel() for each in np.meshgrid(grid, grid))
+    across, along = (each.ravel() for each in np.meshgrid(grid, np.sin(0.5 * pi * grid)))  # denser at the round ends
     height = NAIL_CENTRE + NAIL_HALF_LENGTH * along
     angle = -0.5 * pi + NAIL_HALF_WIDTH_RAD * across * (1.0 - 0.95 * along**4) ** 0.5
     radius = np.sqrt(1.0 - np.minimum(height, 0.0) ** 2)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import Screen, coloured, eventually, served, why_none
+from helpers.browser import SIZE, Screen, coloured, eventually, served, why_none
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
@@ -58,6 +58,42 @@ def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
         screen.tab(name)
     screen.tab("Hand")
     assert eventually(lambda: (screen.picture().std(axis=(0, 1)) > 5.0).all())
+
+
+def test_the_layout_fits_the_window(screen: Screen) -> None:
+    """At 1280 x 800 the plots need no scroll and labels have one line, also after the window was narrow as a phone."""
+    page, plots = screen.page, screen.page.locator(".uplot")
+
+    def canvas_width() -> float:
+        return float(page.locator("canvas").first.bounding_box()["width"])
+
+    page.set_viewport_size({"width": 1280, "height": 800})
+    assert eventually(lambda: 880.0 < canvas_width() < 900.0)
+    assert eventually(lambda: plots.count() == 3)
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert eventually(lambda: canvas_width() == 390.0)
+    page.reload()
+    page.locator("canvas").first.wait_for()
+    assert eventually(lambda: page.evaluate("() => Boolean(window.__viserMutable?.nodeRefFromName['/objects'])"))
+    # A phone shows 2 cm on both sides of the fingertip, as wide windows do.
+    assert eventually(lambda: all(0.0 < screen.at((x, 0.0, 0.6))[0] < 390.0 for x in (-2.0, 2.0)))
+    page.set_viewport_size({"width": 1280, "height": 800})
+    assert eventually(lambda: 880.0 < canvas_width() < 900.0)
+    assert eventually(lambda: plots.count() == 3)
+    boxes = [plots.nth(index).bounding_box() for index in range(3)]
+    assert all(box["y"] + box["height"] <= 800.0 for box in boxes), boxes
+    screen.tab("Show")
+    for label in ("pause picture", "contact normals", "arrow, N/cm"):
+        assert page.get_by_text(label, exact=True).bounding_box()["height"] < 30.0, label  # two lines have 40
+    page.set_viewport_size(dict(zip(("width", "height"), SIZE, strict=True)))
+
+
+def test_the_page_shows_what_the_daemon_prepares(screen: Screen, daemon: Daemon) -> None:
+    """The progress of a scene in preparation is in the status line until the scene is ready."""
+    daemon.publisher.set_preparing("compiling kernel 12")
+    assert eventually(lambda: screen.shows("the daemon prepares: compiling kernel 12"))
+    daemon.publisher.set_preparing("")
+    assert eventually(lambda: not screen.shows("the daemon prepares"))
 
 
 def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client: Client) -> None:

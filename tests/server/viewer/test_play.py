@@ -141,7 +141,7 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
 
     client.hand((0.01, 0.0, 0.03), (1.0, 0.0, 0.0, 0.0))
     assert eventually(is_right)
-    assert eventually(lambda: screen.shows("arrow: 0.3 N per 10 mm"))
+    assert eventually(lambda: screen.shows("arrow: 0.3 N/cm"))
     x, y = screen.at((CM * 0.01, 0.0, 0.0))
     box = screen.page.locator("canvas").first.bounding_box()
 
@@ -154,9 +154,9 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
     assert eventually(shaded)
     client.hand((0.0, 0.0, 0.006), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: screen.shows("gap 0.0 mm"))
-    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # limited by the guard to 12 N: 60 mm at 2 N per 10 mm
+    client.hand((0.0, 0.0, -0.05), (1.0, 0.0, 0.0, 0.0))  # limited by the guard to 12 N: 60 mm at 2 N/cm
     assert eventually(lambda: client.get_state().force[2] > 10.1)
-    assert eventually(lambda: screen.shows("arrow: 5 N per 10 mm"))
+    assert eventually(lambda: screen.shows("arrow: 5 N/cm"))
     client.hand((0.0, 0.0, 0.02), (1.0, 0.0, 0.0, 0.0))
 
 
