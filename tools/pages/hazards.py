@@ -307,6 +307,12 @@ HAZARDS: Final = (
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
+        "a process of commands that hangs", "the daemon: no message of it", "none",
+        "as before; `disarm` and `stop`, which clients send again, take effect after its restart",
+        f"it is started again after {link.SILENT_MAX_S:g} s", ("fault publisher",),
+        ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_sent_again",),
+    ),
+    Hazard(
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
         "as before; subscribers miss ticks; commands are answered", _NONE, (),
         ("tests/server/test_commands_at_once.py::test_subscribers_do_not_delay_disarm",
