@@ -18,6 +18,8 @@ import pytest
 import zmq
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.cli import main
+from softfinger.server.remote import Client
 from softfinger.server.wire import client_requests
 from softfinger.server.wire import control as control_module
 from softfinger.server.wire.client import subscribe
@@ -224,3 +226,19 @@ def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
             control.mark("x", {"a": np.float64(1.0), "b": np.zeros(3)})
     with Control(f"ipc://{tmp_path}/nobody", math.nan) as control, pytest.raises(ConfigError, match="time-out of nan"):
         control.get_state()
+
+
+@pytest.mark.parametrize("program", ["client", "ctl"])
+def test_disarm_is_sent_before_the_daemon_is_searched_or_verified(program: str, tmp_path: Path) -> None:
+    """A daemon that answers nothing gets `disarm` as the first request; the answer is awaited as usual."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
+        daemon.linger, daemon.rcvtimeo = 0, 60_000
+        if program == "client":
+            daemon.bind(f"ipc://{tmp_path}/t.commands")
+            with Client(f"ipc://{tmp_path}/t", timeout_s=WAIT_S) as client, pytest.raises(NoAnswer):
+                client.disarm()
+        else:
+            port = daemon.bind_to_random_port("tcp://127.0.0.1")
+            words = ["ctl", "--endpoint", f"tcp://127.0.0.1:{port}", "--timeout", "0.5", "disarm"]
+            assert main(words) == NoAnswer.exit_code
+        assert parse(daemon.recv_multipart()[2]).method == "disarm"

@@ -326,6 +326,10 @@ HAZARDS: Final = (
          "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
     ),
     Hazard(
+        "a log that nobody reads", "standard error takes no line", "none", "as before; lines are dropped", _NONE, (),
+        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",),
+    ),
+    Hazard(
         "a clock that is set", "none needed: ticks, events and recordings go by CLOCK_MONOTONIC", "none", "as before",
         _NONE, (),
         (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
