@@ -160,8 +160,8 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
                 other.send("describe", {}, str(number))
             assert next(other.answers(WAIT_S)) == "0"
             assert control.stop().shutting_down
-            assert daemon.wait(WAIT_S)
             assert len(list(other.answers())) < WAITING_MAX - 1
+            assert daemon.wait(WAIT_S)
             other.close()
 
 
@@ -189,6 +189,9 @@ def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
                 armed = control.disarm()
         assert armed.armed is False and daemon.publisher.pids["commands"] != pid
         assert eventually(lambda: not forced(device))
+        with Control(endpoint, WAIT_S) as control:  # the request that was lost does not count any more
+            control.arm()
+            assert eventually(lambda: forced(device))
 
 
 @pytest.mark.real_time
@@ -227,7 +230,7 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             while not forced(device):
                 control.heartbeat()
                 time.sleep(0.005)  # more than 100 requests in 0.1 s are refused
-            assert share_without(device) > 0.35
+            assert share_without(device) > 0.5
             assert control.describe()["armed"] is False and not forced(device)
             control.heartbeat()
             assert eventually(lambda: forced(device))
