@@ -332,8 +332,8 @@ class Daemon:
             self.blackbox.sink,
             arming.sink,
             self.deformation.sink,
-            *sinks,
             *(service.sink for service in optional_services),
+            *sinks,
         ]
         return [
             telemetry,

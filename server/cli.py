@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from softfinger.config.errors import Exhausted, HapticError
-from softfinger.server import signals
+from softfinger.server import signals, standard_error
 
 if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an import ends with a traceback
     import argparse
@@ -157,17 +157,16 @@ def set_up_process() -> None:
 
 
 def to_stderr() -> logging.Handler:
-    """Return a log handler that always writes to the current `sys.stderr`, which a progress line replaces."""
+    """Return a log handler that writes to the current `sys.stderr`, which a progress line replaces; it never waits."""
     import logging
 
-    class ToStderr(logging.StreamHandler[Any]):
-        @property
-        def stream(self) -> Any:
-            return sys.stderr
-
-        @stream.setter
-        def stream(self, _: Any) -> None:
-            pass
+    class ToStderr(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            try:
+                for line in self.format(record).splitlines():  # a pipe that takes anything takes a line
+                    standard_error.write_line(line)
+            except Exception:
+                self.handleError(record)
 
     return ToStderr()
 
@@ -175,7 +174,7 @@ def to_stderr() -> logging.Handler:
 def failed(message: str, code: int) -> int:
     """Print the error that stops the program; return `code`."""
     with contextlib.suppress(OSError):  # standard error may be closed, too
-        print(f"softfinger: {message}", file=sys.stderr, flush=True)
+        standard_error.write_line(f"softfinger: {message}", standard_error.LAST_WAIT_S)
     return code
 
 

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
+from softfinger.server.standard_error import write_line
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
@@ -185,7 +186,7 @@ def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[
         wait = QUIET_S
         while not finished.wait(wait):
             text = progress_text(what, count, total, detail)
-            print(f"{text} ... {time.monotonic() - start_s:.0f} s", file=sys.stderr, flush=True)
+            write_line(f"{text} ... {time.monotonic() - start_s:.0f} s")
             wait = PLAIN_PERIOD_S
 
     reporter = threading.Thread(target=report, daemon=True)

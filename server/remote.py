@@ -72,6 +72,8 @@ class Client(Control):
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if not self._verified:
+            if method == "disarm":  # the daemon may be slow to describe itself
+                self.post(method)
             if (commands := self._look_up().command_endpoint()) != self.endpoint:
                 self._move(commands)
             endpoint = (

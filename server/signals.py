@@ -24,6 +24,7 @@ from types import FrameType
 from typing import Any, Final
 
 from softfinger.drivers import open_devices
+from softfinger.server.standard_error import LAST_WAIT_S, is_writable
 
 STOPPING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
 """Signals that stop the process until SIGCONT."""
@@ -217,6 +218,8 @@ def _stop_all() -> None:
 
 def _print(line: str) -> None:
     """Write a line to standard error without a lock: a signal may have interrupted another write."""
+    if not is_writable(LAST_WAIT_S):
+        return
     with contextlib.suppress(OSError):
         os.write(2, (b"\r\x1b[K" if os.isatty(2) else b"") + f"softfinger: {line}\n".encode())
 

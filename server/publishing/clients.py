@@ -1,4 +1,4 @@
-"""Command clients of one endpoint: a ROUTER socket of libzmq, read only while few requests are unanswered."""
+"""Command clients of one endpoint: a ROUTER socket of libzmq."""
 
 from __future__ import annotations
 
@@ -42,14 +42,13 @@ class Clients:
         self._burst_counts: Counter[bytes] = Counter()
         self._burst_s = 0.0
 
-    def take(self, max_requests: int) -> int:
-        """Pass on at most `max_requests` requests, from all clients in turn; return their number."""
+    def take(self, has_room: Callable[[], bool]) -> None:
+        """Pass on requests while there is room for another, from all clients in turn."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
             self._burst_counts.clear()
-        count = 0
-        while count < max_requests and self.peers.has_message:
+        while has_room() and self.peers.has_message:
             client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
             self._burst_counts[client] += 1
             kind = Kind.TOO_MUCH if self._burst_counts[client] > BURST else Kind.REQUEST
@@ -57,8 +56,6 @@ class Clients:
                 self._on_request(kind, client, frames[1])
             else:
                 self._on_request(Kind.MALFORMED, client, b"")
-            count += 1
-        return count
 
     def answer(self, client: bytes, body: bytes) -> None:
         """Send an answer to a client; it is dropped if the client has disconnected or does not read."""

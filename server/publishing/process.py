@@ -16,6 +16,7 @@ import resource
 import select
 import signal
 import time
+from collections import OrderedDict, deque
 from contextlib import ExitStack
 from typing import Any, Final
 
@@ -34,7 +35,11 @@ from softfinger.server.publishing.ticks import Rows
 log: Final = logging.getLogger(__name__)
 
 UNANSWERED_MAX: Final = 32
-"""Unanswered requests passed to the daemon; further ones remain queued in libzmq, up to a limit for each client."""
+"""Unanswered requests passed to the daemon; further ones wait here, so that one that turns the force off has its effect
+while the daemon is busy."""
+WAITING_MAX: Final = 1024
+WAITING_BYTES_MAX: Final = 1 << 22
+"""Requests that wait here, and their bytes; further ones remain queued in libzmq, up to a limit for each client."""
 QUIET_S: Final = 0.1
 """If ticks arrive at shorter intervals than this, a new subscriber waits for the next: libzmq would send the latest to
 all."""
@@ -59,6 +64,9 @@ class Publishing:
 
     def __init__(self, channel: Channel, setup: Setup, files: ExitStack) -> None:
         self._channel, self._unanswered = channel, 0
+        self._waiting = OrderedDict[bytes, deque[tuple[Kind, bytes]]]()
+        """Requests of each client that wait until fewer are unanswered; the client whose turn is next is the first."""
+        self._waiting_count = self._waiting_bytes = 0
         self._brake = Brake(setup.switch)
         self._rows = Rows(setup.memory, setup.begin, setup.bell)
         self._messages = Messages(setup.ticks, setup.shown)
@@ -66,7 +74,6 @@ class Publishing:
         self._last_tick_s = -QUIET_S
         self._latest: dict[bytes, bytes] = {}
         """Message of each topic that a new subscriber is sent at once."""
-        self._sent_figures = Figures()
         self._ended = False
         context: zmq.Context[Any] = zmq.Context()
         files.callback(context.destroy, LINGER_MS)
@@ -89,16 +96,32 @@ class Publishing:
             self._readers.append(Readers(gate, listener, lock, backlog, self._send_latest))
             return
         number = bytes((len(self._clients),))
+        self._clients.append(
+            Clients(gate, listener, lock, lambda kind, client, body: self._accept(kind, number + client, body))
+        )
 
-        def ask(kind: Kind, client: bytes, body: bytes) -> None:
-            off = kind == Kind.REQUEST and takes_force_off(body)
-            self._brake.count(int(off))
-            if self._channel.send(kind, number + client, body):
+    def _accept(self, kind: Kind, client: bytes, body: bytes) -> None:
+        """Queue a request; if it turns the force off, the loop does so now, however many requests its client sends."""
+        if takes_force_off(body):
+            kind = Kind.REQUEST
+            self._brake.count(1)
+        self._waiting.setdefault(client, deque()).append((kind, body))
+        self._waiting_count += 1
+        self._waiting_bytes += len(body)
+
+    def _pass_on(self) -> None:
+        """Pass queued requests to the daemon, one of each client in turn, until too many are unanswered."""
+        while self._waiting and self._unanswered < UNANSWERED_MAX:
+            client, requests = self._waiting.popitem(last=False)
+            kind, body = requests.popleft()
+            if requests:
+                self._waiting[client] = requests
+            self._waiting_count -= 1
+            self._waiting_bytes -= len(body)
+            if self._channel.send(kind, client, body):
                 self._unanswered += 1
-            else:  # the daemon will not receive it
-                self._brake.count(-int(off))
-
-        self._clients.append(Clients(gate, listener, lock, ask))
+            elif takes_force_off(body):  # the daemon will not receive it
+                self._brake.count(-1)
 
     def run(self) -> None:
         """Publish until the daemon requests the end or exits."""
@@ -163,8 +186,8 @@ class Publishing:
         for readers in self._readers:
             readers.take()
         for clients in self._clients:
-            if self._unanswered < UNANSWERED_MAX:
-                clients.take(UNANSWERED_MAX - self._unanswered)
+            clients.take(lambda: self._waiting_count < WAITING_MAX and self._waiting_bytes < WAITING_BYTES_MAX)
+        self._pass_on()
 
     def _send_latest(self, prefix: bytes) -> None:
         """Send the latest messages for a new subscription; libzmq sends them to all subscribers of the topic."""
@@ -212,8 +235,7 @@ class Publishing:
             sum(peers.refused for peers in self._peer_sockets),
             self._rows.lost,
         )
-        if figures != self._sent_figures and self._channel.send(Kind.FIGURES, body=msgspec.msgpack.encode(figures)):
-            self._sent_figures = figures
+        self._channel.send(Kind.FIGURES, body=msgspec.msgpack.encode(figures))  # always: it is a sign of life, too
 
 
 def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import commands_beside
 from softfinger.config.sources import read_toml
 from softfinger.config.words import near, shown
 from softfinger.server import keys
@@ -35,12 +36,16 @@ def run(args: argparse.Namespace) -> int:
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
     lock = keys.keys_from_options(args)
     within_s = BUSY_S if args.timeout is None else args.timeout
-    addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
-    with (
-        Control(addresses.command_endpoint(), args.timeout, lock) as daemon,
-        progress(args.method, detail=_daemon_progress(addresses.telemetry, lock)),
-    ):
-        result = msgspec.to_builtins(daemon.ask(args.method, params))
+    with ExitStack() as early:
+        if args.method == "disarm":  # the search waits for a daemon that is slow to describe itself
+            for likely in {args.endpoint, commands_beside(args.endpoint)}:
+                early.enter_context(Control(likely, args.timeout, lock)).post(args.method)
+        addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
+        with (
+            Control(addresses.command_endpoint(), args.timeout, lock) as daemon,
+            progress(args.method, detail=_daemon_progress(addresses.telemetry, lock)),
+        ):
+            result = msgspec.to_builtins(daemon.ask(args.method, params))
     if args.json:
         print(json.dumps(result))
     else:

@@ -49,8 +49,9 @@ class LivePage:
         self._page = page
         self._telemetry = TelemetryReceiver(daemon.telemetry, keys)
         self._commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
-        # Separate, so that the hand moves while a scene is compiled.
+        # Separate, so that the hand moves, and the force can be switched off, while the answer to another is awaited.
         self._scene_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
+        self._force_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
         self._description: dict[str, Any] | None = None
         self._has_new_description = threading.Event()
         self._received_meshes = deque[tuple[int, int, Triangles]]()
@@ -222,11 +223,11 @@ class LivePage:
         )
 
     def _reset_world(self) -> None:
-        self._commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
+        self._scene_commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
 
     def _switch_force(self, event: Any) -> None:
         method = "arm" if event.target.value == "on" else "disarm"
-        self._commands.submit(
+        self._force_commands.submit(
             "force",
             Request(
                 method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
@@ -250,7 +251,7 @@ class LivePage:
         self._object_controls.restore()
 
     def close(self) -> None:
-        for part in (self._telemetry, self._commands, self._scene_commands):
+        for part in (self._telemetry, self._commands, self._scene_commands, self._force_commands):
             part.close()
 
 

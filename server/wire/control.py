@@ -136,6 +136,11 @@ class Control(Closeable):
             now = time.monotonic()
         raise no_answer(method, self.endpoint, wait_s)
 
+    def post(self, method: str) -> None:
+        """Send a request without parameters and ignore its answer."""
+        with contextlib.suppress(zmq.Again):
+            self._socket.send_multipart(encode_request(method, Empty(), TIMEOUT_S)[1], zmq.NOBLOCK)
+
     def _check_answers(self, method: str) -> None:
         """Raise NoAnswer if a short request gets no answer, instead of waiting for as long as `method` may take."""
         try:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import os
 import select
 import socket
 import subprocess
@@ -16,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from io import FileIO
 from typing import Final, NamedTuple
 
 import msgspec
@@ -40,6 +43,10 @@ RECONNECT_S: Final = 1.0
 """Time after a new process is ready until subscribers have reconnected, and can receive an event about it."""
 END_S: Final = 1.0
 """Time after a request to end until the process is killed."""
+SILENT_MAX_S: Final = 2.0
+"""Time without a message, of which there is one in each PERIOD_S of the process, after which it hangs."""
+ERRORS_MAX: Final = 4096
+"""Largest part of the standard error of a process that is logged, bytes."""
 MODULE: Final = "softfinger.server.publishing"
 Send = Callable[[Kind, bytes, bytes], object]
 """Function that sends a message: kind, key and body."""
@@ -60,11 +67,12 @@ class RequestHandlers(NamedTuple):
 class Link:
     """Process with ZeroMQ sockets, from construction until `close`.
 
-    name        of its endpoints: telemetry or commands
-    setup       sends a new process its setup, and the messages that it needs after that
-    files       file descriptors that the process inherits
-    event       is called with a description of each failure of the process
-    on_handled  is called with each request that was answered or queued
+    name          of its endpoints: telemetry or commands
+    setup         sends a new process its setup, and the messages that it needs after that
+    files         file descriptors that the process inherits
+    event         is called with a description of each failure of the process
+    on_handled    is called with each request that was answered or queued
+    silent_max_s  time without a message, s, after which a process that was ready is killed
     """
 
     def __init__(
@@ -74,14 +82,17 @@ class Link:
         files: list[int],
         event: Callable[[str], None],
         on_handled: Callable[[bytes], None] = lambda body: None,
+        silent_max_s: float = math.inf,
     ) -> None:
         self.name: Final = name
         self._setup, self._files, self._event = setup, list(files), event
-        self._on_handled = on_handled
+        self._on_handled, self._silent_max_s = on_handled, silent_max_s
         self._handlers: RequestHandlers | None = None
         self._earlier_figures, self._present_figures = Figures(), Figures()
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._started_s = 0.0
+        self._received_s = math.inf
+        """Time of the last message of the process; infinite before the first."""
         self._pause_s = 0.0
         self._ready = self._restart_failed = False
         """`_ready`: a process has been ready. `_restart_failed`: a restart failed, and was reported."""
@@ -96,7 +107,7 @@ class Link:
         self._until_s: float | None = None
         self._replacing = threading.Lock()
         """Locked while one process replaces another, so that a message is sent to the new one."""
-        self._process, self._channel = self._start()
+        self._process, self._channel, self._errors = self._start()
         self._thread = threading.Thread(target=self._run, name=f"{name} process", daemon=True)
         self._thread.start()
 
@@ -139,24 +150,27 @@ class Link:
 
     # --- the thread -------------------------------------------------------------------------------------
 
-    def _start(self) -> tuple[subprocess.Popen[bytes], Channel]:
+    def _start(self) -> tuple[subprocess.Popen[bytes], Channel, FileIO]:
         with ExitStack() as undo:
             own_end, child_end = map(undo.enter_context, socket.socketpair())
             # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
             # channel.
+            # Standard error in memory: a pipe that nobody reads would block the process in its last message.
+            errors = undo.enter_context(open(os.memfd_create("softfinger-errors"), "r+b", buffering=0))
             process = subprocess.Popen(
                 [sys.executable, "-m", MODULE, self.name, str(child_end.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                stderr=errors,
                 start_new_session=True,
                 pass_fds=[child_end.fileno(), *self._files],
             )
             child_end.close()
             undo.pop_all()
-        self._started_s = time.monotonic()
+        self._started_s, self._received_s = time.monotonic(), math.inf
         channel = Channel(own_end)
         self._setup(channel.send)
-        return process, channel
+        return process, channel, errors
 
     def _run(self) -> None:
         try:
@@ -164,7 +178,8 @@ class Link:
                 start_s, request_wait_s = time.monotonic(), self._poll()
                 if self._channel.ended and not self._restart():
                     return
-                if self._until_s is not None and start_s >= self._until_s:
+                is_late = self._until_s is not None and start_s >= self._until_s
+                if is_late or start_s - self._received_s > self._silent_max_s:
                     self._process.kill()
                 if self._handlers is not None:
                     self._handlers.each_period()
@@ -180,6 +195,7 @@ class Link:
             self._process.kill()
             self._process.wait()
             self._channel.close()
+            self._errors.close()
 
     def _poll(self) -> float:
         """Wait for messages and handle them; return the time waited, s, or 0.0 if none was a request."""
@@ -190,6 +206,7 @@ class Link:
         waited_s, has_request = time.monotonic() - start_s, False
         self._channel.flush()
         for message in self._channel.receive():
+            self._received_s = time.monotonic()
             has_request = self._take(message) or has_request
         return waited_s if has_request else 0.0
 
@@ -224,6 +241,7 @@ class Link:
             self._process.wait(END_S)
         self._process.kill()
         code = self._process.wait()
+        self._log_errors()
         if self._ending():
             return False
         if not self._ready:
@@ -246,6 +264,13 @@ class Link:
         self._restart_reports.append(text)
         return True
 
+    def _log_errors(self) -> None:
+        """Log the end of what the process has written to its standard error, and free that memory."""
+        with self._errors:
+            self._errors.seek(max(0, os.fstat(self._errors.fileno()).st_size - ERRORS_MAX))
+            if text := self._errors.read().decode(errors="replace").strip():
+                log.error("the %s process: %s", self.name, text)
+
     def _lengthen_pause(self) -> None:
         self._pause_s = min(2.0 * self._pause_s or PAUSE_S, PAUSE_MAX_S)
 
@@ -260,7 +285,7 @@ class Link:
             return True
         try:
             with self._replacing:
-                self._process, self._channel = self._start()
+                self._process, self._channel, self._errors = self._start()
         except OSError as error:  # no file descriptor, process or memory is left
             if not self._restart_failed:
                 self._restart_failed = True

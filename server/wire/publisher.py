@@ -23,7 +23,7 @@ from softfinger.server.closing import Closeable
 from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
 from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import Health, combine
-from softfinger.server.wire.link import Link, RequestHandlers, Send
+from softfinger.server.wire.link import SILENT_MAX_S, Link, RequestHandlers, Send
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import Relay, Source
 from softfinger.server.wire.native.switch import SharedSwitch
@@ -118,7 +118,14 @@ class Publisher(Closeable):
             ]
             has_commands = any(entrance.name == COMMANDS for entrance in self._endpoints.entrances)
             self._commands: Final = (
-                Link(COMMANDS, self._setup_commands, files, self._report_restart, self._switch.count_handled)
+                Link(
+                    COMMANDS,
+                    self._setup_commands,
+                    files,
+                    self._report_restart,
+                    self._switch.count_handled,
+                    SILENT_MAX_S,
+                )
                 if has_commands
                 else None
             )

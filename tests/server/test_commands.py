@@ -48,6 +48,7 @@ from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.commands import EVENT_BYTES_MAX, Commands
 from softfinger.server.services.records import Sink
+from softfinger.server.states import SILENT
 from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -183,10 +184,10 @@ def test_every_method_answers(rig):
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
         told = following("command")
         assert told["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and told["name"] == "drive"
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > moved.tick + 2)
+        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
-        normal = kept.since(moved.tick + 2)[0, AT.contact_normal_force]
-        assert normal == pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
+        normal = pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
+        assert eventually(lambda: kept.rows[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
         with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
@@ -503,8 +504,9 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
     After `disarm` a heartbeat does not."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
         assert control.heartbeat().timeout_ms == 500
-        lost = following("command")
-        assert lost["name"] == "heartbeat_missed" and lost["what"] == {"after_s": 0.5}
+        while (lost := following("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
+            pass
+        assert lost["what"] == {"after_s": 0.5}
         assert eventually(lambda: kept.force_n == 0.0)
         assert control.describe()["armed"] is False and kept.force_n == 0.0
         control.heartbeat()
@@ -533,13 +535,12 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
 def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
     """After disarm and a missed heartbeat, a heartbeat clears only its cause; `arm` clears both."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
-        control.heartbeat()
         control.disarm()
-        while following("command")["name"] != "heartbeat_missed":
-            pass
+        assert eventually(lambda: daemon.rendering.force.is_inhibited_by(SILENT))
         control.heartbeat()
-        told = following("command")
-        assert (told["name"], told["what"]) == ("heartbeat", {"armed": False})
+        while (told := following("command"))["name"] != "heartbeat":
+            pass
+        assert told["what"] == {"armed": False}
         tick = daemon.servo.ticks
         assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 100)
         assert not kept.since(tick)[:, AT.force : AT.force + 3].any()

@@ -6,7 +6,6 @@ import asyncio
 import ctypes
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,8 +23,8 @@ from softfinger.config.load import load_rig
 from softfinger.drivers import registry
 from softfinger.server.app import Daemon
 from softfinger.server.publishing.brake import SHORT, takes_force_off
+from softfinger.server.publishing.clients import BURST
 from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
-from softfinger.server.wire.client_requests import RESEND_S
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 
@@ -161,26 +160,22 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
                 other.send("describe", {}, str(number))
             assert next(other.answers(WAIT_S)) == "0"
             assert control.stop().shutting_down
-            assert daemon.wait(WAIT_S)
             assert len(list(other.answers())) < WAITING_MAX - 1
+            assert daemon.wait(WAIT_S)
             other.close()
 
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
 def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
-    """The commands process receives the request and is killed before it reads it. The client sends it again: the device
-    gets zero and the client an answer."""
+    """The commands process hangs before it reads the request. It is replaced, and the client sends the request again:
+    the device gets zero and the client an answer."""
 
     async def disarm_in_task() -> Any:
         async with AsyncControl(endpoint, WAIT_S) as control:
             await control.get_state()
-            stall()
+            os.kill(pid, signal.SIGSTOP)
             return await control.disarm()
-
-    def stall() -> None:
-        os.kill(pid, signal.SIGSTOP)
-        threading.Timer(2.0 * RESEND_S, os.kill, (pid, signal.SIGKILL)).start()
 
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint, pid = str(daemon.commands_endpoint), daemon.publisher.pids["commands"]
@@ -190,10 +185,13 @@ def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
         else:
             with Control(endpoint, WAIT_S) as control:
                 control.get_state()
-                stall()
+                os.kill(pid, signal.SIGSTOP)
                 armed = control.disarm()
         assert armed.armed is False and daemon.publisher.pids["commands"] != pid
         assert eventually(lambda: not forced(device))
+        with Control(endpoint, WAIT_S) as control:  # the request that was lost does not count any more
+            control.arm()
+            assert eventually(lambda: forced(device))
 
 
 @pytest.mark.real_time
@@ -213,26 +211,26 @@ HOLD = ctypes.PyDLL(None).usleep
 """Sleep for a number of us with the GIL, so that no Python thread runs."""
 
 
-def ticks_without(device: FaultyDevice) -> int:
-    """Count the zero wrenches after the last force."""
+def share_without(device: FaultyDevice) -> float:
+    """Hold the GIL for 1 s; return the share of the wrenches of that time that are zero and follow the last force."""
+    count = len(device.wrenches)
+    HOLD(1_000_000)
     wrenches = device.wrenches
-    return len(wrenches) - 1 - int(np.flatnonzero(wrenches.any(axis=1))[-1])
+    return (len(wrenches) - 1 - int(np.flatnonzero(wrenches.any(axis=1))[-1])) / (len(wrenches) - count)
 
 
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
     """While the GIL is blocked for 1 s, the device gets zero after the heartbeat's 0.3 s, or after a `disarm` sent
-    before. Half of the due ticks may be missed; Python could start only at the end. A heartbeat restores the force in
-    the first case, `arm` in the second."""
+    before by a client that sends more requests than it may. Python could start only at the end of that
+    time. A heartbeat restores the force in the first case, `arm` in the second."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
             while not forced(device):
                 control.heartbeat()
                 time.sleep(0.005)  # more than 100 requests in 0.1 s are refused
-            HOLD(1_000_000)
-            assert ticks_without(device) > 350
-            control.get_state()
+            assert share_without(device) > 0.5
             assert control.describe()["armed"] is False and not forced(device)
             control.heartbeat()
             assert eventually(lambda: forced(device))
@@ -243,10 +241,11 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             other.send("get_state", {}, "connected")
             assert next(other.answers(WAIT_S)) == "connected"
             assert eventually(lambda: forced(device))
+            for number in range(BURST + 1):
+                other.send("get_state", {}, str(number))
             other.send("disarm", {}, "off")
-            HOLD(1_000_000)
-            assert ticks_without(device) > 450
-            assert next(other.answers(WAIT_S)) == "off" and not forced(device)
+            assert share_without(device) > 0.45
+            assert "off" in other.answers(WAIT_S) and not forced(device)
             other.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
             assert next(other.answers(WAIT_S)) == "declined"
             other.close()

@@ -112,6 +112,7 @@ SET_BY = {
     "a process of telemetry or commands that ends, also while no memory or file descriptor is left": [
         (link, "PAUSE_MAX_S")
     ],
+    "a process of commands that hangs": [(link, "SILENT_MAX_S")],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
     "memory of the daemon in swap": [(swapping, "PERIOD_S")],
     "commands that cannot be taken": [(SafetyStop, "exit_code")],

@@ -212,16 +212,19 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
             process.kill()
 
 
+BATCH = 50
+
+
 @contextlib.contextmanager
 def ticking(publisher: Publisher) -> Iterator[None]:
-    """Publish 50 ticks at a time while the block runs."""
+    """Publish BATCH ticks at a time while the block runs."""
     stop = threading.Event()
 
     def publish() -> None:
         first = 0
         while not stop.wait(0.02):
-            publisher.publish(synthetic(50, first_tick=first))
-            first += 50
+            publisher.publish(synthetic(BATCH, first_tick=first))
+            first += BATCH
 
     thread = threading.Thread(target=publish)
     thread.start()
@@ -350,4 +353,5 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     name, rate, names, units, values, _ = json.loads(done.stdout.splitlines()[-1])
     assert (name, rate, names) == ("softfinger", 0.0, columns())
     assert units == [field.unit for field in FIELDS for _ in range(field.size)]
-    assert values == synthetic(1, first_tick=int(values[AT.tick]))[0].tolist()
+    tick = int(values[AT.tick])
+    assert values == synthetic(BATCH, first_tick=tick - tick % BATCH)[tick % BATCH].tolist()

@@ -18,6 +18,8 @@ import pytest
 import zmq
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.cli import main
+from softfinger.server.remote import Client
 from softfinger.server.wire import client_requests
 from softfinger.server.wire import control as control_module
 from softfinger.server.wire.client import subscribe
@@ -157,6 +159,15 @@ def test_more_requests_than_the_queue_of_libzmq_all_end(tmp_path: Path) -> None:
                 control.get_state()
 
 
+def first_request(peer: zmq.Socket[bytes], ask: Callable[[float], object]) -> bytes:
+    """Ask with longer and longer time-outs until a request arrives: a client that gives up discards it."""
+    wait_s = WAIT_S
+    while not peer.poll(0):
+        ask(wait_s)
+        wait_s *= 2.0
+    return peer.recv_multipart()[-1]
+
+
 @pytest.mark.parametrize("client", [Control, AsyncControl])
 def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
     """The daemon declines an expired request, but not one without expiry or from another boot of a machine."""
@@ -164,18 +175,16 @@ def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
         peer.linger, peer.rcvtimeo = 0, 10_000
         peer.bind(f"ipc://{tmp_path}/socket")
 
-        async def ask() -> None:
-            async with AsyncControl(f"ipc://{tmp_path}/socket", WAIT_S) as control:
+        async def ask_async(wait_s: float) -> None:
+            async with AsyncControl(f"ipc://{tmp_path}/socket", wait_s) as control:
                 with pytest.raises(NoAnswer):
                     await control.arm()
 
-        while not peer.poll(0):  # a request is discarded if the connection takes longer than WAIT_S
-            if client is Control:
-                with Control(f"ipc://{tmp_path}/socket", WAIT_S) as control, pytest.raises(NoAnswer):
-                    control.arm()
-            else:
-                asyncio.run(ask())
-        *_, body = peer.recv_multipart()
+        def ask(wait_s: float) -> None:
+            with Control(f"ipc://{tmp_path}/socket", wait_s) as control, pytest.raises(NoAnswer):
+                control.arm()
+
+        body = first_request(peer, ask if client is Control else lambda wait_s: asyncio.run(ask_async(wait_s)))
     with pytest.raises(Declined, match=r"^expired: .* nothing was done"):
         parse(body)
     request = msgpack.unpackb(body)
@@ -225,3 +234,22 @@ def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
             control.mark("x", {"a": np.float64(1.0), "b": np.zeros(3)})
     with Control(f"ipc://{tmp_path}/nobody", math.nan) as control, pytest.raises(ConfigError, match="time-out of nan"):
         control.get_state()
+
+
+@pytest.mark.parametrize("program", ["client", "ctl"])
+def test_disarm_is_sent_before_the_daemon_is_searched_or_verified(program: str, tmp_path: Path) -> None:
+    """A daemon that answers nothing gets `disarm` as the first request; the answer is awaited as usual."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
+        daemon.linger = 0
+        port = daemon.bind_to_random_port("tcp://127.0.0.1")
+        daemon.bind(f"ipc://{tmp_path}/t.commands")
+
+        def by_client(wait_s: float) -> None:
+            with Client(f"ipc://{tmp_path}/t", timeout_s=wait_s) as client, pytest.raises(NoAnswer):
+                client.disarm()
+
+        def by_ctl(wait_s: float) -> None:
+            words = ["ctl", "--endpoint", f"tcp://127.0.0.1:{port}", "--timeout", str(wait_s), "disarm"]
+            assert main(words) == NoAnswer.exit_code
+
+        assert parse(first_request(daemon, by_client if program == "client" else by_ctl)).method == "disarm"

@@ -307,6 +307,12 @@ HAZARDS: Final = (
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
+        "a process of commands that hangs", "the daemon: no message of it", "none",
+        "as before; `disarm` and `stop`, which clients send again, take effect after its restart",
+        f"it is started again after {link.SILENT_MAX_S:g} s", ("fault publisher",),
+        ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_sent_again",),
+    ),
+    Hazard(
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
         "as before; subscribers miss ticks; commands are answered", _NONE, (),
         ("tests/server/test_commands_at_once.py::test_subscribers_do_not_delay_disarm",
@@ -318,6 +324,10 @@ HAZARDS: Final = (
         "as before; the recording ends, or counts the lost records", "another recording", ("fault recording",),
         ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_goes_on",
          "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
+    ),
+    Hazard(
+        "a log that nobody reads", "standard error takes no line", "none", "as before; lines are dropped", _NONE, (),
+        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",),
     ),
     Hazard(
         "a clock that is set", "none needed: ticks, events and recordings go by CLOCK_MONOTONIC", "none", "as before",
