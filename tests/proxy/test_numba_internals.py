@@ -19,6 +19,7 @@ from numba.core.registry import cpu_target
 
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
+from softfinger.proxy.kernels.jit.compiler import numba_internals
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     SEEN,
     CFunction,
@@ -101,6 +102,28 @@ def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
         engine = cpu_target.target_context.codegen()._engine
         assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
     assert hits == [0, 1]
+
+
+@pytest.mark.parametrize(("large", "calls"), [(0, 1), (10**9, 0)])
+def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Any, large: int, calls: int
+) -> None:
+    """`finalize`: its code still calls the callee, and computes the same, compiled or loaded from a file."""
+    monkeypatch.setattr(numba_internals, "LARGE_CALLEES", large)
+    monkeypatch.setattr(numba_internals, "LARGE_SHARE", 0)
+    callee: Any = decorators.jit(lambda x: np.sin(x) + 1.0)
+
+    def small(x: float, callee: Any = callee) -> float:
+        return callee(x)
+
+    folder = Folder(tmp_path / "kernels")
+    for _ in range(2):
+        kernel: Any = Inlined(small, decorators.INLINED, KernelCache(small, folder, "inlined"), decorators.entry)
+        caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(2.0 * x))
+        assert caller(0.5) == np.sin(0.5) + 1.0 + (np.sin(1.0) + 1.0)
+        (made,) = kernel.dispatcher.overloads.values()
+        code = str(made.library.get_function(made.fndesc.llvm_func_name))
+        assert code.count("call i32") == calls
 
 
 def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
