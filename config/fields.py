@@ -22,7 +22,7 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Common options of all tables."""
 
 
-def known(*values: object) -> bool:
+def is_usable(*values: object) -> bool:
     """Return whether all these fields were usable in the file."""
     return not any(value is msgspec.UNSET for value in values)
 
@@ -33,7 +33,7 @@ def is_complete(value: object) -> bool:
         return all(is_complete(getattr(value, name)) for name in value.__struct_fields__)
     if isinstance(value, Mapping):
         return all(map(is_complete, value.values()))
-    return all(map(is_complete, value)) if isinstance(value, list | tuple) else known(value)
+    return all(map(is_complete, value)) if isinstance(value, list | tuple) else is_usable(value)
 
 
 def within(span: limits.Range, meaning: str, example: Any = None) -> Meta:
@@ -113,7 +113,7 @@ Resolved = Annotated[
 def normalise_orientation(table: Table) -> None:
     """Normalise the quaternion `orientation_wxyz` of a new table, unless it is zero or not finite."""
     given = table.orientation_wxyz  # type: ignore[attr-defined]
-    if not known(given) or given is None:
+    if not is_usable(given) or given is None:
         return
     norm = math.hypot(*given)
     # A quaternion that is unit to the last bits is not changed, so that a scene survives a round trip.
@@ -122,6 +122,6 @@ def normalise_orientation(table: Table) -> None:
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
-    """Yield a fault for a direction of all zeros; a missing direction is not a fault."""
-    if known(direction) and direction is not None and not any(direction):
-        yield key, direction, "all zero is not a direction: [0, 0, 1] is the z axis"
+    """Yield a fault for a direction of all zeros; a missing direction is no fault."""
+    if is_usable(direction) and direction is not None and not any(direction):
+        yield key, direction, "all zero is no direction: [0, 0, 1] is the z axis"

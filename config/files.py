@@ -35,7 +35,7 @@ def home_folder() -> Path | None:
         return None
 
 
-def expanded(path: str) -> Path:
+def expand_home(path: str) -> Path:
     """Replace a leading ~ by the home folder; for a user without one, the path does not change."""
     return Path(os.path.expanduser(path))
 
@@ -69,7 +69,7 @@ def new_file(path: str | Path) -> Iterator[IO[bytes]]:
 
     Until then it has an unpredictable name. If the path is a link, its target is replaced and the link remains.
     """
-    target = followed(path)
+    target = follow_links(path)
     part = target.with_name(f".{secrets.token_hex(8)}.part")
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     fd = os.open(part, flags, 0o666)
@@ -84,7 +84,7 @@ def new_file(path: str | Path) -> Iterator[IO[bytes]]:
 def open_output(path: str | Path, buffering: int = -1) -> IO[bytes]:
     """Open a file for writing over time, truncated if it exists; its contents can be read before it is closed."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-    fd = os.open(followed(path), flags, 0o666)
+    fd = os.open(follow_links(path), flags, 0o666)
     try:
         mode = os.fstat(fd).st_mode
         if not stat.S_ISCHR(mode):  # such as /dev/null
@@ -126,7 +126,7 @@ def is_same_file(one: str | Path, other: str | Path) -> bool:
         return os.path.realpath(one) == os.path.realpath(other)
 
 
-def followed(path: str | Path) -> Path:
+def follow_links(path: str | Path) -> Path:
     """Return the target of a path after links of this user, of root, or of the owner of the folder they are in.
 
     Raises OSError for a link of another user in a shared folder such as /tmp: it would choose which file is

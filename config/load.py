@@ -15,8 +15,8 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.config.fields import known
-from softfinger.config.overrides import changed
+from softfinger.config.fields import is_usable
+from softfinger.config.overrides import change_values
 from softfinger.config.scalars import Fault
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.sources import FOLDERS, find, printable, read_toml
@@ -98,13 +98,13 @@ def load_scene(
     if isinstance(scene, Scene):
         return overridden(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
-        return completed(build_changed(Scene, scene, "scene", overrides or {}, sources or {}))
+        return add_objects_of_world(build_changed(Scene, scene, "scene", overrides or {}, sources or {}))
     folder = find(scene, Scene).parent
     try:
         loaded = _load(Scene, scene, overrides or {}, sources or {})
     except FaultyConfig as error:
-        raise FaultyConfig(error.faults, _in_folder(folder, error.config)) from error
-    return completed(_in_folder(folder, loaded))
+        raise FaultyConfig(error.faults, _resolve_files(folder, error.config)) from error
+    return add_objects_of_world(_resolve_files(folder, loaded))
 
 
 def load_rig(
@@ -132,16 +132,16 @@ def load_faults(path_or_name: str | Path) -> Faults:
 def build(struct_type: type[T], mapping: object, where: str) -> T:
     """Convert `mapping` to a `struct_type`; raises ConfigError with every fault, each naming `where` and its key."""
     value, faults = examine(struct_type, mapping, where)
-    return _checked(struct_type, value, faults)
+    return _check_scene(struct_type, value, faults)
 
 
 def build_changed(
     struct_type: type[T], given: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> T:
     """Convert a mapping with overrides by dotted key, which have the origins `sources`; raises as `build`."""
-    mapping, origins, homeless = changed(given, overrides, sources)
+    mapping, origins, homeless = change_values(given, overrides, sources)
     value, faults = examine(struct_type, mapping, where, origins)
-    return _checked(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
+    return _check_scene(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
 
 
 def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
@@ -165,7 +165,7 @@ def _load(
     return build_changed(struct_type, read_toml(path, name), name, overrides, sources)
 
 
-def completed(scene: Scene) -> Scene:
+def add_objects_of_world(scene: Scene) -> Scene:
     """Add an object for each geom of the scene's world, and check the objects of the result against each other.
 
     `load_scene` does this already. Raises ConfigError for an unusable model.
@@ -177,34 +177,34 @@ def completed(scene: Scene) -> Scene:
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
-def _in_folder(folder: Path, scene: Scene) -> Scene:
+def _resolve_files(folder: Path, scene: Scene) -> Scene:
     """Return a scene whose files are relative to a folder."""
     things, world = scene.object, scene.world
-    if known(things):
-        things = tuple(_beside(folder, thing) if known(thing) else thing for thing in things)
-    if known(world) and world is not None and known(world.model, world.root):
+    if is_usable(things):
+        things = tuple(_resolve_path(folder, thing) if is_usable(thing) else thing for thing in things)
+    if is_usable(world) and world is not None and is_usable(world.model, world.root):
         root = None if world.root is None else str(folder / world.root)
         world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
     return msgspec.structs.replace(scene, object=things, world=world)
 
 
-def _beside(folder: Path, thing: Object) -> Object:
+def _resolve_path(folder: Path, thing: Object) -> Object:
     elastic = getattr(thing, "elastic", None)
-    if known(elastic) and elastic is not None and known(elastic.solution) and elastic.solution is not None:
+    if is_usable(elastic) and elastic is not None and is_usable(elastic.solution) and elastic.solution is not None:
         elastic = msgspec.structs.replace(elastic, solution=str(folder / elastic.solution))
         thing = msgspec.structs.replace(thing, elastic=elastic)
-    if isinstance(thing, Heightmap | Mesh) and known(thing.file, thing.root):
+    if isinstance(thing, Heightmap | Mesh) and is_usable(thing.file, thing.root):
         root = None if thing.root is None else str(folder / thing.root)
         return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
-    if not isinstance(thing, Textured) or not known(thing.texture) or thing.texture is None:
+    if not isinstance(thing, Textured) or not is_usable(thing.texture) or thing.texture is None:
         return thing
-    if not known(thing.texture.file):
+    if not is_usable(thing.texture.file):
         return thing
     texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
     return msgspec.structs.replace(thing, texture=texture)
 
 
-def _checked(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:
+def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:
     if faults:
         raise FaultyConfig(faults, value)
     assert isinstance(value, struct_type)

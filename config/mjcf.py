@@ -57,7 +57,7 @@ def read_model(world: schema.World) -> mujoco.MjModel:
 
     Raises ConfigError with the file and its fault, or for a body that has no mass, or an unknown keyframe.
     """
-    spec, shared, _ = compiled(world.model, world.root)
+    spec, shared, _ = compile_model(world.model, world.root)
     model = copy.copy(shared)
     try:
         _set_masses(spec, model, world.mass_kg)
@@ -78,7 +78,7 @@ def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
     return names.index(world.keyframe)
 
 
-def compiled(path: str, root: str | None = None) -> Compiled:
+def compile_model(path: str, root: str | None = None) -> Compiled:
     """Return a model as MuJoCo compiles it, from memory while its files stay the same. The caller must not change it.
 
     Parameters
@@ -183,7 +183,7 @@ def read_mesh(path: str, root: str | None, name: str) -> tuple[NDArray[np.float6
 
     Raises ConfigError if no mesh has that name.
     """
-    _, model, _ = compiled(path, root)
+    _, model, _ = compile_model(path, root)
     for number in range(model.nmesh):
         if model.mesh(number).name == name:
             first, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
@@ -198,7 +198,7 @@ def read_hfield(path: str, root: str | None, name: str) -> Grid:
 
     Columns run along x, rows along y, lowest coordinate first. Raises ConfigError if no height field has that name.
     """
-    _, model, _ = compiled(path, root)
+    _, model, _ = compile_model(path, root)
     for number in range(model.nhfield):
         if model.hfield(number).name == name:
             rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])

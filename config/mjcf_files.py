@@ -50,13 +50,13 @@ def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Pa
             own = os.path.basename(asset.file) if strips else asset.file
             path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", own))
             if attaches:
-                path = _of_attached(asset, path, listed, model)
+                path = _find_attached(asset, path, listed, model)
             check_place(path, home, f"{model}: the file {path}")
             asset.file = path
             yield path
 
 
-def _of_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
+def _find_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
     name = os.path.basename(asset.file)
     found = {os.path.abspath(each) for each in listed if os.path.basename(each) == name and os.path.exists(each)}
     if path in found or not found:

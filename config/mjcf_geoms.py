@@ -15,7 +15,7 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import compiled, mujoco_module, read_model
+from softfinger.config.mjcf import compile_model, mujoco_module, read_model
 from softfinger.config.mjcf_files import has_groups
 
 SQUARE: Final = 1e-6
@@ -43,7 +43,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
         return scene
     read_model(scene.world)  # checks masses and keyframe
     have = {thing.name for thing in scene.object}
-    geoms = list(taken(scene.world))
+    geoms = list(convert_geoms(scene.world))
     added = [each.object for each in geoms if each.object is not None and each.name not in have]
     if not scene.object and not added:
         why = "; ".join(f"{each.name} {each.note}" for each in geoms[:5]) or "it has none"
@@ -51,10 +51,10 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     return msgspec.structs.replace(scene, object=(*scene.object, *added))
 
 
-def taken(world: schema.World) -> Iterator[Taken]:
+def convert_geoms(world: schema.World) -> Iterator[Taken]:
     """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
     package = mujoco_module()
-    spec, model, _ = compiled(world.model, world.root)
+    spec, model, _ = compile_model(world.model, world.root)
     data = package.MjData(model)
     package.mj_kinematics(model, data)
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
@@ -76,12 +76,12 @@ def taken(world: schema.World) -> Iterator[Taken]:
             yield Taken(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
 
 
-def lost(scene: schema.Scene) -> list[Taken]:
+def find_ignored(scene: schema.Scene) -> list[Taken]:
     """Return the geoms that collide and have a material, but that fingers pass through."""
     if scene.world is None:
         return []
     have = {thing.name for thing in scene.object}
-    return [each for each in taken(scene.world) if each.is_lost and each.name not in have]
+    return [each for each in convert_geoms(scene.world) if each.is_lost and each.name not in have]
 
 
 def _material(world: schema.World, geom: Any) -> schema.Material | None:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 from softfinger.config.errors import ConfigError
 from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.scalars import Fault
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
 """Tables that a text may replace, with the key that the text becomes the value of."""
@@ -31,13 +31,13 @@ class Changed(NamedTuple):
     homeless: list[Fault]
 
 
-def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]) -> Changed:
+def change_values(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]) -> Changed:
     """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
 
     Raises ConfigError for a value that is given twice.
     """
     mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), list[Fault]()
-    ways = {dotted: numbered(mapping, dotted) for dotted in overrides}
+    ways = {dotted: index_entries(mapping, dotted) for dotted in overrides}
     if len(set(ways.values())) < len(ways):
         source = sources.get(next(iter(ways)), "override")
         raise ConfigError(f"{source}: a value is set twice, by name and by index")
@@ -51,7 +51,7 @@ def changed(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Map
     return Changed(mapping, origins, homeless)
 
 
-def numbered(mapping: Mapping[str, Any], dotted: str) -> str:
+def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:
     """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
     head, _, rest = dotted.partition(".")
     entries = mapping.get(head)
@@ -97,7 +97,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
                 raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"{key} would be in {shown(at)}, which is not a table: give the complete table")
+            raise LookupError(f"{key} would be in {format_value(at)}, which is no table: give the complete table")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):

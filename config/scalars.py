@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from msgspec import UNSET, inspect
 
-from softfinger.config.words import expected, near, shown
+from softfinger.config.words import describe_allowed, format_value, near
 
 
 class Fault(NamedTuple):
@@ -49,7 +49,7 @@ def checked_number(
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
     whole = isinstance(kind, inspect.IntType)
-    wanted = f"{key} = {shown(value)}: must be {expected(kind, key)}"
+    wanted = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
         return report.add(key, wanted)
     try:
@@ -70,13 +70,13 @@ def checked_number(
 def checked_text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any:
     """Return a text of the length and pattern of `kind`."""
     if not isinstance(value, str):
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
+        return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
     short = kind.min_length is not None and len(value) < kind.min_length
     long = kind.max_length is not None and len(value) > kind.max_length
     # `$` also matches before a newline at the end.
     odd = kind.pattern is not None and (value.endswith("\n") or not re.search(kind.pattern, value))
     if short or long or odd:
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
+        return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
     return value
 
 
@@ -85,4 +85,4 @@ def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: 
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value
     hint = near(value, kind.values)
-    return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}{hint}")
+    return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}{hint}")

@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.config.toml import parse_toml
-from softfinger.config.words import near, shown
+from softfinger.config.words import format_value, near
 
 _HERE: Final = Path(__file__).resolve().parent
 FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
@@ -26,7 +26,7 @@ _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig",
 _SIZE_MAX: Final = 1 << 20
 
 
-def shipped(struct_type: type[msgspec.Struct]) -> list[str]:
+def list_shipped(struct_type: type[msgspec.Struct]) -> list[str]:
     """Return the names of the shipped files of a kind."""
     return names_in(FOLDERS[struct_type])
 
@@ -60,7 +60,7 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
         pass
     own = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
-        f"no {kind} is called {shown(path_or_name)}{near(path_or_name, names)}; "
+        f"no {kind} is called {format_value(path_or_name)}{near(path_or_name, names)}; "
         f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {own}"
     )
 
@@ -104,7 +104,7 @@ def _sibling(path: Path) -> str:
     except (OSError, ValueError):
         beside = []
     hint = near(path.name, beside)
-    names = [name for kind in FOLDERS for name in shipped(kind)]
+    names = [name for kind in FOLDERS for name in list_shipped(kind)]
     if not hint and path.suffix == ".toml":
         hint = near(path.stem, names)
         hint += " (shipped; named without folder and ending)" if hint else ""

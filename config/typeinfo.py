@@ -9,7 +9,7 @@ from msgspec import Struct, inspect
 
 
 @lru_cache(maxsize=32)
-def described(struct_type: type[Struct]) -> inspect.StructType:
+def describe_struct(struct_type: type[Struct]) -> inspect.StructType:
     """Return tag, fields and ranges of a struct; raises TypeError for another type."""
     info = inspect.type_info(struct_type)
     if not isinstance(info, inspect.StructType):
@@ -17,7 +17,7 @@ def described(struct_type: type[Struct]) -> inspect.StructType:
     return info
 
 
-def unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
+def unwrap(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
     """Return the bare type and the further contents of its Meta: description, examples, reason."""
     extra: dict[str, Any] = {}
     while isinstance(info, inspect.Metadata):
@@ -34,5 +34,5 @@ def options(info: inspect.Type) -> list[inspect.Type]:
     members = info.types if isinstance(info, inspect.UnionType) else (info,)
     present = [member for member in members if not isinstance(member, inspect.NoneType)]
     if isinstance(info, inspect.UnionType) and isinstance(present[0], inspect.StructType):
-        present += [described(kind) for kind in getattr(present[0].cls, "added", ())]
+        present += [describe_struct(kind) for kind in getattr(present[0].cls, "added", ())]
     return present

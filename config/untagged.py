@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.scalars import Report
-from softfinger.config.words import joined, missing, near
+from softfinger.config.words import join_key, missing, near
 
 Read = Callable[[inspect.Type, object, str, Report], Any]
 """Reads a value of a type, and records its faults: type, value, key, report."""
@@ -28,7 +28,7 @@ class Untagged(NamedTuple):
 def read_untagged(
     kinds: Untagged, table: Mapping[Any, Any], key: str, report: Report, read: Read
 ) -> tuple[type[Struct] | None, dict[str, Any]]:
-    """Record the faults that a table has as each of the kinds in `meant`.
+    """Check a table of unknown kind against the kinds in `meant`, and report its faults.
 
     Returns the class for the checks across tables, and its values; a missing key is UNSET. The class is the kind if
     only one is meant, else the base class of all kinds, None if they share no key.
@@ -37,11 +37,11 @@ def read_untagged(
     has_further_keys = any(getattr(kind.cls, "gathers", None) for kind in kinds.every)
     for name in table:
         if name != kinds.every[0].tag_field and name not in keys and not has_further_keys:
-            dotted = joined(key, name)
+            dotted = join_key(key, name)
             report.add(dotted, f"{dotted} is not a key here{near(name, sorted(keys))}")
     values: dict[str, Any] = {}
     for field in (field for kind in kinds.meant for field in kind.fields):
-        name, dotted = field.encode_name, joined(key, field.encode_name)
+        name, dotted = field.encode_name, join_key(key, field.encode_name)
         if field.name in values:
             continue
         if name in table:

@@ -21,7 +21,7 @@ def is_urdf(path: str) -> bool:
     return path.lower().endswith(".urdf")
 
 
-def located(given: str, folder: Path, home: Path) -> Path:
+def locate(given: str, folder: Path, home: Path) -> Path:
     """Return the path of a file that a URDF in `folder` names; of a package, the first that exists.
 
     `package://NAME/FILE` is NAME/FILE or FILE in `folder`, or in a folder above it up to `home`. If there is none, the
@@ -59,7 +59,7 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
     for mesh in spec.meshes:
         if spec.strippath or not mesh.file.startswith((*PACKAGES, "file://")):
             continue
-        path = located(mesh.file, folder, home)
+        path = locate(mesh.file, folder, home)
         check_place(path, home, f"{model}: the file {mesh.file}")
         if not path.is_file():
             higher = next((above for above, way in _ways(mesh.file, folder) if way.is_file()), folder.parent)

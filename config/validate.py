@@ -16,9 +16,9 @@ from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, Report, checked_literal, checked_number, checked_text
-from softfinger.config.typeinfo import described, options, unwrapped
+from softfinger.config.typeinfo import describe_struct, options, unwrap
 from softfinger.config.untagged import Untagged, read_untagged
-from softfinger.config.words import either, expected, joined, missing, near, shown
+from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
 
 UNKNOWN_SHOWN: Final = 8
 """Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""
@@ -29,7 +29,7 @@ def examine(
 ) -> tuple[Any, list[Fault]]:
     """Convert `mapping` to the struct and return it with all faults; unusable fields are UNSET."""
     report = Report(where, sources or {})
-    value = _struct(described(struct_type), mapping, "", report)
+    value = _struct(describe_struct(struct_type), mapping, "", report)
     return value, report.faults
 
 
@@ -37,7 +37,7 @@ def examine(
 
 
 def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
-    kind, extra = unwrapped(info)
+    kind, extra = unwrap(info)
     match kind:
         case inspect.UnionType():
             return _one_of(kind, value, key, report)
@@ -54,14 +54,14 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
         case inspect.BoolType():
             usable = isinstance(value, bool)
         case inspect.DictType():
-            return _named(kind, value, key, report)
+            return _read_named(kind, value, key, report)
         case inspect.NoneType():
             usable = value is None
         case inspect.AnyType():
             usable = True
         case _:
             raise TypeError(f"{key}: a field of type {kind!r} cannot be read from a file")
-    return value if usable else report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
+    return value if usable else report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
 
 
 def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) -> Any:
@@ -71,16 +71,16 @@ def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) ->
         return None
     if len(members) == 1:
         return _value(members[0], value, key, report)
-    structs = [bare for bare, _ in map(unwrapped, members) if isinstance(bare, inspect.StructType) and bare.tag_field]
+    structs = [bare for bare, _ in map(unwrap, members) if isinstance(bare, inspect.StructType) and bare.tag_field]
     if len(structs) == len(members):
-        return _tagged(structs, value, key, report)
+        return _read_tagged(structs, value, key, report)
     for option in members:
         attempt = Report("", {})
         result = _value(option, value, key, attempt)
         if not attempt.faults:
             return result
-    choices = " or ".join(expected(option, key) for option in members)
-    return report.add(key, f"{key} = {shown(value)}: must be {choices}")
+    choices = " or ".join(describe_allowed(option, key) for option in members)
+    return report.add(key, f"{key} = {format_value(value)}: must be {choices}")
 
 
 def _list(
@@ -88,7 +88,7 @@ def _list(
 ) -> Any:
     if not isinstance(value, list | tuple):
         hint = f": write [[{key}]]" if isinstance(value, Mapping) and "." not in key else ""
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}{hint}")
+        return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}{hint}")
     if isinstance(kind, inspect.TupleType):
         types: Iterable[inspect.Type] = kind.item_types
         fits = len(value) == len(kind.item_types)
@@ -96,7 +96,9 @@ def _list(
         types = (kind.item_type for _ in value)
         fits = (kind.min_length or 0) <= len(value) <= (math.inf if kind.max_length is None else kind.max_length)
     if not fits:
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}, this has {len(value)}")
+        return report.add(
+            key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}, this has {len(value)}"
+        )
     before = len(report.faults)
     items = [_value(t, item, f"{key}[{i}]", report) for i, (t, item) in enumerate(zip(types, value, strict=True))]
     # Usable tables of a list are needed for the checks across tables; a vector with an unusable component is useless.
@@ -105,14 +107,14 @@ def _list(
     return items if isinstance(kind, inspect.ListType) else tuple(items)
 
 
-def _named(kind: inspect.DictType, value: object, key: str, report: Report) -> Any:
+def _read_named(kind: inspect.DictType, value: object, key: str, report: Report) -> Any:
     """Read a table of tables or of values, with names as keys."""
     if not isinstance(value, Mapping):
-        return report.add(key, f"{key} = {shown(value)}: must be {expected(kind, key)}")
+        return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
     before = len(report.faults)
     items = {}
     for name, item in value.items():
-        dotted = joined(key, name)
+        dotted = join_key(key, name)
         given = _value(kind.key_type, name, dotted, report)
         items[given] = _value(kind.value_type, item, dotted, report)
     return items if len(report.faults) == before else UNSET
@@ -121,26 +123,26 @@ def _named(kind: inspect.DictType, value: object, key: str, report: Report) -> A
 # --- tables --------------------------------------------------------------------------------------
 
 
-def _tagged(structs: list[inspect.StructType], value: object, key: str, report: Report) -> Any:
+def _read_tagged(structs: list[inspect.StructType], value: object, key: str, report: Report) -> Any:
     tag_field = str(structs[0].tag_field)
     if not isinstance(value, Mapping):
-        return report.add(key, f"{key} = {shown(value)}: must be a table")
-    dotted, tags = joined(key, tag_field), [struct.tag for struct in structs]
+        return report.add(key, f"{key} = {format_value(value)}: must be a table")
+    dotted, tags = join_key(key, tag_field), [struct.tag for struct in structs]
     allowed = either(tags)
     if tag_field not in value:
-        report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {shown(tags[0])}")
-        return _untagged(structs, structs, value, key, report)
+        report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {format_value(tags[0])}")
+        return _read_untagged(structs, structs, value, key, report)
     tag = value[tag_field]
     for struct in structs:
         if type(tag) is type(struct.tag) and tag == struct.tag:
             return _fields(struct, value, key, report)
     hint = near(tag, tags)
-    report.add(dotted, f"{dotted} = {shown(tag)}: must be {allowed}{hint}")
+    report.add(dotted, f"{dotted} = {format_value(tag)}: must be {allowed}{hint}")
     meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
-    return _untagged(structs, meant or structs, value, key, report)
+    return _read_untagged(structs, meant or structs, value, key, report)
 
 
-def _untagged(
+def _read_untagged(
     structs: list[inspect.StructType],
     meant: list[inspect.StructType],
     value: Mapping[Any, Any],
@@ -150,19 +152,19 @@ def _untagged(
     """Read what is certain of a table whose kind is unknown, for the checks across tables."""
     start = len(report.faults)
     cls, values = read_untagged(Untagged(structs, meant), value, key, report, _value)
-    return UNSET if cls is None else _made(cls, values, key, report, start)
+    return UNSET if cls is None else _create(cls, values, key, report, start)
 
 
 def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
     if info.tag_field:
-        return _tagged([info], value, key, report)
+        return _read_tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
     if library is not None:
         value = _from_library(info, library, value, key, report)
         if value is UNSET:
             return UNSET
     if not isinstance(value, Mapping):
-        return report.add(key, f"{key or 'the whole'} = {shown(value)}: must be a table")
+        return report.add(key, f"{key or 'the whole'} = {format_value(value)}: must be a table")
     return _fields(info, value, key, report)
 
 
@@ -177,10 +179,11 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
     name, entries = given[library.key], library.entries()
     if name in entries:
         return library.filled(given)
-    dotted = key if isinstance(value, str) else joined(key, library.key)
+    dotted = key if isinstance(value, str) else join_key(key, library.key)
     choices = ", ".join(entries)
     report.add(
-        dotted, f"{dotted} = {shown(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers"
+        dotted,
+        f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
     )
     read_untagged(Untagged([info], [info]), given, key, report, _value)
     return UNSET  # its keys would have the values of the library
@@ -197,22 +200,22 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
         values[gathers] = {k: v for k, v in extra.items() if isinstance(k, str)}
         extra = {k: v for k, v in extra.items() if not isinstance(k, str)}
     for name in islice(extra, UNKNOWN_SHOWN):
-        dotted = joined(key, name)
+        dotted = join_key(key, name)
         report.add(dotted, f"{dotted} is not a key here{near(name, allowed)}; keys are {', '.join(allowed)}")
     if len(extra) > UNKNOWN_SHOWN:
         report.add(key, f"{key or 'the whole'}: {len(extra) - UNKNOWN_SHOWN} more keys that have no meaning here")
     for f in info.fields:
-        dotted = joined(key, f.encode_name)
+        dotted = join_key(key, f.encode_name)
         if f.encode_name == gathers:
             continue
         if f.encode_name in value:
             values[f.name] = _value(f.type, value[f.encode_name], dotted, report)
         elif f.required:
             values[f.name] = report.add(dotted, missing(f.type, dotted, f.encode_name))
-    return _made(info.cls, values, key, report, start)
+    return _create(info.cls, values, key, report, start)
 
 
-def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, start: int) -> Any:
+def _create(cls: type[Struct], values: dict[str, Any], key: str, report: Report, start: int) -> Any:
     """Create the struct and run its checks across fields."""
     try:
         struct = cls(**values)
@@ -222,5 +225,5 @@ def _made(cls: type[Struct], values: dict[str, Any], key: str, report: Report, s
         return UNSET if len(report.faults) > start else report.add(key, f"{key or 'the whole'}: {error}")
     for name, seen, text in complaints:
         dotted = f"{key}.{name}" if key else name
-        report.add(dotted, f"{dotted}: {text}" if seen is UNSET else f"{dotted} = {shown(seen)}: {text}")
+        report.add(dotted, f"{dotted}: {text}" if seen is UNSET else f"{dotted} = {format_value(seen)}: {text}")
     return struct

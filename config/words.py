@@ -11,16 +11,16 @@ from typing import Final
 from msgspec import inspect
 
 from softfinger.config.fields import unit
-from softfinger.config.typeinfo import options, unwrapped
+from softfinger.config.typeinfo import options, unwrap
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")
 _SHOWN: Final = 60
 
 
-def expected(info: inspect.Type, key: str) -> str:
+def describe_allowed(info: inspect.Type, key: str) -> str:
     """Describe the allowed values of a field, such as `a number from 0 to 40 N`."""
-    kind, _ = unwrapped(info)
+    kind, _ = unwrap(info)
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
@@ -37,7 +37,7 @@ def expected(info: inspect.Type, key: str) -> str:
             what = _items((kind.item_type,), key)
             return "a list" + (_length(kind, what) or f" of {what}")
         case inspect.UnionType():
-            return " or ".join(dict.fromkeys(expected(option, key) for option in options(kind)))
+            return " or ".join(dict.fromkeys(describe_allowed(option, key) for option in options(kind)))
         case inspect.NoneType():
             return "left out"
         case _:
@@ -46,7 +46,7 @@ def expected(info: inspect.Type, key: str) -> str:
 
 def _items(types: Sequence[inspect.Type], key: str) -> str:
     """Describe the entries of a list, such as `numbers from 0 to 1 m`; only their noun if their ranges differ."""
-    kinds = [unwrapped(each)[0] for each in types]
+    kinds = [unwrap(each)[0] for each in types]
     kind = kinds[0] if all(each == kinds[0] for each in kinds) else None
     match kind:
         case inspect.FloatType() | inspect.IntType():
@@ -65,12 +65,12 @@ def _items(types: Sequence[inspect.Type], key: str) -> str:
 
 def missing(info: inspect.Type, dotted: str, name: str) -> str:
     """Return the message for a missing required field, with the key or table to add."""
-    kind, extra = unwrapped(info)
+    kind, extra = unwrap(info)
     if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
     if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
         return f"{dotted} is missing: add at least one table [[{dotted}]]"
-    text = f"{dotted} is missing: give {expected(info, name)}"
+    text = f"{dotted} is missing: give {describe_allowed(info, name)}"
     meaning = f" ({extra['description']})" if "description" in extra else ""
     example = f", such as {name} = {toml(extra['examples'][0])}" if extra.get("examples") else ""
     return text + meaning + example
@@ -78,9 +78,9 @@ def missing(info: inspect.Type, dotted: str, name: str) -> str:
 
 def _is_table(info: inspect.Type) -> bool:
     """Return whether all values of this type are tables, of one kind or of several."""
-    kind, _ = unwrapped(info)
+    kind, _ = unwrap(info)
     members = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
-    return all(isinstance(unwrapped(member)[0], inspect.StructType) for member in members)
+    return all(isinstance(unwrap(member)[0], inspect.StructType) for member in members)
 
 
 def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:
@@ -98,7 +98,7 @@ def _span(kind: inspect.FloatType | inspect.IntType) -> str:
     return f" {given}" if given else ""
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Format a value for a message: on one line, of bounded length, without raising."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -112,7 +112,7 @@ def shown(value: object) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         flat = len(value) <= 6 and all(isinstance(v, int | float | str) for v in value)
-        return f"[{', '.join(shown(v) for v in value)}]" if flat else f"a list of {len(value)} values"
+        return f"[{', '.join(format_value(v) for v in value)}]" if flat else f"a list of {len(value)} values"
     return "nothing" if value is None else f"a {type(value).__name__}"
 
 
@@ -132,15 +132,15 @@ def near(given: object, allowed: Iterable[object]) -> str:
     return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
 
 
-def joined(key: str, name: object) -> str:
+def join_key(key: str, name: object) -> str:
     """Return the dotted key of an entry of a table."""
-    part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else shown(name)
+    part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else format_value(name)
     return f"{key}.{part}" if key else part
 
 
 def either(names: Iterable[object]) -> str:
     """Return `one of 'a', 'b'`, or the only name."""
-    listed = [shown(name) for name in names]
+    listed = [format_value(name) for name in names]
     return listed[0] if len(listed) == 1 else f"one of {', '.join(listed)}"
 
 

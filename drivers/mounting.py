@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import hypot
 from typing import Annotated
 
-from softfinger.config.schema import Complaint, Component, Coordinate, Table, known, said
+from softfinger.config.schema import Complaint, Component, Coordinate, Table, is_usable, said
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
 
@@ -21,12 +21,8 @@ class Mounting(Table, frozen=True, kw_only=True):
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+        if is_usable(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
+            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
 
     def frame(self) -> tuple[Vec3, Quaternion]:
         """Return the device's origin in the world (m), and the unit quaternion from device to world."""

@@ -314,10 +314,10 @@ class Engine:
             If the scene has no value there.
         """
         from softfinger.config.load import describe
-        from softfinger.config.overrides import numbered, value_at
+        from softfinger.config.overrides import index_entries, value_at
 
         mapping = describe(self.config)
-        key = numbered(mapping, path)
+        key = index_entries(mapping, path)
         try:
             table = value_at(mapping, key.rpartition(".")[0]) if "." in key else mapping
             value = value_at(mapping, key) if isinstance(table, dict | list) else None

@@ -131,10 +131,10 @@ def check_distinct(flag: str, written: str | Path, read: Iterable[str | Path]) -
 def default_rig(scene: str, fallback: str) -> str:
     """Return the default rig of a run: the shipped rig `simulated-<scene>` if it exists, else `fallback`."""
     from softfinger.config.schema import Rig
-    from softfinger.config.sources import shipped
+    from softfinger.config.sources import list_shipped
 
     name = f"simulated-{scene}"
-    return name if name in shipped(Rig) else fallback
+    return name if name in list_shipped(Rig) else fallback
 
 
 def duration(text: str) -> float:
@@ -149,9 +149,9 @@ def parse_parameter(word: str) -> tuple[str, Any]:
     """Parse an argument key=value; the value is JSON, a TOML value, or else a text."""
     key, equals, text = word.partition("=")
     if not equals or not key:
-        from softfinger.config.words import shown
+        from softfinger.config.words import format_value
 
-        raise ConfigError(f"{shown(word)} is not a parameter: write key=value")
+        raise ConfigError(f"{format_value(word)} is no parameter: write key=value")
     return key, _parse_value(text)
 
 

@@ -17,7 +17,7 @@ import zmq
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import check_owner, open_input
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 
 SIZE_MAX: Final = 4096
 """Maximum size of a key file, bytes; files written here have about 200."""
@@ -60,7 +60,7 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
         If the name is not allowed or one of the files exists.
     """
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"{shown(name)} is not a name of a key: up to 64 letters, digits, dots, - and _")
+        raise ConfigError(f"{format_value(name)} is no name of a key: up to 64 letters, digits, dots, - and _")
     files = folder / f"{name}.key", folder / f"{name}.key_secret"
     public, secret = zmq.curve_keypair()
     texts = [f'curve\n    public-key = "{public.decode()}"\n', f'    secret-key = "{secret.decode()}"\n']
@@ -121,7 +121,7 @@ def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
 
 
 def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
-    """Return the keys of a file by kind, and the mode of the file."""
+    """Return the keys in a file by kind, and its mode (`st_mode`)."""
     try:
         with open_input(path, SIZE_MAX) as file:
             status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)

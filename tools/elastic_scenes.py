@@ -51,11 +51,11 @@ def ball(radius: float) -> tuple[Points, Faces]:
     inward = np.einsum("ij,ij->i", points[faces[:, 0]], np.cross(points[faces[:, 1]], points[faces[:, 2]])) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     for _ in range(BALL_DIVISIONS):
-        points, faces = _divided(points, faces)
+        points, faces = _subdivide(points, faces)
     return radius * points, faces
 
 
-def _divided(points: Points, faces: Faces) -> tuple[Points, Faces]:
+def _subdivide(points: Points, faces: Faces) -> tuple[Points, Faces]:
     """Return a unit sphere with four triangles for each."""
     edges = np.sort(faces[:, ((0, 1), (1, 2), (2, 0))].reshape(-1, 2), axis=1)
     unique, place = np.unique(edges, axis=0, return_inverse=True)

@@ -34,7 +34,7 @@ def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
     block = max(1, min(round(rate_hz), len(rows)))
     read, write = rows[:, READ], rows[:, WRITE]
     empty_read, empty_write = rows[:, EMPTY_READ], rows[:, EMPTY_WRITE]
-    result: dict[str, Any] = {"ticks": len(rows), "seconds": elapsed(rows)}
+    result: dict[str, Any] = {"ticks": len(rows), "seconds": measure_elapsed(rows)}
     pairs = ((read, empty_read), (write, empty_write), (read + write, empty_read + empty_write))
     for name, (values, reference) in zip(TIMES, pairs, strict=True):
         mine, theirs = quantiles(values, block), quantiles(reference, block)
@@ -52,14 +52,14 @@ def freshness(rows: Array) -> dict[str, Any]:
     return {
         "stale_share": float(np.mean(stale)),
         "limited_share": float(np.mean(rows[:, WRITE_STATUS] == STALE)),
-        "new_samples_hz": fresh / max(elapsed(rows), 1e-9),
+        "new_samples_hz": fresh / max(measure_elapsed(rows), 1e-9),
         "sample_step_s": {"min": float(steps.min()), "p50": float(np.median(steps)), "max": float(steps.max())}
         if len(steps) and np.isfinite(steps).all()
         else None,
     }
 
 
-def elapsed(rows: Array) -> float:
+def measure_elapsed(rows: Array) -> float:
     """Return the time from the first tick to the end of the last one, s; the last one counts as long as the median."""
     if len(rows) < 2:
         return float(rows[0, READ] + rows[0, WRITE])
@@ -68,7 +68,7 @@ def elapsed(rows: Array) -> float:
 
 def burst_figures(rows: Array) -> dict[str, Any]:
     """Return exchanges and new samples per second of a part without pauses, including the time of the loop itself."""
-    return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(elapsed(rows), 1e-9)} | freshness(rows)
+    return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(measure_elapsed(rows), 1e-9)} | freshness(rows)
 
 
 def histogram(values: Array) -> list[list[float]]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.observer import observer_for
 
 BLOCK: Final = re.compile(r"(<!-- recovery -->\n).*?(<!-- end -->)", re.S)
@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50, help="how many (default: %(default)s)")
     args = parser.parse_args()
     seeds = range(args.seeds)
-    rows = [row for name in shipped() for row in recovery(name, seeds)]
+    rows = [row for name in list_shipped() for row in recovery(name, seeds)]
     rows += [row for name in PROCEDURES for slope in OTHER_SLOPES for row in recovery(name, seeds, slope)]
     text = table(rows)
     if args.page is None:

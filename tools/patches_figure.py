@@ -53,13 +53,13 @@ class Drag(NamedTuple):
     highest: float
 
 
-def way(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
+def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
     """Return upright poses (n, 7) from corner to corner, with `ticks` ticks each."""
     points = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
 
 
-def felt(case: Case) -> Array:
+def record_case(case: Case) -> Array:
     """Return the records of a case."""
     tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
     return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
@@ -68,7 +68,7 @@ def felt(case: Case) -> Array:
 def over(objects: list[dict[str, Any]]) -> Case:
     """Return a case that presses onto z = 0 and drags by 20 mm along x, at 50 mm/s."""
     z = RADIUS_M - PRESS_M
-    return Case(objects, way((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
+    return Case(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
 
 
 def plane() -> Case:
@@ -95,7 +95,7 @@ def groove() -> Case:
         for i, (side, stuff) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
     ]
     z = 2.0**0.5 * RADIUS_M - PRESS_M
-    return Case(walls, way((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
+    return Case(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
 
 
 def pinch() -> Case:
@@ -109,12 +109,12 @@ def pinch() -> Case:
         "motion": down,
     }
     at = (0.0, 0.0, RADIUS_M - PRESS_M)
-    return Case([floor, ceiling], way(at, at, ticks=800))
+    return Case([floor, ceiling], make_path(at, at, ticks=800))
 
 
 def drag(case: Case) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
-    records = felt(case)
+    records = record_case(case)
     kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
     size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
@@ -152,7 +152,7 @@ def draw_patches(path: Path) -> None:
     for axes, (name, case) in zip(
         drawing.subplots(3, 1), {"seam": seam(), "groove": groove(), "pinch": pinch()}.items(), strict=True
     ):
-        records = felt(case)
+        records = record_case(case)
         milliseconds = 1e3 * records[:, AT.timestamp]
         for i, axis in enumerate("xyz"):
             axes.plot(milliseconds, records[:, AT.force + i], linewidth=1.2, label=f"${axis}$")

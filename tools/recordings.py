@@ -92,10 +92,10 @@ def write(folder: Path) -> list[Path]:
 def _at(position: Vector, orientation: Quaternion, move: Move, u: float) -> tuple[Vector, Quaternion]:
     done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     x, y, z = (p + done * d for p, d in zip(position, move.travel, strict=True))
-    return (x, y, z), _turned(orientation, move.turn, done)
+    return (x, y, z), _turn(orientation, move.turn, done)
 
 
-def _turned(q: Quaternion, turn: Vector, part: float) -> Quaternion:
+def _turn(q: Quaternion, turn: Vector, part: float) -> Quaternion:
     angle = math.hypot(*turn)
     if angle == 0.0:
         return q

@@ -72,7 +72,7 @@ def run_cases(
             finished = len(keys) - len(todo)
             with _workers(scheduler, threads) as workers, progress(label, len(keys)) as done:
                 size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.number)))
-                for block_keys, found in _in_blocks(workers, function, todo, size):
+                for block_keys, found in _iterate_blocks(workers, function, todo, size):
                     decoded = map(msgspec.msgpack.decode, found)
                     rows.append((key, todo[key], one) for key, one in zip(block_keys, decoded, strict=True))
                     finished += len(block_keys)
@@ -105,7 +105,7 @@ class _Workers(NamedTuple):
     completed: Callable[[Iterable[Any]], Iterable[Any]]
 
 
-def _in_blocks(
+def _iterate_blocks(
     workers: _Workers, function: Compute, todo: Mapping[str, Any], size: int
 ) -> Iterator[tuple[list[str], list[bytes]]]:
     """Yield keys and encoded results of each block, in the order of completion."""

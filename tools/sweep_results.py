@@ -18,7 +18,7 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import followed, new_file, open_input
+from softfinger.config.files import follow_links, new_file, open_input
 from softfinger.drivers.containers import mcap_messages
 
 TOPIC: Final = "case"
@@ -55,13 +55,13 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
         return
     try:
         with ExitStack() as files:
-            target = followed(path)
+            target = follow_links(path)
             # Created if necessary, because a lock needs a file: of two runs that start at once, one is refused.
             os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666))
             old = files.enter_context(open_input(target))
             _lock(old, path)
             if not os.path.samestat(os.fstat(old.fileno()), os.stat(target)):
-                raise _in_use(path)
+                raise _in_use_error(path)
             size = os.fstat(old.fileno()).st_size
             kept = list(_read(path, old)) if size else []
             # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
@@ -87,11 +87,11 @@ def _lock(file: IO[bytes], path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise _in_use(path) from error
+        raise _in_use_error(path) from error
 
 
-def _in_use(path: Path) -> RecordingError:
-    return RecordingError(f"{path}: another run is writing to it: wait until it ends or choose another file")
+def _in_use_error(path: Path) -> RecordingError:
+    return RecordingError(f"{path}: another run is writing to it: wait for its end or name another file")
 
 
 def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:

@@ -5,7 +5,7 @@ compiled without it. Values are in SI units. Structs created in code are not ran
 with the ranges given here and in `limits`.
 
 A struct may have `faults()` for conditions between several of its fields. `load.build` calls it even if some fields are
-unusable; these are `UNSET`, which `known` detects.
+unusable; these are `UNSET`, which `is_usable` detects.
 """
 
 from softfinger.config.fields import (
@@ -15,7 +15,7 @@ from softfinger.config.fields import (
     Length,
     Table,
     TopicPart,
-    known,
+    is_usable,
     said,
     sized,
     unit,
@@ -175,7 +175,7 @@ __all__ = [
     "commands_beside",
     "endpoint_complaint",
     "is_public",
-    "known",
+    "is_usable",
     "runtime_folder",
     "said",
     "sized",

@@ -15,7 +15,7 @@ from softfinger.config.fields import (
     Resolved,
     Table,
     TopicPart,
-    known,
+    is_usable,
     normalise_orientation,
     said,
     sized,
@@ -77,7 +77,7 @@ class Form(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.radius_m, self.radii_m, self.orientation_wxyz):
+        if not is_usable(self.radius_m, self.radii_m, self.orientation_wxyz):
             return
         low, high = limits.LENGTH_M.low, limits.LENGTH_M.high
         if self.radius_m is None and self.radii_m is None:
@@ -155,7 +155,7 @@ class Rolling(Table, frozen=True, kw_only=True):
     ] = "default"
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.method, self.tolerance) and self.tolerance is not None and self.method != "montana_rk45":
+        if is_usable(self.method, self.tolerance) and self.tolerance is not None and self.method != "montana_rk45":
             yield "tolerance", self.tolerance, f"is for montana_rk45; {self.method} takes a fixed step: leave it out"
 
 
@@ -219,5 +219,5 @@ class Passivity(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         given = self.damping_max_ns_per_m
-        if known(self.mode, given) and given is not None and self.mode != "control":
+        if is_usable(self.mode, given) and given is not None and self.mode != "control":
             yield "damping_max_ns_per_m", given, 'is for mode = "control": leave it out'

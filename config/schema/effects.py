@@ -16,7 +16,7 @@ from softfinger.config.fields import (
     Length,
     Table,
     direction_faults,
-    known,
+    is_usable,
     said,
     within,
 )
@@ -36,7 +36,7 @@ Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "frequency", 100.0)]
 
 
 def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
-    if known(size, radius) and (size is None) == (radius is None):
+    if is_usable(size, radius) and (size is None) == (radius is None):
         yield "radius_m", msgspec.UNSET, "give either size_m, for a box, or radius_m, for a ball"
 
 

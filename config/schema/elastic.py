@@ -14,7 +14,7 @@ from softfinger.config.fields import (
     Coordinate,
     Table,
     direction_faults,
-    known,
+    is_usable,
     said,
     sized,
     within,
@@ -36,7 +36,7 @@ class InBox(Table, frozen=True, kw_only=True, tag_field="region", tag="box"):
     high_m: Annotated[Point, said("largest x, y, z, in the object frame", [0.05, 0.05, 0.0001])]
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.low_m, self.high_m) and not all(a < b for a, b in zip(self.low_m, self.high_m, strict=True)):
+        if is_usable(self.low_m, self.high_m) and not all(a < b for a, b in zip(self.low_m, self.high_m, strict=True)):
             yield "high_m", self.high_m, f"must be above low_m = {list(self.low_m)} in each component"
 
 
@@ -92,7 +92,7 @@ class Elastic(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.fixed) and not self.fixed:
+        if is_usable(self.fixed) and not self.fixed:
             yield "fixed", msgspec.UNSET, 'has no region: the body would float; add { region = "below", z_m = 0.0001 }'
 
     @property

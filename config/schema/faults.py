@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]
@@ -35,12 +35,12 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
     finger: Annotated[str, said("finger whose device has the fault; empty: all fingers", "thumb")] = ""
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
+        if is_usable(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
             if self.at_tick is None:
                 yield "at_tick", UNSET, "is missing, and at_s is too: give one of them"
             else:
                 yield "at_s", self.at_s, "at_tick already sets the start: remove one of the two"
-        if known(self.ticks, self.for_s) and self.ticks is not None and self.for_s is not None:
+        if is_usable(self.ticks, self.for_s) and self.ticks is not None and self.for_s is not None:
             yield "for_s", self.for_s, "ticks already sets the duration: remove one of the two"
 
     def window(self, rate_hz: float) -> tuple[int, int]:

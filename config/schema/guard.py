@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, known, said, within
+from softfinger.config.fields import Complaint, Table, is_usable, said, within
 
 Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
 Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
@@ -30,7 +30,7 @@ class Workspace(Table, frozen=True, kw_only=True):
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force of the wall", 4.0)] = 4.0
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.radius_m, self.size_m):
+        if not is_usable(self.radius_m, self.size_m):
             return
         if self.radius_m is None and self.size_m is None:
             yield "radius_m", msgspec.UNSET, "is missing: give radius_m of a sphere, or size_m of a box"

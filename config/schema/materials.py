@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Resolved, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Component, Resolved, Table, is_usable, said, sized, within
 from softfinger.config.materials import MATERIALS, Library
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
@@ -94,9 +94,9 @@ class Friction(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.static, self.kinetic) and self.kinetic > self.static:
+        if is_usable(self.static, self.kinetic) and self.kinetic > self.static:
             yield "kinetic", self.kinetic, f"must be at most static = {self.static:g}, the friction before it slides"
-        if not known(self.direction_x, self.static_scale, self.kinetic_scale):
+        if not is_usable(self.direction_x, self.static_scale, self.kinetic_scale):
             return
         if self.direction_x is None:
             for key in ("static_scale", "kinetic_scale"):
@@ -104,8 +104,8 @@ class Friction(Table, frozen=True, kw_only=True):
                     yield key, getattr(self, key), "needs direction_x, the direction that its first factor is for"
             return
         if not any(self.direction_x):
-            yield "direction_x", self.direction_x, "all zero is not a direction: [1, 0, 0] is the object's x axis"
-        if known(self.static, self.kinetic) and self.kinetic <= self.static:
+            yield "direction_x", self.direction_x, "all zero is no direction: [1, 0, 0] is the object's x axis"
+        if is_usable(self.static, self.kinetic) and self.kinetic <= self.static:
             static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
             for way, before, after in zip(("along", "across"), static, kinetic, strict=True):
                 if self.kinetic * after > self.static * before:
@@ -175,17 +175,17 @@ class Torsion(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         kinetic, static = self.kinetic_friction_length_m, self.friction_length_m
-        if not known(kinetic) or kinetic is None:
+        if not is_usable(kinetic) or kinetic is None:
             return
-        if known(self.model) and self.model != "soft_finger_proxy":
+        if is_usable(self.model) and self.model != "soft_finger_proxy":
             yield (
                 "kinetic_friction_length_m",
                 kinetic,
                 f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out',
             )
-        elif known(static) and static is None:
+        elif is_usable(static) and static is None:
             yield "kinetic_friction_length_m", kinetic, "needs friction_length_m, the limit before it spins"
-        elif known(static) and static is not None and kinetic > static:
+        elif is_usable(static) and static is not None and kinetic > static:
             yield (
                 "kinetic_friction_length_m",
                 kinetic,
@@ -243,15 +243,15 @@ class Material(Table, frozen=True, kw_only=True):
         return exponent * force_n / self.depth_under(force_n)
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.normal) and self.normal is not None:
+        if is_usable(self.normal) and self.normal is not None:
             ours, plain = self.normal.damping_s_per_m, self.damping_ns_per_m
-            if known(ours, plain) and ours is not None and plain > 0.0:
+            if is_usable(ours, plain) and ours is not None and plain > 0.0:
                 yield (
                     "normal.damping_s_per_m",
                     ours,
                     f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
                 )
-        if not known(self.friction, self.torsion) or self.torsion is None:
+        if not is_usable(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:
             yield (

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, known, within
+from softfinger.config.fields import Complaint, Table, is_usable, within
 
 
 class Patch(Table, frozen=True, kw_only=True):
@@ -59,9 +59,9 @@ class Patch(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.radius_m) or self.radius_m is not None:
+        if not is_usable(self.radius_m) or self.radius_m is not None:
             return
         for key in ("exponent", "pressure_exponent"):
             given = getattr(self, key)
-            if known(given) and given is not None:
+            if is_usable(given) and given is not None:
                 yield key, given, "belongs to a patch of radius_m, this one is Hertz's: give radius_m, or leave it out"

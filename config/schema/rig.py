@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Table, TopicPart, known, said, sized, within
+from softfinger.config.fields import Complaint, Component, Table, TopicPart, is_usable, said, sized, within
 from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
 from softfinger.config.schema.guard import Arm, Guard
 
@@ -27,12 +27,8 @@ class Tool(Table, frozen=True, kw_only=True):
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+        if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
+            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
@@ -76,7 +72,7 @@ class Telemetry(Table, frozen=True, kw_only=True):
     every: Annotated[int, within(limits.EVERY, "publish one tick in this many", 1)] = 1
 
     def faults(self) -> Iterator[Complaint]:
-        complaint = endpoint_complaint(self.endpoint) if known(self.endpoint) else None
+        complaint = endpoint_complaint(self.endpoint) if is_usable(self.endpoint) else None
         if complaint is not None:
             yield "endpoint", self.endpoint, complaint
 
@@ -116,11 +112,11 @@ class Commands(Table, frozen=True, kw_only=True):
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.endpoint) and self.endpoint not in (None, OFF):
+        if is_usable(self.endpoint) and self.endpoint not in (None, OFF):
             complaint = endpoint_complaint(self.endpoint)
             if complaint is not None:
                 yield "endpoint", self.endpoint, f"{complaint}; or off"
-        if known(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
+        if is_usable(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
             yield "heartbeat_s", self.heartbeat_s, "no client can send a heartbeat while commands are off: remove it"
 
 
@@ -175,7 +171,7 @@ class Metrics(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.endpoint) or self.endpoint is None:
+        if not is_usable(self.endpoint) or self.endpoint is None:
             return
         if endpoint_complaint(f"tcp://{self.endpoint}") is not None or self.endpoint.endswith(":*"):
             yield "endpoint", self.endpoint, "must be HOST:PORT, port 0 to 65535, such as 127.0.0.1:9464"
@@ -218,7 +214,7 @@ class Rig(Table, frozen=True, kw_only=True):
         yield from self._endpoint_faults()
 
     def _device_faults(self) -> Iterator[Complaint]:
-        if not known(self.device, self.devices):
+        if not is_usable(self.device, self.devices):
             return
         if self.device is None and not self.devices:
             yield (
@@ -234,7 +230,9 @@ class Rig(Table, frozen=True, kw_only=True):
             )
 
     def _endpoint_faults(self) -> Iterator[Complaint]:
-        if not known(self.telemetry, self.commands) or not known(self.telemetry.endpoint, self.commands.endpoint):
+        if not is_usable(self.telemetry, self.commands) or not is_usable(
+            self.telemetry.endpoint, self.commands.endpoint
+        ):
             return
         if endpoint_complaint(self.telemetry.endpoint) is not None:
             return
@@ -247,7 +245,7 @@ class Rig(Table, frozen=True, kw_only=True):
             )
         elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
             yield "commands.endpoint", beside, "is the telemetry's: give another"
-        elif known(self.security):
+        elif is_usable(self.security):
             yield from self._public_faults(beside)
 
     def _public_faults(self, commands: str | None) -> Iterator[Complaint]:

@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, known, sized
+from softfinger.config.fields import Complaint, Table, is_usable, sized
 from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.motions import Body
@@ -90,7 +90,7 @@ class Scene(Table, frozen=True, kw_only=True):
 
 
 def _finger_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.fingertip, scene.finger):
+    if not is_usable(scene.fingertip, scene.finger):
         return
     if scene.fingertip is None and not scene.finger:
         yield (
@@ -108,7 +108,7 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
     for key in ("name", "device"):
         first: dict[str, int] = {}
         for index, item in enumerate(scene.finger):
-            if not known(item) or not known(item.name, item.device):
+            if not is_usable(item) or not is_usable(item.name, item.device):
                 continue
             given = item.name if key == "name" else item.device or item.name
             for other, earlier in first.items():
@@ -130,16 +130,16 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that there are objects, and that objects on bodies have a world and no effects."""
-    if not known(scene.world, scene.object):
+    if not is_usable(scene.world, scene.object):
         return
     if scene.world is None and not scene.object:
         yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
     for index, item in enumerate(scene.object):
-        if not known(item) or not known(item.motion) or not isinstance(item.motion, Body):
+        if not is_usable(item) or not is_usable(item.motion) or not isinstance(item.motion, Body):
             continue
         if scene.world is None:
             yield f"object[{index}].motion", "body", "needs a table [world], with the model that the body is of"
-        elif known(item.effect) and item.effect:
+        elif is_usable(item.effect) and item.effect:
             yield (
                 f"object[{index}].effect",
                 item.effect[0].kind,
@@ -149,11 +149,13 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
 
 def _patch_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that all fingers have a patch, or none: one law of torsion is compiled for all of them."""
-    fingers = [item for item in scene.finger if known(item) and known(item.patch)] if known(scene.finger) else []
+    fingers = (
+        [item for item in scene.finger if is_usable(item) and is_usable(item.patch)] if is_usable(scene.finger) else []
+    )
     if len({item.patch is None for item in fingers}) < 2:
         return
     for index, item in enumerate(scene.finger):
-        if known(item) and known(item.patch) and item.patch is None:
+        if is_usable(item) and is_usable(item.patch) and item.patch is None:
             yield (
                 f"finger[{index}].patch",
                 msgspec.UNSET,
@@ -162,15 +164,15 @@ def _patch_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
+    if not is_usable(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
         return
-    own = [(f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if known(item)]
+    own = [(f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if is_usable(item)]
     k_tau = scene.rolling.torque_stiffness_n_per_m
     for where, coupling in [("coupling", scene.coupling), *own]:
-        if not known(k_tau, coupling) or k_tau is None or coupling is None:
+        if not is_usable(k_tau, coupling) or k_tau is None or coupling is None:
             continue
         k_t = coupling.stiffness_n_per_m
-        if known(k_t) and k_tau > k_t:
+        if is_usable(k_t) and k_tau > k_t:
             yield (
                 "rolling.torque_stiffness_n_per_m",
                 k_tau,
@@ -180,10 +182,10 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _method_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
+    if not is_usable(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
     for index, item in enumerate(scene.object):
-        if known(item) and known(item.shape) and not item.unrolls:
+        if is_usable(item) and is_usable(item.shape) and not item.unrolls:
             yield (
                 "rolling.method",
                 "rotation_vector",
@@ -194,17 +196,17 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
 
 def _form_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that rolling method, shapes and textures support an ellipsoidal fingertip."""
-    if not known(scene.fingertip, scene.finger):
+    if not is_usable(scene.fingertip, scene.finger):
         return
     named: list[tuple[str, Form]] = [
-        (f"finger[{index}].radii_m", item) for index, item in enumerate(scene.finger) if known(item)
+        (f"finger[{index}].radii_m", item) for index, item in enumerate(scene.finger) if is_usable(item)
     ]
     if scene.fingertip is not None:
         named.append(("fingertip.radii_m", scene.fingertip))
-    where = next((key for key, tip in named if known(tip.radii_m) and tip.radii_m is not None), None)
+    where = next((key for key, tip in named if is_usable(tip.radii_m) and tip.radii_m is not None), None)
     if where is None:
         return
-    if known(scene.rolling) and scene.rolling is not None and known(scene.rolling.method):
+    if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
         method = scene.rolling.method
         if method not in ("midpoint", "montana_rk4", "montana_rk45"):
             yield (
@@ -212,12 +214,12 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
                 method,
                 f"rolls a sphere, and {where} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks",
             )
-    if not known(scene.object):
+    if not is_usable(scene.object):
         return
     for index, item in enumerate(scene.object):
-        if not known(item) or not known(item.shape):
+        if not is_usable(item) or not is_usable(item.shape):
             continue
-        if all(known(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
+        if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             yield (
                 f"object[{index}].shape",
                 item.shape,
@@ -225,7 +227,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
                 "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m",
             )
         texture = getattr(item, "texture", None)
-        if known(texture) and texture is not None:
+        if is_usable(texture) and texture is not None:
             yield (
                 f"object[{index}].texture",
                 msgspec.UNSET,
@@ -234,28 +236,32 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _tips(scene: Scene) -> list[Fingertip | Finger]:
-    return [scene.fingertip] if scene.fingertip is not None else [item for item in scene.finger if known(item)]
+    return [scene.fingertip] if scene.fingertip is not None else [item for item in scene.finger if is_usable(item)]
 
 
 def _tight_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.fingertip, scene.finger, scene.object):
+    if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
     tips = _tips(scene)
-    radii = [tip.reaches_m[1] for tip in tips if known(tip.radius_m, tip.radii_m)]
+    radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
     for index, item in enumerate(scene.object):
-        if known(item) and any(radii):  # if the largest fits, all fit
+        if is_usable(item) and any(radii):  # if the largest fits, all fit
             for key, seen, text in item.tight(max(radii)):
                 yield f"object[{index}].{key}", seen, text
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that the laws of all objects can be combined: one law is compiled for all of them."""
-    if not known(scene.object, scene.rolling):
+    if not is_usable(scene.object, scene.rolling):
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     coupled: dict[bool, str] = {}
     for index, item in enumerate(scene.object):
-        if not known(item) or not known(item.material) or not known(item.material.friction, item.material.torsion):
+        if (
+            not is_usable(item)
+            or not is_usable(item.material)
+            or not is_usable(item.material.friction, item.material.torsion)
+        ):
             continue
         friction, torsion = item.material.friction, item.material.torsion
         where = f"object[{index}].material"
@@ -263,7 +269,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
                 if getattr(friction, key) is not None:
                     yield f"{where}.friction.{key}", getattr(friction, key), _not_in_the_paper("Coulomb friction")
-        if torsion is None or not known(torsion.model):
+        if torsion is None or not is_usable(torsion.model):
             continue
         if literal and torsion.model == "limit_surface":
             yield f"{where}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
@@ -280,14 +286,18 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
 
 def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that the material or the patch of the fingertip gives all numbers of torsion."""
-    if not known(scene.fingertip, scene.finger, scene.object):
+    if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
     tips = _tips(scene)
-    if not tips or not known(*(tip.patch for tip in tips)):
+    if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)
     for index, item in enumerate(scene.object):
-        if not known(item) or not known(item.material) or not known(item.material.friction, item.material.torsion):
+        if (
+            not is_usable(item)
+            or not is_usable(item.material)
+            or not is_usable(item.material.friction, item.material.torsion)
+        ):
             continue
         torsion, where = item.material.torsion, f"object[{index}].material.torsion"
         if torsion is None:
@@ -306,11 +316,11 @@ def _not_in_the_paper(known_law: str) -> str:
 
 
 def _object_faults(scene: Scene) -> Iterator[Complaint]:
-    if not known(scene.object):
+    if not is_usable(scene.object):
         return
     first: dict[str, int] = {}
     for index, item in enumerate(scene.object):
-        if not known(item) or not known(item.name):
+        if not is_usable(item) or not is_usable(item.name):
             continue
         if item.name.partition(".")[0].isdecimal():
             why = "starts with a digit, and object.1 is the second object: start it with a letter"
@@ -319,8 +329,8 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
             earlier = f"object[{first[item.name]}]"
             yield f"object[{index}].name", item.name, f"is the name of {earlier} already: choose another"
         first.setdefault(item.name, index)
-    materials = [item.material if known(item) else msgspec.UNSET for item in scene.object]
-    if scene.rolling is None or not known(scene.rolling, *materials):
+    materials = [item.material if is_usable(item) else msgspec.UNSET for item in scene.object]
+    if scene.rolling is None or not is_usable(scene.rolling, *materials):
         return
     if scene.object and all(item.material.friction is None for item in scene.object):
         yield (
@@ -333,10 +343,10 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
 
 def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that an elastic object is the only one, and touched by one or two fingers."""
-    if not known(scene.object, scene.finger, scene.world):
+    if not is_usable(scene.object, scene.finger, scene.world):
         return
     for index, item in enumerate(scene.object):
-        if not isinstance(item, Mesh) or not known(item.elastic) or item.elastic is None:
+        if not isinstance(item, Mesh) or not is_usable(item.elastic) or item.elastic is None:
             continue
         where = f"object[{index}].elastic"
         if len(scene.object) > 1:
@@ -344,6 +354,6 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
         if len(scene.finger) > 2:
             yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
         for key, given in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
-            if known(given) and given is not None:
+            if is_usable(given) and given is not None:
                 yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
         return

@@ -16,7 +16,7 @@ from softfinger.config.fields import (
     Coordinate,
     Length,
     Table,
-    known,
+    is_usable,
     normalise_orientation,
     said,
     sized,
@@ -71,10 +71,10 @@ class ObjectBase(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.orientation_wxyz) and not any(self.orientation_wxyz):
+        if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
             zero = self.orientation_wxyz
-            yield "orientation_wxyz", zero, "all zero is not an orientation: [1, 0, 0, 0] is the identity"
-        if known(self.name) and not (self.name.isprintable() and self.name.strip()):
+            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] is the identity"
+        if is_usable(self.name) and not (self.name.isprintable() and self.name.strip()):
             yield "name", self.name, "must have printable characters only, and not only blanks"
 
     @property
@@ -94,7 +94,7 @@ class Textured(ObjectBase, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if not known(self.texture, self.material) or self.texture is None or not known(self.material.friction):
+        if not is_usable(self.texture, self.material) or self.texture is None or not is_usable(self.material.friction):
             return
         if self.texture.friction_scale is not None and self.material.friction is None:
             yield "texture.friction_scale", self.texture.friction_scale, "needs friction to scale in the material"
@@ -124,7 +124,7 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
         return not self.inside
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        if known(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
+        if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _too_tight(fingertip_m)
 
 
@@ -143,7 +143,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if not known(self.radius_m, self.texture) or self.texture is None or not known(self.texture.size_m):
+        if not is_usable(self.radius_m, self.texture) or self.texture is None or not is_usable(self.texture.size_m):
             return
         around, wide = 2.0 * math.pi * self.radius_m, self.texture.size_m[0]
         if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
@@ -156,11 +156,11 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
             )
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        if not known(self.inside) or not self.inside:
+        if not is_usable(self.inside) or not self.inside:
             return
-        if known(self.radius_m) and self.radius_m <= fingertip_m:
+        if is_usable(self.radius_m) and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _too_tight(fingertip_m)
-        if known(self.length_m) and self.length_m is not None and self.length_m <= 2.0 * fingertip_m:
+        if is_usable(self.length_m) and self.length_m is not None and self.length_m <= 2.0 * fingertip_m:
             yield "length_m", self.length_m, _too_tight(2.0 * fingertip_m, "diameter")
 
 
@@ -174,7 +174,7 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        if known(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
+        if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _too_tight(fingertip_m)
 
 
@@ -191,7 +191,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
         return self.inside
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        if known(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
+        if is_usable(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
             yield "size_m", self.size_m, _too_tight(2.0 * fingertip_m, "diameter", "every edge")
 
 
@@ -203,7 +203,7 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
-        if not known(self.semi_axes_m, self.inside) or not self.inside:
+        if not is_usable(self.semi_axes_m, self.inside) or not self.inside:
             return
         sharpest = min(self.semi_axes_m) ** 2 / max(self.semi_axes_m)
         if sharpest <= fingertip_m:
@@ -222,12 +222,12 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
         major, minor = self.major_radius_m, self.minor_radius_m
-        if known(major, minor) and minor >= major:
+        if is_usable(major, minor) and minor >= major:
             yield "minor_radius_m", minor, f"must be below major_radius_m = {major:g} m, or the ring has no hole"
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         major, minor = self.major_radius_m, self.minor_radius_m
-        if not known(major, minor, self.inside):
+        if not is_usable(major, minor, self.inside):
             return
         if self.inside and minor <= fingertip_m:
             yield "minor_radius_m", minor, _too_tight(fingertip_m)
@@ -288,7 +288,7 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if not known(self.file, self.mesh, self.elastic):
+        if not is_usable(self.file, self.mesh, self.elastic):
             return
         endings = self.endings if self.elastic is None else (*self.endings, *self.volumes)
         if self.mesh is None and not self.file.lower().endswith(endings):
@@ -299,10 +299,10 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
     def _elastic_faults(self) -> Iterator[Complaint]:
         """Check that nothing else is given for an elastic object that its surface cannot have."""
         for key, given in (("motion", self.motion), ("effect", self.effect or None)):
-            if known(given) and given is not None:
+            if is_usable(given) and given is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"
-        if known(self.inside) and self.inside:
-            yield "inside", True, "is not a side of an elastic body: leave it out"
+        if is_usable(self.inside) and self.inside:
+            yield "inside", True, "is no side of an elastic body: leave it out"
         if self.mesh is not None:
             yield "mesh", self.mesh, "of a MuJoCo model cannot be elastic: export it to a file"
 

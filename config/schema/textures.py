@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Length, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Length, Table, is_usable, said, sized, within
 from softfinger.config.schema.materials import Scale
 
 Border = Literal["period", "clamp"]
@@ -43,5 +43,5 @@ class Texture(Table, frozen=True, kw_only=True):
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.height_m, self.friction_scale) and self.height_m is None and self.friction_scale is None:
+        if is_usable(self.height_m, self.friction_scale) and self.height_m is None and self.friction_scale is None:
             yield "height_m", msgspec.UNSET, "give height_m or friction_scale or both: this texture does nothing"

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Table, is_usable, said, sized, within
 from softfinger.config.schema.materials import Material
 
 
@@ -21,7 +21,7 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
     material: Material
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.name, self.group, self.default) and not any(
+        if is_usable(self.name, self.group, self.default) and not any(
             each is not None for each in (self.name, self.group, self.default)
         ):
             yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
@@ -79,5 +79,5 @@ class World(Table, frozen=True, kw_only=True):
     ] = ()
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.model) and not self.model.lower().endswith((".xml", ".mjcf", ".urdf")):
+        if is_usable(self.model) and not self.model.lower().endswith((".xml", ".mjcf", ".urdf")):
             yield "model", self.model, "must end in .xml, .mjcf or .urdf: the model as a file of MuJoCo"

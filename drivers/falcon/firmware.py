@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError
-from softfinger.config.files import expanded, read_input
+from softfinger.config.files import expand_home, read_input
 from softfinger.drivers.falcon import packets, usb
 from softfinger.drivers.falcon.usb import SerialChip
 
@@ -91,7 +91,7 @@ def _read_firmware(path: str | None) -> bytes:
             "table; the maker's drivers have the file (docs/devices/falcon.md), and it may not come with this program"
         )
     try:
-        data = read_input(expanded(path), 1 << 20)
+        data = read_input(expand_home(path), 1 << 20)
     except OSError as error:
         raise DeviceError(f"firmware = {path} cannot be read: {error.strerror}: correct the path in the rig") from error
     if len(data) not in FILE_BYTES:

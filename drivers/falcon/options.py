@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Final
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the most there are, are then 41 N m and 4 mN m at a leg")
 SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; above, a force where it was long ago")
@@ -41,5 +41,5 @@ class Options(Table, frozen=True, kw_only=True):
     timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a reply the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
+        if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
             yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a zero can help"

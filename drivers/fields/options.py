@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, known, said, within
+from softfinger.config.schema import Complaint, Table, is_usable, said, within
 
 BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
 FIELDS: Final = Range(1, 32, "more than any haptic device has senses")
@@ -70,7 +70,7 @@ def layout_faults(
     """Yield complaints about fields that exceed `bytes_` or overlap."""
     field_of_byte: dict[int, int] = {}
     for index, field in enumerate(fields):
-        if not known(field) or not known(field.offset, field.type):
+        if not is_usable(field) or not is_usable(field.offset, field.type):
             continue
         end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
@@ -87,7 +87,7 @@ def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
     meanings_seen = set()
     for index, field in enumerate(fields):
-        if known(field) and known(field.meaning) and field.meaning != "buttons":
+        if is_usable(field) and is_usable(field.meaning) and field.meaning != "buttons":
             if field.meaning in meanings_seen:
                 yield f"field[{index}].meaning", field.meaning, "another field has this meaning: leave one out"
             meanings_seen.add(field.meaning)
@@ -95,9 +95,9 @@ def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
 
 def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
     """Return the meanings of fields; None if they are unknown."""
-    if not known(fields) or not known(*fields):
+    if not is_usable(fields) or not is_usable(*fields):
         return None
-    return {field.meaning for field in fields if known(field.meaning)}
+    return {field.meaning for field in fields if is_usable(field.meaning)}
 
 
 def missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:

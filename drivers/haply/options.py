@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, known, said, within
+from softfinger.config.schema import Complaint, Table, is_usable, said, within
 from softfinger.drivers.mounting import Mounting
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
@@ -71,9 +71,9 @@ class Options(Table, frozen=True, kw_only=True):
     timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a state the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.port) and self.port == OLD_FORMAT_PORT:
+        if is_usable(self.port) and self.port == OLD_FORMAT_PORT:
             yield "port", self.port, "is that of the old format 3.0, which this driver does not speak: 10001"
-        if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
+        if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
             yield (
                 "timeout_s",
                 self.timeout_s,

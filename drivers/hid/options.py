@@ -13,7 +13,7 @@ from msgspec import Meta
 from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.materials import Entry, Library
-from softfinger.config.schema import Complaint, Table, known, said, sized, within
+from softfinger.config.schema import Complaint, Table, is_usable, said, sized, within
 from softfinger.drivers.fields.options import (
     BYTES,
     FIELDS,
@@ -47,7 +47,7 @@ class InputReport(Table, frozen=True, kw_only=True):
     field: Annotated[tuple[InputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.bytes, self.field):
+        if not is_usable(self.bytes, self.field):
             return
         yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
         yield from repeated_meanings(self.field)
@@ -61,7 +61,7 @@ class OutputReport(Table, frozen=True, kw_only=True):
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.bytes, self.field):
+        if is_usable(self.bytes, self.field):
             yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
 
 
@@ -94,7 +94,11 @@ class Reports(Table, frozen=True, kw_only=True):
     preset: Annotated[OutputReport | None, said("report that sets the counts of encoders a, b, c")] = None
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.output, self.preset) or self.preset is None or not known(self.output.bytes, self.output.id):
+        if (
+            not is_usable(self.output, self.preset)
+            or self.preset is None
+            or not is_usable(self.output.bytes, self.output.id)
+        ):
             return
         if (self.preset.bytes, self.preset.id) != (self.output.bytes, self.output.id):
             theirs = f"{self.output.bytes} bytes with id {self.output.id}"
@@ -123,14 +127,14 @@ class Options(Table, frozen=True, kw_only=True):
     timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
+        if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
             yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a kick can help"
-        if known(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
+        if is_usable(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
             yield "path", self.path, 'is hidapi\'s name on USB, and through = "node" needs a node such as /dev/hidraw0'
-        if not known(self.reports, self.kinematics):
+        if not is_usable(self.reports, self.kinematics):
             return
         reports, kinematics = self.reports, self.kinematics
-        if known(reports.input, reports.output, reports.preset):
+        if is_usable(reports.input, reports.output, reports.preset):
             yield from field_faults("reports", reports.input.field, reports.output.field, kinematics)
         if self.calibrate is True and not isinstance(kinematics, Chain):
             yield "calibrate", True, "only a chain has a calibration pose: leave it false"

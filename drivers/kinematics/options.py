@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Final
 from msgspec import Meta
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m is not a desktop device")
@@ -123,7 +123,7 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.2)]
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.base_m, self.end_m, self.arm_m, self.rod_m):
+        if not is_usable(self.base_m, self.end_m, self.arm_m, self.rod_m):
             return
         gap = abs(self.base_m - self.end_m + 0.5 * self.arm_m)
         if self.rod_m <= gap:

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, known, said, sized, within
+from softfinger.config.schema import Complaint, Table, is_usable, said, sized, within
 from softfinger.drivers.fields.options import (
     FIELDS,
     TYPE_BYTES,
@@ -90,11 +90,11 @@ class Frame(Table, frozen=True, kw_only=True):
 
 def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about marks, a checksum and fields that exceed a frame or overlap."""
-    if not known(frame.bytes, frame.start, frame.end, frame.check, fields) or not known(*fields):
+    if not is_usable(frame.bytes, frame.start, frame.end, frame.check, fields) or not is_usable(*fields):
         return
     yield from layout_faults(frame.bytes, fields, "a frame")
     if frame.check is not None:
-        if not known(frame.check.kind, frame.check.offset, frame.check.first):
+        if not is_usable(frame.check.kind, frame.check.offset, frame.check.first):
             return
         if frame.check.first >= frame.check.offset:
             yield "check.first", frame.check.first, f"must be below offset = {frame.check.offset}: it covers nothing"
@@ -105,7 +105,7 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
             return
         uses[byte] = name
     for index, field in enumerate(fields):
-        if known(field.offset, field.type):
+        if is_usable(field.offset, field.type):
             for byte in range(field.offset, field.offset + TYPE_BYTES[field.type]):
                 if byte in uses:
                     yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to {uses[byte]}: move one"
@@ -119,7 +119,7 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         yield from frame_faults(self, self.field)
-        if known(self.field):
+        if is_usable(self.field):
             yield from repeated_meanings(self.field)
 
 
@@ -155,17 +155,22 @@ class Frames(Table, frozen=True, kw_only=True):
     resync: Resync | None = None
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.mode, self.input) and self.mode == "stream":
+        if is_usable(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
-            if known(*marks) and not self.input.is_searchable():
+            if is_usable(*marks) and not self.input.is_searchable():
                 yield (
                     "input",
                     msgspec.UNSET,
                     "a stream needs a check, or both start and end: its frames cannot be found",
                 )
-        if known(self.setup) and self.setup is not None and known(self.setup.field) and known(*self.setup.field):
+        if (
+            is_usable(self.setup)
+            and self.setup is not None
+            and is_usable(self.setup.field)
+            and is_usable(*self.setup.field)
+        ):
             for index, field in enumerate(self.setup.field):
-                if known(field.meaning) and field.meaning != "constant":
+                if is_usable(field.meaning) and field.meaning != "constant":
                     yield f"setup.field[{index}].meaning", field.meaning, "must be constant: nothing is commanded yet"
 
 
@@ -195,14 +200,14 @@ class Options(Table, frozen=True, kw_only=True):
     wake_s: Annotated[float, within(WAKE_S, "time to wake it at opening", 3.0)] = 3.0
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
+        if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
             yield "timeout_s", self.timeout_s, f"must be at least quiet_s = {self.quiet_s:g}, so that a kick can help"
-        if known(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
+        if is_usable(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
             yield "product_id", self.product_id, "needs vendor_id, and vendor_id needs product_id: give both or neither"
-        if not known(self.frames, self.kinematics):
+        if not is_usable(self.frames, self.kinematics):
             return
         if self.frames is None or self.kinematics is None:
             if (self.frames is None) != (self.kinematics is None):
                 yield "kinematics", msgspec.UNSET, "and frames belong together: describe both, or neither"
-        elif known(self.frames.input, self.frames.output):
+        elif is_usable(self.frames.input, self.frames.output):
             yield from field_faults("frames", self.frames.input.field, self.frames.output.field, self.kinematics)

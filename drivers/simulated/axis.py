@@ -196,7 +196,7 @@ def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> 
         end = h
         # After breaking away the axis has zero velocity and, except for rounding, zero acceleration.
         if direction * v1 >= 0.0 and v != 0.0 and may_reach_zero(direction, h, v, c0, v1, c1):
-            end = time_of_lowest_speed(axis, x, v, a, moving, h)
+            end = find_lowest_speed(axis, x, v, a, moving, h)
             x1, v1, a1 = integrate_series(axis, x, v, a, moving, end)
         if direction * v1 < 0.0:
             stops += 1
@@ -256,7 +256,7 @@ def time_to_stop(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: fl
 
 
 @jit
-def time_of_lowest_speed(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
+def find_lowest_speed(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> float:
     """Return the time of the lowest speed within `h` s, or a time at which the velocity has changed sign already."""
     direction = -copysign(1.0, inputs.f)
     low, high = 0.0, h

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.devices import Preset, presets
-from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.simulated.plant import (
@@ -80,12 +80,12 @@ class Options(Table, frozen=True, kw_only=True):
     forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
+        if is_usable(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
             yield "position_m", self.position_m, "the hand follows a recording: leave one of the two out"
-        if not known(self.puck) or self.puck is None:
+        if not is_usable(self.puck) or self.puck is None:
             return
         for key in ("recording", "position_m"):
-            if known(getattr(self, key)) and getattr(self, key) is not None:
+            if is_usable(getattr(self, key)) and getattr(self, key) is not None:
                 yield key, getattr(self, key), "the hand follows the puck: leave one of the two out"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, known, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 from softfinger.drivers.base import OK, PROTOCOL, STALE
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -59,7 +59,7 @@ class Options(Table, frozen=True, kw_only=True):
     led: Annotated[bool, said("light the puck while it is in use", True)] = True
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.start_m, self.workspace_min_m, self.workspace_max_m):
+        if not is_usable(self.start_m, self.workspace_min_m, self.workspace_max_m):
             return
         if any(low > high for low, high in zip(self.workspace_min_m, self.workspace_max_m, strict=True)):
             yield "workspace_min_m", self.workspace_min_m, f"is above workspace_max_m = {list(self.workspace_max_m)}"

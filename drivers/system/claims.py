@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 from softfinger.drivers.system.discovery import NO_PRODUCT, Attached, Bus
 
@@ -133,7 +133,7 @@ def claims() -> tuple[Claim, ...]:
 
 def _claims() -> Iterator[Claim]:
     rigs: dict[tuple[str, int | None, int | None], dict[str | None, list[str]]] = {}
-    for name in shipped(Rig):
+    for name in list_shipped(Rig):
         device = load_rig(name).device
         if device is None:  # a rig of several devices; other rigs describe each of them
             continue

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
-from softfinger.config.files import expanded
+from softfinger.config.files import expand_home
 
 
 class MakersLibrary(NamedTuple):
@@ -40,7 +40,7 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
     Raises DeviceNotFound, with every place searched, if no file exists, and DeviceError if a file cannot be used.
     """
     if named is not None:
-        path = expanded(named)
+        path = expand_home(named)
         if not os.path.isfile(path):  # also if this user may not read the folder
             raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
         return _open(library, str(path))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from softfinger_leader_bus import Bus, BusError, Dynamixel, Feetech
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost, DeviceTimeout
-from softfinger.config.files import expanded
+from softfinger.config.files import expand_home
 from softfinger.config.limits import DAMPING_NS_PER_M, STIFFNESS_N_PER_M, Range
 from softfinger.config.schema import Table, said, within
 from softfinger.drivers import switch_interval
@@ -107,7 +107,9 @@ class Link(NamedTuple):
 def read_chain(file: str, tip: str, names: set[str]) -> list[Link]:
     """Return the joints of a URDF from its base to the link `tip`. Raises ConfigError."""
     try:
-        joints = {joint.find("child").get("link"): joint for joint in ElementTree.parse(expanded(file)).iter("joint")}
+        joints = {
+            joint.find("child").get("link"): joint for joint in ElementTree.parse(expand_home(file)).iter("joint")
+        }
     except (OSError, ElementTree.ParseError, AttributeError) as error:
         raise ConfigError(f"[device] urdf = '{file}' cannot be read: {error}: name a URDF file") from error
     chain, link = list[Link](), tip

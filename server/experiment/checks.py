@@ -11,10 +11,10 @@ from typing import Any, Final, TypeVar
 from msgspec.structs import replace
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.fields import is_complete, known
+from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import FaultyConfig, attempt, build_changed, load_rig, load_scene, overridden
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.words import near, shown
+from softfinger.config.words import format_value, near
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
@@ -49,7 +49,7 @@ def load(
         experiment = error.config
         faults += map(str, error.faults)
         faulty = {re.split(r"[.\[]", fault.key)[0] for fault in error.faults if not isinstance(fault, str)}
-    if known(experiment) and "" not in faulty:
+    if is_usable(experiment) and "" not in faulty:
         checks = _Checks(experiment, folder, frozenset(faulty), faults)
         checks.files(part_faults)
         checks.conditions()
@@ -75,7 +75,7 @@ class _Checks:
         experiment = self.experiment
         surveys = [
             attempt(partial(read_survey, survey, self._folder), self._faults) if is_complete(survey) else None
-            for survey in (experiment.survey if known(experiment.survey) else ())
+            for survey in (experiment.survey if is_usable(experiment.survey) else ())
         ]
         if None in surveys:
             self._faulty |= {"survey"}
@@ -84,8 +84,8 @@ class _Checks:
         if self._are_sound("rig"):
             self._rig = self._part(load_rig, experiment.rig, part_faults)
         names = [experiment.scene] if self._are_sound("scene") else []
-        for factor in experiment.factor if known(experiment.factor) else ():
-            names += factor.scenes.values() if known(factor) and known(factor.scenes) else []
+        for factor in experiment.factor if is_usable(experiment.factor) else ():
+            names += factor.scenes.values() if is_usable(factor) and is_usable(factor.scenes) else []
         for name in dict.fromkeys(names):
             self._scenes[name] = self._part(load_scene, name, part_faults)
         if self._are_sound("screen"):
@@ -148,7 +148,7 @@ class _Checks:
         for name, values in table.by.items():
             if name not in names:
                 faults.append(
-                    f"{key}.by: no condition is called {shown(name)}{near(name, names)}; there are "
+                    f"{key}.by: no condition is called {format_value(name)}{near(name, names)}; there are "
                     f"{'; '.join(names)}: the levels of all factors, with a comma between them"
                 )
             attempt(partial(overridden, table, values, f"{key}.by.{name}"), faults)
@@ -163,7 +163,7 @@ def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
     observer = experiment.observer
     everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
     for name, answer in (pair for answers in everywhere if isinstance(answers, Mapping) for pair in answers.items()):
-        where = f"observer.answers.{name} = {shown(answer)}"
+        where = f"observer.answers.{name} = {format_value(answer)}"
         if name not in questions:
             yield f"{where}: no survey has this question{near(name, list(questions))}"
             continue

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
 from softfinger.server.experiment.answers import DryRun, Participant
 from softfinger.server.experiment.daemon import RunOptions, record_ticks, run_doctor, start_daemon
@@ -177,5 +177,5 @@ def results(folder: str | Path) -> list[Entry]:
 
 def _check_participant(participant: int) -> int:
     if type(participant) is not int or not 1 <= participant <= PARTICIPANT_MAX:
-        raise ConfigError(f"participant = {shown(participant)}: must be an integer from 1 to {PARTICIPANT_MAX}")
+        raise ConfigError(f"participant = {format_value(participant)}: must be an integer from 1 to {PARTICIPANT_MAX}")
     return participant

@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
@@ -29,7 +29,7 @@ FILE_KEYS: Final = ("file", "solution")
 """Keys of an object and its tables whose values are files."""
 
 
-def shipped() -> list[str]:
+def list_shipped() -> list[str]:
     """Return the names of the shipped experiments."""
     return names_in(EXPERIMENTS)
 
@@ -105,7 +105,7 @@ def read_image(name: str, folder: Path) -> str:
 
     Raises ConfigError if a file is outside the folder of the experiment, is not an image, or is too large.
     """
-    where = f"screen.image = {shown(name)}"
+    where = f"screen.image = {format_value(name)}"
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise ConfigError(f"{where}: is outside the folder of the experiment {folder.resolve()}: copy it there")

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
-from softfinger.config.overrides import numbered, value_at
+from softfinger.config.overrides import index_entries, value_at
 from softfinger.config.schema import Scene
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.hands import Hands, angle_between
@@ -158,7 +158,7 @@ class Haptics:
     def _scene_values(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
         """Return the values in the scene's file, None for missing ones."""
         scene = describe(load_scene(self._scene_of(name)))
-        return {path: value_at(scene, numbered(scene, path)) for path in paths}
+        return {path: value_at(scene, index_entries(scene, path)) for path in paths}
 
     def _lead_to_start(self, seconds: float) -> None:
         """Lead hands to their start; takes at least `seconds`."""

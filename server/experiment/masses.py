@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import SceneSource, completed, load_scene, overridden
+from softfinger.config.load import SceneSource, add_objects_of_world, load_scene, overridden
 from softfinger.config.schema import Scene
 
 PREFIX: Final = "mass."
@@ -33,6 +33,6 @@ def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: st
         )
     changed = overridden(scene, {**others, "world.mass_kg": scene.world.mass_kg | masses}, where)
     try:
-        return completed(changed)
+        return add_objects_of_world(changed)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
@@ -102,40 +102,43 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     screen: Screen = Screen()
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
+        if is_usable(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
             yield "procedure.kind", self.procedure.kind, f"must be constant: a {self.task.kind} is not right or wrong"
         yield from self._participant_faults()
-        if known(self.motion, self.turn):
+        if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
                 yield (
                     f"turn.{finger}",
                     msgspec.UNSET,
                     "turns a hand that [motion] does not move: give the finger a path",
                 )
-        if known(self.motion, self.turn, self.trial) and known(self.trial.touch_s):
+        if is_usable(self.motion, self.turn, self.trial) and is_usable(self.trial.touch_s):
             for key, paths in (("motion", self.motion), ("turn", self.turn)):
                 for finger, path in paths.items():
                     if path and path[-1][0] > self.trial.touch_s:
                         yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: make trial.touch_s as long"
-        if known(self.factor):
-            names = [factor.name for factor in self.factor if known(factor)]
+        if is_usable(self.factor):
+            names = [factor.name for factor in self.factor if is_usable(factor)]
             if len(set(names)) < len(names):
                 yield "factor", names, "has a name twice"
-            if math.prod(len(each.levels) for each in self.factor if known(each) and known(each.levels)) > LEVELS.high:
+            if (
+                math.prod(len(each.levels) for each in self.factor if is_usable(each) and is_usable(each.levels))
+                > LEVELS.high
+            ):
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"
 
     def _participant_faults(self) -> Iterator[Complaint]:
-        if known(self.task):
+        if is_usable(self.task):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
-                if known(value) and value is not None and self.task.kind != "compare":
+                if is_usable(value) and value is not None and self.task.kind != "compare":
                     yield key, msgspec.UNSET, f"is only for compare: a {self.task.kind} is not right or wrong"
-        if known(self.survey):
-            names = [survey.name for survey in self.survey if known(survey)]
+        if is_usable(self.survey):
+            names = [survey.name for survey in self.survey if is_usable(survey)]
             if len(set(names)) < len(names):
                 yield "survey", names, "has a name twice"
-            if known(self.design) and known(self.design.order) and self.design.order == "random":
+            if is_usable(self.design) and is_usable(self.design.order) and self.design.order == "random":
                 for survey in self.survey:
-                    if known(survey) and known(survey.at) and "between" in survey.at:
+                    if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:
                         yield (
                             f"survey.{survey.name}.at",
                             list(survey.at),

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from softfinger.config.fields import Complaint, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Table, is_usable, said, sized, within
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.server.wire.commands import CHOICE_LENGTH, CHOICES_MAX
 
@@ -55,7 +55,7 @@ class Question(Table, frozen=True, kw_only=True):
         return f"{self.prompt}\n{ends}" if ends else self.prompt
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.kind, self.options, self.min, self.max, self.step, self.labels):
+        if not is_usable(self.kind, self.options, self.min, self.max, self.step, self.labels):
             return
         if (self.kind == "multi-choice") != (len(self.options) > 1):
             yield "options", list(self.options), "multi-choice needs two or more, and no other kind has any"
@@ -80,8 +80,8 @@ class SurveyFile(Table, frozen=True, kw_only=True):
     question: Annotated[tuple[Question, ...], sized(Range(0, 100, "a questionnaire"), "its questions, in order")] = ()
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.question):
-            names = [question.name for question in self.question if known(question)]
+        if is_usable(self.question):
+            names = [question.name for question in self.question if is_usable(question)]
             if len(set(names)) < len(names):
                 yield "question", names, "has a name twice"
 
@@ -103,9 +103,9 @@ class Survey(SurveyFile, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
-        if known(self.at) and not self.at:
+        if is_usable(self.at) and not self.at:
             yield "at", [], f"give one or more of {', '.join(AT)}"
-        if known(self.file, self.question) and bool(self.file) == bool(self.question):
+        if is_usable(self.file, self.question) and bool(self.file) == bool(self.question):
             yield "file", self.file, "give one of file and question"
 
 
@@ -143,9 +143,9 @@ class Confidence(Table, frozen=True, kw_only=True):
         )
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.scale) and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
+        if is_usable(self.scale) and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
             yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
-        if known(self.scale_ends) and len(self.scale_ends) != 2:
+        if is_usable(self.scale_ends) and len(self.scale_ends) != 2:
             yield "scale_ends", list(self.scale_ends), "has two words"
 
 

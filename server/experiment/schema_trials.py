@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from softfinger.config.fields import Complaint, Coordinate, Table, known, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import MARKS_MAX, TEXT, Label, Positive
 
@@ -68,16 +68,16 @@ class Task(Table, frozen=True, kw_only=True):
         return () if self.scale is None else tuple(map(str, range(self.scale[0], self.scale[1] + 1)))
 
     def faults(self) -> Iterator[Complaint]:
-        if known(self.kind, self.scale, self.scale_ends):
+        if is_usable(self.kind, self.scale, self.scale_ends):
             if self.scale is not None and self.kind != "rate":
                 yield "scale", self.scale, "only rate has a scale"
             if self.scale is not None and not 1 <= self.scale[0] < self.scale[1] < self.scale[0] + MARKS_MAX:
                 yield "scale", self.scale, f"must be the first mark, from 1, and the last of at most {MARKS_MAX}"
             if len(self.scale_ends) not in ((0,) if self.scale is None else (0, 2)):
                 yield "scale_ends", self.scale_ends, "requires scale, and has two labels"
-        if known(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
+        if is_usable(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
             yield "reference", self.reference, "compare needs a reference, and nothing else has one"
-        if known(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
+        if is_usable(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
             yield "target_m", self.target_m, "trace needs a target_m, and nothing else has one"
 
 
@@ -114,7 +114,7 @@ class Procedure(Table, frozen=True, kw_only=True):
     largest: Annotated[Positive, said("staircase: largest level", 1.0)] = 1.0
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.kind, self.levels, self.start, self.starts, self.trials, self.smallest, self.largest):
+        if not is_usable(self.kind, self.levels, self.start, self.starts, self.trials, self.smallest, self.largest):
             return
         if self.kind != "staircase" and not self.levels:
             yield "levels", msgspec.UNSET, f"{self.kind} needs levels"
@@ -150,7 +150,7 @@ class Factor(Table, frozen=True, kw_only=True):
     )
 
     def faults(self) -> Iterator[Complaint]:
-        if not known(self.parameter, self.levels, self.scenes, self.values):
+        if not is_usable(self.parameter, self.levels, self.scenes, self.values):
             return
         if sum(map(bool, (self.parameter, self.scenes, self.values))) != 1:
             yield "parameter", self.parameter, "give one of parameter, scenes and values"

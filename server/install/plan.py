@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import home_folder
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.sources import find, shipped
+from softfinger.config.sources import find, list_shipped
 from softfinger.drivers.system.rules import GROUP, program_command, udev_rules
 from softfinger.server.install.ledger import File
 from softfinger.server.install.manual import manual
@@ -111,7 +111,7 @@ def service(rig: str, scene: str) -> list[str]:
 
 def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
     """Return the name of a shipped rig or scene, or else its absolute path."""
-    return name if name in shipped(kind) else str(find(name, kind).resolve())
+    return name if name in list_shipped(kind) else str(find(name, kind).resolve())
 
 
 def first_private_folder(words: Sequence[str]) -> Path | None:

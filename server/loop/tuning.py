@@ -77,9 +77,9 @@ def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
 def _warn_of_lost_geoms(scene: schema.Scene) -> None:
     if scene.world is None:
         return
-    from softfinger.config.mjcf_geoms import lost  # it needs MuJoCo
+    from softfinger.config.mjcf_geoms import find_ignored  # it needs MuJoCo
 
-    for geom in lost(scene):
+    for geom in find_ignored(scene):
         log.warning("fingers pass through geom '%s': it %s", geom.name, geom.note)
 
 

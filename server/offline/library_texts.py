@@ -13,7 +13,7 @@ from softfinger.config.load import build, describe
 from softfinger.config.materials import FINGERTIPS, MATERIALS, Entry, Measured, flat, papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
-from softfinger.config.words import near, shown
+from softfinger.config.words import format_value, near
 
 LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
 _TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "fingertip": Fingertip}
@@ -29,7 +29,8 @@ def find_entry(name: str) -> tuple[str, Entry]:
     by_name = entries()
     if name not in by_name:
         raise ConfigError(
-            f"no material or fingertip is called {shown(name)}{near(name, by_name)}; there are {', '.join(by_name)}"
+            f"no material or fingertip is called {format_value(name)}{near(name, by_name)}; "
+            f"there are {', '.join(by_name)}"
         )
     return by_name[name]
 
@@ -55,7 +56,7 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
     keys = _TABLES[kind].__struct_fields__
     scene_values = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
     changed = [
-        f"{key} {shown(value)}"
+        f"{key} {format_value(value)}"
         for key, value in scene_values.items()
         if library_values.get(key, msgspec.UNSET) != value
     ]

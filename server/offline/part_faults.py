@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
-from softfinger.config.fields import is_complete, known
+from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
 from softfinger.config.schema import DeviceConfig, Object, Rig, Scene, Servo, World
 from softfinger.server.offline.summary import object_rows
@@ -26,8 +26,8 @@ def part_faults(config: Any, file: str) -> list[str]:
 
 
 def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
-    for item in scene.object if known(scene.object) else ():
-        if is_complete(item) and known(item.shape) and not _has_complaint(item, "file"):
+    for item in scene.object if is_usable(scene.object) else ():
+        if is_complete(item) and is_usable(item.shape) and not _has_complaint(item, "file"):
             yield partial(_check_object, item)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
         yield partial(_check_world, scene.world)
@@ -41,7 +41,7 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 
         yield partial(key_folders, rig.security)
     rate_hz = rig.servo.rate_hz if is_complete(rig.servo) else Servo().rate_hz
-    tables = rig.tables if known(rig.device, rig.devices) else {}
+    tables = rig.tables if is_usable(rig.device, rig.devices) else {}
     for table, device in tables.items():
         if is_complete(device):
             yield partial(_check_device, device, rate_hz, table, file)

@@ -22,7 +22,7 @@ from softfinger.config.schema import (
     Textured,
     Workspace,
 )
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 from softfinger.server.offline.library_texts import entry_rows
 from softfinger.server.offline.worlds import world_rows
 
@@ -74,14 +74,18 @@ def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
 def _form(finger: FingerParts) -> str:
     if finger.radii_m is None:
         return f"sphere, radius {finger.radius_m:g} m"
-    turn = "" if finger.orientation_wxyz == (1.0, 0.0, 0.0, 0.0) else f", turned by {shown(finger.orientation_wxyz)}"
-    return f"ellipsoid, radii {shown(finger.radii_m)} m{turn}"
+    turn = (
+        ""
+        if finger.orientation_wxyz == (1.0, 0.0, 0.0, 0.0)
+        else f", turned by {format_value(finger.orientation_wxyz)}"
+    )
+    return f"ellipsoid, radii {format_value(finger.radii_m)} m{turn}"
 
 
 def _size(item: ObjectBase) -> str:
     """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
-    return "".join(f", {name} {shown(getattr(item, name))}" for name in own if getattr(item, name) is not None)
+    return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
 def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
@@ -186,7 +190,7 @@ def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
             )
         )
     if texture.friction_scale is not None:
-        found.append(("    friction", f"times {shown(texture.friction_scale)}, lowest to highest"))
+        found.append(("    friction", f"times {format_value(texture.friction_scale)}, lowest to highest"))
     return found
 
 
@@ -194,7 +198,7 @@ def _values(table: Struct) -> str:
     """Format keys and values of a table, except None and nested tables."""
     pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
     return ", ".join(
-        f"{name} {shown(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
+        f"{name} {format_value(value)}" for name, value in pairs if value is not None and not isinstance(value, Struct)
     )
 
 
@@ -225,17 +229,21 @@ def _hand_limits(guard: Guard) -> str:
 def _workspace(workspace: Workspace | None) -> str:
     if workspace is None:
         return "no soft wall"
-    form = f"sphere of {workspace.radius_m} m" if workspace.size_m is None else f"box of {shown(workspace.size_m)} m"
+    form = (
+        f"sphere of {workspace.radius_m} m"
+        if workspace.size_m is None
+        else f"box of {format_value(workspace.size_m)} m"
+    )
     wall = f"soft wall of {workspace.stiffness_n_per_m:g} N/m up to {workspace.force_max_n:g} N"
-    return f"{form} about {shown(workspace.center_m)} m of the device, {wall}"
+    return f"{form} about {format_value(workspace.center_m)} m of the device, {wall}"
 
 
 def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
-    options, tool = ", ".join(f"{key} = {shown(value)}" for key, value in device.options.items()), device.tool
+    options, tool = ", ".join(f"{key} = {format_value(value)}" for key, value in device.options.items()), device.tool
     rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
     if tool is not None:
-        turned = f"turned by {shown(tool.orientation_wxyz)}"
-        rows.append(("  tool", f"tip at {shown(tool.offset_m)} m of the handle, {turned}"))
+        turned = f"turned by {format_value(tool.orientation_wxyz)}"
+        rows.append(("  tool", f"tip at {format_value(tool.offset_m)} m of the handle, {turned}"))
     return rows
 
 

@@ -135,7 +135,9 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
             )
             axes.plot([], [], color=colour, label=obj.name)
         u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
-        distances = signed_distance(wall, 1e-3 * _in_plane(1e3 * np.array(wall.center_m), axis, u, v)).reshape(u.shape)
+        distances = signed_distance(wall, 1e-3 * _project_points(1e3 * np.array(wall.center_m), axis, u, v)).reshape(
+            u.shape
+        )
         axes.contour(u, v, distances, [0.0], colors="black", linestyles="dashed")
         if freedom is not None:
             line = 1e3 * reachable_curve(wall, freedom)
@@ -155,7 +157,8 @@ def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: Moti
     center, half = np.array(wall.center_m), VIEW_SCALE * float(half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
     inside = (
-        signed_distance(wall, _in_plane(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape) <= 0.0
+        signed_distance(wall, _project_points(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape)
+        <= 0.0
     )
     cells = np.where(inside, WALL_MARK, " ")
     marks = [(number, obj.points) for number, obj in zip(NUMBERS, objects, strict=False)]
@@ -170,7 +173,7 @@ def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: Moti
     return ["".join(line) for line in cells]
 
 
-def _in_plane(center: Array, axis: int, right: Array, up: Array) -> Array:
+def _project_points(center: Array, axis: int, right: Array, up: Array) -> Array:
     """Return points (n, 3) in a view's plane through the centre."""
     points = np.tile(center, (right.size, 1))
     points[:, axis], points[:, 2] = right.ravel(), up.ravel()

@@ -9,13 +9,13 @@ from softfinger.config.schema import Servo, World
 
 def world_rows(world: World) -> list[tuple[str, str]]:
     """Return rows of the model, its time step and start, and of the geoms that differ from MuJoCo's."""
-    from softfinger.config.mjcf import compiled
-    from softfinger.config.mjcf_geoms import taken
+    from softfinger.config.mjcf import compile_model
+    from softfinger.config.mjcf_geoms import convert_geoms
 
-    geoms = list(taken(world))
+    geoms = list(convert_geoms(world))
     touched = sum(geom.object is not None for geom in geoms)
     rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    rows.append(("  timestep", _timestep(world, float(compiled(world.model, world.root).model.opt.timestep))))
+    rows.append(("  timestep", _timestep(world, float(compile_model(world.model, world.root).model.opt.timestep))))
     if world.keyframe is not None:
         rows.append(("  keyframe", world.keyframe))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, overridden
-from softfinger.config.overrides import numbered
+from softfinger.config.overrides import index_entries
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed
@@ -395,7 +395,7 @@ def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, An
         if not all(isinstance(change, dict) and "to" in change for change in what.values()):
             return None
         mapping = describe(scene)
-        return {numbered(mapping, key): change["to"] for key, change in what.items()}
+        return {index_entries(mapping, key): change["to"] for key, change in what.items()}
     if event["name"] == "drive":
         object_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
         return None if object_index is None else {

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import followed, new_file, open_input, open_output
+from softfinger.config.files import follow_links, new_file, open_input, open_output
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
 from softfinger.server.closing import Closeable
@@ -223,7 +223,7 @@ def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
     an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
     """
     with (
-        TemporaryFile(dir=followed(path).parent) as file_of_fields,
+        TemporaryFile(dir=follow_links(path).parent) as file_of_fields,
         ZipFile(file, "w", ZIP_STORED, compresslevel=1) as archive,
     ):
         stored = _Fields(file_of_fields, len(fingers))

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
-from softfinger.config.load import build, completed, describe, load_scene, overridden
-from softfinger.config.overrides import numbered, value_at
-from softfinger.config.sources import shipped
-from softfinger.config.words import near, shown
+from softfinger.config.load import add_objects_of_world, build, describe, load_scene, overridden
+from softfinger.config.overrides import index_entries, value_at
+from softfinger.config.sources import list_shipped
+from softfinger.config.words import format_value, near
 from softfinger.drivers import switch_interval
 from softfinger.drivers.simulated.lead import RequestedPose, hand_of
 from softfinger.proxy.pictures import Filed, picture_of
@@ -277,7 +277,7 @@ class Commands:
     def _set_params(self, request: Request) -> wire.Changed:
         before, after, tick = self._rendering.set_parameters(request.params, "set_params")
         old, new = describe(before), describe(after)
-        paths = {key: numbered(old, key) for key in request.params}  # the change itself may rename the object
+        paths = {key: index_entries(old, key) for key in request.params}  # the change itself may rename the object
         each = {key: wire.Change(value_at(old, path), value_at(new, path)) for key, path in paths.items()}
         changed = {key: change for key, change in each.items() if change.before != change.after}
         if changed:
@@ -287,18 +287,18 @@ class Commands:
     def _set_scene(self, client: bytes, request: Request) -> None:
         params: wire.SetScene = request.params
         name = params.name or (params.scene if isinstance(params.scene, str) else "unnamed")
-        if isinstance(params.scene, str) and params.scene not in shipped(schema.Scene):
+        if isinstance(params.scene, str) and params.scene not in list_shipped(schema.Scene):
             raise Declined(
                 "bad_params",
-                f"no scene is called {shown(params.scene)}{near(params.scene, shipped(schema.Scene))}; shipped are "
-                f"{', '.join(shipped(schema.Scene))}; send another one as a complete map",
+                f"no scene is called {format_value(params.scene)}{near(params.scene, list_shipped(schema.Scene))}; "
+                f"shipped are {', '.join(list_shipped(schema.Scene))}; send another one as a complete map",
             )
 
         def read() -> schema.Scene:
             if isinstance(params.scene, str):
                 scene = load_scene(params.scene)
             else:
-                scene = completed(build(schema.Scene, params.scene, "set_scene"))
+                scene = add_objects_of_world(build(schema.Scene, params.scene, "set_scene"))
             return overridden(scene, params.overrides, "set_scene") if params.overrides else scene
 
         self._change_scene(read, name, client, request, lambda tick: wire.SceneSet(name, tick))
@@ -352,7 +352,7 @@ class Commands:
         names = [obj.name for obj in objects]
         object_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
         if object_index >= len(names):
-            raise Declined("bad_params", f"no object is {shown(key)}: there are {', '.join(names)}")
+            raise Declined("bad_params", f"no object is {format_value(key)}: there are {', '.join(names)}")
         return object_index, objects[object_index]
 
     def _hand(self, request: Request) -> wire.Applied:
@@ -403,7 +403,7 @@ class Commands:
             choices = (
                 f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
             )
-            raise Declined("bad_params", f"no finger is {shown(selected)}: {choices}")
+            raise Declined("bad_params", f"no finger is {format_value(selected)}: {choices}")
         return finger_index
 
     def _arm(self, request: Request) -> wire.Armed:

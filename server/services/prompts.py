@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import structs
 
-from softfinger.config.words import shown
+from softfinger.config.words import format_value
 from softfinger.server.wire import commands as wire
 from softfinger.server.wire.envelope import Declined, Request
 
@@ -47,7 +47,7 @@ class Prompts:
         if not self._current.open or params.prompt not in (None, self._current.number):
             raise Declined("refused", "this question is not open, or not any more: answer the one that is shown")
         if (expected := self._expected_answer(params.value)) is not None:
-            raise Declined("bad_params", f"value is {shown(params.value)}: give {expected}")
+            raise Declined("bad_params", f"value is {format_value(params.value)}: give {expected}")
         after_s = time.monotonic() - self._shown_s
         self._current = structs.replace(self._current, open=False, answer=params.value, after_s=after_s)
         # A free text may be personal: it is neither published nor recorded.

@@ -20,8 +20,8 @@ from softfinger.config.schema import (
     Scene,
     Servo,
 )
-from softfinger.config.sources import EXPERIMENTS, find, find_in, names_in, read_toml, shipped
-from softfinger.config.words import near, shown
+from softfinger.config.sources import EXPERIMENTS, find, find_in, list_shipped, names_in, read_toml
+from softfinger.config.words import format_value, near
 from softfinger.server.offline.part_faults import part_faults
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
 from softfinger.server.offline.worlds import check_start
@@ -199,15 +199,15 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
 
 def _locate(file: str) -> Path:
     """Return the path of a file, or of a shipped scene, rig or experiment."""
-    names = [*shipped(Scene), *shipped(Rig), *names_in(EXPERIMENTS)]
+    names = [*list_shipped(Scene), *list_shipped(Rig), *names_in(EXPERIMENTS)]
     if file not in names and "." not in file and "/" not in file and not _exists(file):
         raise ConfigError(
-            f"no scene, rig or experiment is named {shown(file)}{near(file, names)}; shipped are {', '.join(names)}; "
-            "give the path of another file with its suffix .toml"
+            f"no scene, rig or experiment is named {format_value(file)}{near(file, names)}; "
+            f"shipped are {', '.join(names)}; give the path of another file with its suffix .toml"
         )
     if file in names_in(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)
-    return find(file, Rig if file in shipped(Rig) else Scene)
+    return find(file, Rig if file in list_shipped(Rig) else Scene)
 
 
 def _exists(file: str) -> bool:

@@ -13,7 +13,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
 from softfinger.config.sources import read_toml
-from softfinger.config.words import near, shown
+from softfinger.config.words import format_value, near
 from softfinger.server import keys
 from softfinger.server.arguments import parse_parameter
 from softfinger.server.gateway.addresses import BUSY_S, find_addresses
@@ -28,7 +28,8 @@ from softfinger.server.wire.protocol import HEALTH, ProtocolError
 def run(args: argparse.Namespace) -> int:
     """Send the command and print its result; return 0."""
     if args.method not in METHODS:
-        raise ConfigError(f"no method {shown(args.method)}{near(args.method, METHODS)}: there are {', '.join(METHODS)}")
+        hint = near(args.method, METHODS)
+        raise ConfigError(f"no method {format_value(args.method)}{hint}: there are {', '.join(METHODS)}")
     params = dict(map(parse_parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):

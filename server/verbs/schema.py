@@ -15,8 +15,8 @@ from msgspec import inspect
 
 from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.schema import DeviceConfig, Rig, Scene, unit
-from softfinger.config.typeinfo import described, options, unwrapped
-from softfinger.config.words import expected, toml
+from softfinger.config.typeinfo import describe_struct, options, unwrap
+from softfinger.config.words import describe_allowed, toml
 from softfinger.proxy.record import FIELDS
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.verbs.options import SCHEMAS
@@ -178,11 +178,11 @@ def _format_variants(variants: list[TableRows]) -> str:
 
 def _keys(rows: Iterable[Row], suffixes: Mapping[Row, str] = MappingProxyType({})) -> str:
     """Format keys as Markdown; `suffixes` names the kinds that have a key."""
-    lines = [[f"`{row.key}`{suffixes.get(row, '')}", _allowed(row), row.meaning] for row in rows]
+    lines = [[f"`{row.key}`{suffixes.get(row, '')}", _describe_allowed(row), row.meaning] for row in rows]
     return grid(["key", "allowed (default)", "meaning"], lines)
 
 
-def _allowed(row: Row) -> str:
+def _describe_allowed(row: Row) -> str:
     """Return the allowed values of a key with its default; an optional key without a default has no suffix."""
     if row.default == _OPTIONAL:
         return row.allowed
@@ -197,7 +197,7 @@ def grid(head: list[str], lines: list[list[str]]) -> str:
 def tables(struct_type: type[msgspec.Struct], name: str = "") -> list[TableRows]:
     """Return all TOML tables of a struct at the key `name` (empty: the file) with their keys, in order."""
     tables_by_key: dict[tuple[str, str], TableRows] = {}
-    for table in _tables(described(struct_type), name):
+    for table in _tables(describe_struct(struct_type), name):
         # A material is the same in all shapes: listed at its first occurrence.
         if table.rows:
             tables_by_key.setdefault((table.name, table.meaning), table)
@@ -222,7 +222,7 @@ def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
 
 def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
     bare = name.strip("[]")
-    kind, _ = unwrapped(options(field.type)[0])  # all options of a union have the same path
+    kind, _ = unwrap(options(field.type)[0])  # all options of a union have the same path
     path = f"{bare}.{field.encode_name}" if bare else field.encode_name
     if isinstance(kind, inspect.DictType):
         path += ".NAME"
@@ -231,7 +231,7 @@ def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
 
 def _row(field: inspect.Field) -> Row:
     kind, extra = _bare(field.type)
-    allowed = re.sub(r"'([^']*)'", r'`"\1"`', expected(kind, "").removeprefix("one of "))
+    allowed = re.sub(r"'([^']*)'", r'`"\1"`', describe_allowed(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(
         r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
@@ -249,7 +249,7 @@ def _row(field: inspect.Field) -> Row:
 def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
     """Return the type without Meta and `| None`, and the contents of Meta."""
     (only,) = options(info)
-    return unwrapped(only)
+    return unwrap(only)
 
 
 def _structs(info: inspect.Type) -> Iterator[inspect.StructType]:

@@ -13,7 +13,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.proxy.engine import compiled
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.scene import start_state
@@ -29,7 +29,7 @@ RATE_HZ: Final = 1000.0
 def run(args: argparse.Namespace) -> int:
     if args.prune:
         prune()
-    names = args.scenes or shipped(schema.Scene)
+    names = args.scenes or list_shipped(schema.Scene)
     for number, name in enumerate(names, 1):
         try:
             scene = load_scene(name)

@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 from softfinger.config import schema
 from softfinger.config.load import describe
 from softfinger.config.schema.contact import RollingMethod
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 
 NO_ROLLING: Final = "none"
@@ -81,7 +81,7 @@ class Tuning:
             knob.slider.on_update(lambda event, name=name: self._on_slider(event, name))
         self._rolling = gui.add_dropdown("rolling", (*get_args(RollingMethod), NO_ROLLING))
         self._rolling.on_update(self._on_rolling)
-        self._scene_list = gui.add_dropdown("scene", tuple(shipped(schema.Scene)))
+        self._scene_list = gui.add_dropdown("scene", tuple(list_shipped(schema.Scene)))
         self._scene_list.on_update(self._on_scene)
 
     def change(self, scene: schema.Scene, name: str) -> None:
@@ -106,7 +106,7 @@ class Tuning:
         for knob in self._knobs.values():
             knob.show(self._scene.object[self._object_index()].material)
         self._rolling.value = NO_ROLLING if self._scene.rolling is None else self._scene.rolling.method
-        names = tuple(shipped(schema.Scene))
+        names = tuple(list_shipped(schema.Scene))
         if self._name not in names:
             names = (*names, self._name)
         if self._scene_list.options != names:

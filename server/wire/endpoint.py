@@ -128,7 +128,7 @@ def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> 
             listener.listen(LISTEN_BACKLOG)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                raise _in_use(endpoint, key) from error
+                raise _in_use_error(endpoint, key) from error
             raise ConfigError(
                 f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another"
             ) from error
@@ -187,11 +187,11 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
         fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(lock_file)
-        raise _in_use(endpoint, key) from error
+        raise _in_use_error(endpoint, key) from error
     return lock_file
 
 
-def _in_use(endpoint: str, key: str) -> AddressInUse:
+def _in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
     who = holder(f"{address}.lock") if scheme == "ipc" else listener_on(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"

@@ -24,7 +24,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene, commands_beside
 from softfinger.config.schema.pairing import pair, single_device
-from softfinger.config.sources import read_toml, shipped
+from softfinger.config.sources import list_shipped, read_toml
 from softfinger.config.words import near
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
@@ -146,7 +146,7 @@ def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() 
 @pytest.mark.parametrize("kind", [Scene, Rig])
 def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | Rig]) -> None:
     """Describing and rebuilding a shipped file gives an equal struct."""
-    names = shipped(kind)
+    names = list_shipped(kind)
     assert names
     for name in names:
         config: msgspec.Struct = load_scene(name) if kind is Scene else load_rig(name)
@@ -609,7 +609,7 @@ def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
         ConfigError, match=r"no scene is called 'paper-plan' \(did you mean 'paper-plane'\?\)"
     ) as caught:
         load_scene("paper-plan")
-    assert all(name in str(caught.value) for name in shipped(Scene))
+    assert all(name in str(caught.value) for name in list_shipped(Scene))
 
 
 def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:

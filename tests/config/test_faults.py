@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults
 from softfinger.config.schema import Faults, Injection
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, table
 
 pytestmark = pytest.mark.plain
@@ -29,7 +29,7 @@ def faults(**given: Any) -> Faults:
 
 def test_a_file_is_shipped_for_every_kind() -> None:
     """Each shipped file can be read, and together they have every kind that there is."""
-    found = {fault.kind for name in shipped(Faults) for fault in load_faults(name).fault}
+    found = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
     assert found == KINDS
 
 

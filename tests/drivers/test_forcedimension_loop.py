@@ -21,7 +21,7 @@ from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Rig
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
@@ -254,7 +254,7 @@ def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_lib
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each shipped rig for Force Dimension opens its device without moving it, and rejects another model."""
-    names = [name for name in shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
+    names = [name for name in list_shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
     assert names == ["omega-3", "omega-6", "omega-7"]
     for kind, name in zip((33, 34, 35), names, strict=True):
         rig = load_rig(name)

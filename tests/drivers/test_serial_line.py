@@ -11,14 +11,14 @@ from helpers.described_boards import rig_options
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.config.sources import find, shipped
+from softfinger.config.sources import find, list_shipped
 from softfinger.drivers import registry
 from softfinger.drivers.serial import line
 from softfinger.server.cli import main
 
 pytestmark = pytest.mark.plain
 
-SERIAL = [name for name in shipped(Rig) if 'driver = "serial"' in find(name, Rig).read_text()]
+SERIAL = [name for name in list_shipped(Rig) if 'driver = "serial"' in find(name, Rig).read_text()]
 
 
 @pytest.mark.parametrize("rig", SERIAL)

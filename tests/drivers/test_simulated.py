@@ -14,7 +14,7 @@ from softfinger.config.devices import presets
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -162,7 +162,7 @@ def test_unknown_recording_is_refused() -> None:
 
 def test_shipped_rigs_open_their_device() -> None:
     """Each shipped rig of this driver without a puck opens with the limits of its preset."""
-    devices = {name: load_rig(name).device for name in shipped(Rig)}
+    devices = {name: load_rig(name).device for name in list_shipped(Rig)}
     single = {name: device for name, device in devices.items() if device is not None}
     names = [n for n, device in single.items() if device.driver == "simulated" and "puck" not in device.options]
     assert {single[n].options.get("preset", "omega.6") for n in names} == set(presets())

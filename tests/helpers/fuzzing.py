@@ -142,7 +142,7 @@ def targets() -> dict[str, Target]:
     from softfinger.config.arrays.grids import read_grid
     from softfinger.config.errors import ConfigError, RecordingError
     from softfinger.config.load import load_faults, load_rig, load_scene
-    from softfinger.config.mjcf import compiled
+    from softfinger.config.mjcf import compile_model
     from softfinger.drivers.poses import load_poses
     from softfinger.proxy.meshes.reading import arrays_of
     from softfinger.server.recording.compare import FIELDS
@@ -172,7 +172,7 @@ def targets() -> dict[str, Target]:
         "results-csv": Target(_written(_results, ".csv"), lambda path, _: read_results(path), recording, ".csv"),
         "results-mcap": Target(_written(_results, ".mcap"), lambda path, _: read_results(path), recording, ".mcap"),
         "recording": Target(_written(_run, ".mcap"), every, recording, ".mcap"),
-        "mjcf": Target(lambda: packets.MODELS, lambda path, _: compiled(str(path)), config, ".xml"),
+        "mjcf": Target(lambda: packets.MODELS, lambda path, _: compile_model(str(path)), config, ".xml"),
         "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
         "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),

@@ -19,7 +19,7 @@ from scipy.special import ellipk
 
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf_geoms import taken
+from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
 from softfinger.proxy.kernels.fingers import poses_in
@@ -353,7 +353,7 @@ def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": rules}})
     assert {thing.name: thing.material.stiffness_n_per_m for thing in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
     assert scene.world is not None
-    notes = {each.name: each.note for each in taken(scene.world)}
+    notes = {each.name: each.note for each in convert_geoms(scene.world)}
     assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
 
 

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf_geoms import taken
+from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import overshoot, read_heights
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -121,7 +121,7 @@ def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
     world = schema.World(
         model=str(written(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
     )
-    (geom,) = taken(world)
+    (geom,) = convert_geoms(world)
     assert geom.object is None
     assert geom.note == (
         "is a height field with pixels of 0.005 m along x and 0.0075 m along y: make them square, by its size or by "

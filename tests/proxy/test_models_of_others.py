@@ -14,7 +14,7 @@ import pytest
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.config.mjcf_geoms import taken
+from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.prepared import about
 from softfinger.server.cli import main
@@ -248,7 +248,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     )
     world = load_scene(written(tmp_path / "two.xml", body)).world
     assert world is not None
-    notes = {each.name: each.note for each in taken(world)}
+    notes = {each.name: each.note for each in convert_geoms(world)}
     assert notes["part"] == ""
     assert notes["l"] == (
         "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"

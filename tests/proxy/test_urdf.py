@@ -10,7 +10,7 @@ import trimesh
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf_geoms import taken
+from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.prepared import about
 
@@ -59,7 +59,7 @@ def test_geoms_have_the_names_of_links_and_meshes_are_found(beside: str, tmp_pat
     world = schema.World(
         model=written(tmp_path, beside=beside), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
     )
-    found = {each.name: each.object for each in taken(world)}
+    found = {each.name: each.object for each in convert_geoms(world)}
     assert list(found) == ["bottom", "lid", "lid 2"]
     assert all(thing is not None for thing in found.values())
     bottom, lid, ball = (thing for thing in found.values() if thing is not None)
@@ -82,9 +82,9 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
     material = schema.Material(stiffness_n_per_m=1.0)
     for root in (tmp_path, tmp_path / "toys"):
         world = schema.World(model=str(model), root=str(root), material=material)
-        assert [each.name for each in taken(world)] == ["bottom", "lid", "lid 2"]
+        assert [each.name for each in convert_geoms(world)] == ["bottom", "lid", "lid 2"]
     with pytest.raises(ConfigError, match=r'toys/meshes/lid\.stl is not found .* \[world\] root = "\.\./\.\."'):
-        list(taken(schema.World(model=str(model), material=material)))
+        list(convert_geoms(schema.World(model=str(model), material=material)))
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
@@ -116,7 +116,7 @@ def test_no_file_outside_of_its_folder_is_read(file: str, tmp_path: Path) -> Non
     """A package's name cannot lead out of the folder either."""
     world = schema.World(model=written(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
     with pytest.raises(ConfigError, match="outside of its folder"):
-        list(taken(world))
+        list(convert_geoms(world))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
@@ -124,4 +124,4 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         model=written(tmp_path, "package://toys/none.stl"), material=schema.Material(stiffness_n_per_m=1.0)
     )
     with pytest.raises(ConfigError, match=r"toys/none\.stl"):
-        list(taken(world))
+        list(convert_geoms(world))

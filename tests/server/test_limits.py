@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig, load_scene, overridden
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -453,7 +453,7 @@ def fits(name):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", [name for name in shipped(schema.Scene) if fits(name)])
+@pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if fits(name)])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
     """Every shipped scene with every matching recording, with the limits of an omega.6, reaches none. The workspace is
     not checked: the box is lifted by more than an omega.6 reaches."""

@@ -12,7 +12,7 @@ from helpers.simulated_hands import DT, SimulatedHands
 
 from softfinger.config.load import describe, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.sources import FOLDERS, shipped
+from softfinger.config.sources import FOLDERS, list_shipped
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server import cli
 
@@ -25,9 +25,9 @@ G = 9.81
 
 def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
     """`softfinger run --scene NAME` finds a rig of simulated devices for each."""
-    worlds = [name for name in shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
+    worlds = [name for name in list_shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
     assert len(worlds) == 8
-    assert {f"simulated-{name}" for name in worlds} <= set(shipped(Rig))
+    assert {f"simulated-{name}" for name in worlds} <= set(list_shipped(Rig))
 
 
 @PLAIN_ONLY

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.files import list_shipped
 from softfinger.tools.experiment_recovery import BLOCK, recovery, table
 
 pytestmark = pytest.mark.plain
@@ -19,7 +19,7 @@ def test_a_power_law_is_recovered() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", list_shipped())
 def test_intervals_hold_the_truth(name: str) -> None:
     """Over 50 seeds: intervals of 90 % coverage contain the true value in at least 42 of 50 cases in 94 % of such
     studies."""
@@ -32,4 +32,4 @@ def test_the_page_has_a_row_for_each() -> None:
     page = (Path(__file__).parents[2] / "docs" / "measured" / "experiments.md").read_text()
     block = BLOCK.search(page)
     assert block is not None and table([]).splitlines()[0] in block[0]
-    assert all(f"| `{name}` |" in block[0] for name in shipped())
+    assert all(f"| `{name}` |" in block[0] for name in list_shipped())

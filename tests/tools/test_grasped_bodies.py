@@ -75,8 +75,8 @@ def test_a_body_too_light_for_the_tick_is_seen(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_what_is_left_of_a_knock_is_judged(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    """The judgement is: at rest whatever happened before; growing; or gone."""
-    found = bodies.judged(CELL._replace(**changes), touching)  # type: ignore[arg-type]
+    """At rest whatever it did before; growing; or gone."""
+    found = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
     assert found.verdict == verdict
     assert bool(found.reason) == (verdict != "rests")
 

@@ -88,7 +88,7 @@ class Listener:
         self._rows: list[tuple[float, ...]] = []
 
     def take(self, until_s: float = 0.0) -> None:
-        """Receive the available samples, and further ones until a time of the monotonic clock."""
+        """Receive the available samples, and wait for more until `until_s` of the monotonic clock."""
         while (sample := self._subscription.receive(max(0.0, until_s - time.monotonic()))) is not None:
             data = sample.data
             self.lost += sample.lost

@@ -119,7 +119,7 @@ def corner_poses(count: int = BLOCK) -> Array:
     return poses
 
 
-def _carried(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
+def _carry_poses(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
     """Return poses (n, 7) that touch the object of `here`, and the same poses relative to that object in `there`."""
     poses = touching_poses(here)
     w, *v = there.object[0].orientation_wxyz
@@ -222,8 +222,8 @@ def _shapes() -> Iterator[Feature]:
             yield Feature(f"inside {name}, for outside", f"bare {name}", _scene(name), _scene(name, object_inside=True))
     bare, place, turn = _scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
     moved, turned = _scene("ellipsoid", object_position_m=place), _scene("ellipsoid", object_orientation_wxyz=turn)
-    yield Feature("object moved", "bare ellipsoid", bare, moved, lambda: _carried(bare, moved))
-    yield Feature("object turned", "bare ellipsoid", bare, turned, lambda: _carried(bare, turned))
+    yield Feature("object moved", "bare ellipsoid", bare, moved, lambda: _carry_poses(bare, moved))
+    yield Feature("object turned", "bare ellipsoid", bare, turned, lambda: _carry_poses(bare, turned))
 
 
 def _several() -> Iterator[Feature]:

@@ -90,7 +90,7 @@ def scene_of(radius: float, **shape: Any) -> schema.Scene:
     return build(schema.Scene, {**tables, "object": [thing]}, "bench mesh")
 
 
-def way(ticks: int, radius: float) -> Array:
+def make_path(ticks: int, radius: float) -> Array:
     """Return poses (ticks, 7) of a fingertip that is pressed in, dragged over the ball and turned."""
     rng, reach = np.random.default_rng(0), RADIUS_M + radius
     x, along = np.array([0.0, 0.0, 1.0]), rng.normal(size=3)
@@ -110,8 +110,8 @@ def way(ticks: int, radius: float) -> Array:
 def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) -> dict[str, Any]:
     """Measure the time of single ticks, ns: back to back, paced, and in free motion."""
     tree = build_scene(scene)
-    parameters, poses = packed(tree), way(args.ticks, radius)
-    paced = way(args.paced, radius)
+    parameters, poses = packed(tree), make_path(args.ticks, radius)
+    paced = make_path(args.paced, radius)
     away = poses.copy()
     away[:, :3] *= 1.3
     found: dict[str, Any] = {}
@@ -147,7 +147,7 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
 def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
     """Return the nodes and triangles visited for the nearest one, and the largest error of the distance."""
     mesh = build_scene(scene).objects.body.shape
-    points = np.ascontiguousarray(way(BLOCK, radius)[:, :3])
+    points = np.ascontiguousarray(make_path(BLOCK, radius)[:, :3])
     found = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, found)
     wrong = np.abs(np.sqrt(found[:CHECKED, 0]) - np.sqrt(found[:CHECKED, 2])).max()

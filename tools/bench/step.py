@@ -12,7 +12,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.server.offline.cost import BLOCK, Cost, bare_contact, measure, touching_poses, without_parts
@@ -50,7 +50,7 @@ def reference_ns() -> float:
 
 def run(args: argparse.Namespace) -> int:
     chosen = [] if args.features is None else select(all_features(), args.features)
-    names = shipped(Scene) if args.all else args.scene
+    names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = []
     with progress("measuring the contact step", len(names)) as done:

@@ -123,13 +123,13 @@ def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
         for page in pages:
             page.evaluate(COUNT)
         used, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
-        ticks = received(endpoint, seconds)
+        ticks = receive_ticks(endpoint, seconds)
         frames = [float(page.evaluate("framesPerSecond()")) for page in pages]
         spent = [processor_s(process.pid) - before for (process, _), before in zip(served, used, strict=True)]
         return Turn(ticks, float(np.mean(spent)) / (time.monotonic() - begun) if spent else 0.0, frames)
 
 
-def received(endpoint: str, seconds: float) -> Array:
+def receive_ticks(endpoint: str, seconds: float) -> Array:
     """Return every tick (n, 3) of some seconds: lateness s, busy s, deadlines missed so far."""
     rows, end = [], time.monotonic() + seconds
     with subscribe(endpoint) as samples:

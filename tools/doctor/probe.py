@@ -23,7 +23,7 @@ from softfinger.drivers.system.claims import find_claim
 from softfinger.server.loop.guard import Guard
 from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
-from softfinger.tools.doctor.report import begun, pushing, record, report_file, written
+from softfinger.tools.doctor.report import begun, pushing, record, report_file, write_report
 from softfinger.tools.doctor.session import TRANSLATIONS, Session
 from softfinger.tools.exchange import START, Exchange, disarmed_guard
 from softfinger.tools.exchange_figures import figures
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
 
-    return written(report, serials, file, args.json, work, glance)
+    return write_report(report, serials, file, args.json, work, glance)
 
 
 def check_push(rig: Rig) -> None:

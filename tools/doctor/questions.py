@@ -72,7 +72,7 @@ def _force_sign(report: Report) -> str | None:
     return "; ".join(f"force along {push['axis']}: {push['seen']}" for push in report["pushes"]) or None
 
 
-def _unplugged(report: Report) -> str | None:
+def _ask_unplugged(report: Report) -> str | None:
     fault = report["fault"]
     return fault["message"] if fault is not None and fault["kind"] == "DeviceLost" else None
 
@@ -121,7 +121,7 @@ ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "rotation": _rotation,
     "buttons": _buttons,
     "force-sign": _force_sign,
-    "unplugged": _unplugged,
+    "unplugged": _ask_unplugged,
     "fd-library": _library,
     "fd-fast": _fast,
     "fd-force-on": _force_on,

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         if args.plot is not None and len(session.timing):
             draw(args.plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
 
-    return written(report, serials, file, args.json, work)
+    return write_report(report, serials, file, args.json, work)
 
 
 def report_file(rig: Rig, given: str, option: str) -> Path:
@@ -70,7 +70,7 @@ def report_file(rig: Rig, given: str, option: str) -> Path:
     return file
 
 
-def written(
+def write_report(
     report: dict[str, Any],
     serials: list[str],
     file: Path,

@@ -21,7 +21,7 @@ def lines(report: Report, file: Path) -> list[str]:
     if report["freedom"]:
         text.append(f"  it moves {report['freedom']}")
     text += [f"  on {one['bus']} {one['vendor_id']}:{one['product_id']} {one['name']}" for one in report["identity"]]
-    text += _measured(report)
+    text += _format_measured(report)
     if report["counts"]:
         text.append("  the driver counted: " + ", ".join(f"{name} {value}" for name, value in report["counts"].items()))
     if report["questions"] and report["device"] is not None:  # one that was opened
@@ -32,7 +32,7 @@ def lines(report: Report, file: Path) -> list[str]:
     return text
 
 
-def _measured(report: Report) -> list[str]:
+def _format_measured(report: Report) -> list[str]:
     text = []
     if report["exchange"] is not None:
         text += table(report["exchange"])

@@ -132,7 +132,7 @@ class Session:
             )
 
     def _part(self, axis: int) -> Array:
-        """Return the part (3,) of a motion or force along an axis that the handle supports."""
+        """Return the component (3,) of a motion or force that the handle supports along an axis."""
         whole = np.eye(3)[axis]
         return whole if self._freedom is None else self._freedom.displayed(self._freedom.centre, whole)
 

@@ -84,7 +84,7 @@ def stall_range_s() -> tuple[float, float]:
     return min(times), max(times)
 
 
-def ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
+def count_ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
     """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s); see `smooth_velocity`."""
     return floor(log(1.0 - limit / speed) / log(limits.SPEED_S / (limits.SPEED_S + period_s))) + 1
 
@@ -129,7 +129,7 @@ _QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
 _STARVED: Final = stall_range_s()
 _FAST: Final = default(Guard, "handle_speed_max_m_per_s")
 _FASTER: Final = 1.5 * _FAST
-_CAUGHT: Final = f"{ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
+_CAUGHT: Final = f"{count_ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
 _STILL: Final = f"{default(Guard, 'frozen_s'):g} s by default"
 _GAPS: Final = (
     f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"

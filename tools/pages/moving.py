@@ -88,10 +88,10 @@ def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
         f'<g transform="translate({place * WIDTH} 0)">\n'
         f'<text x="{WIDTH / 2:g}" y="20" text-anchor="middle" fill="#222">{TITLES[place]}</text>\n'
         f'<path d="M20 {FLOOR}h{WIDTH - 40}" stroke="#445" stroke-width="2"/>\n'
-        + _moved(
-            "translate", _pixels(boxes), seconds, _moved("rotate", [f"{-turn:.1f}" for turn in turns], seconds, box)
+        + _animate(
+            "translate", _pixels(boxes), seconds, _animate("rotate", [f"{-turn:.1f}" for turn in turns], seconds, box)
         )
-        + _moved("translate", _pixels(fingers), seconds, finger)
+        + _animate("translate", _pixels(fingers), seconds, finger)
         + "</g>\n"
     )
 
@@ -101,7 +101,7 @@ def _pixels(places: Array) -> list[str]:
     return [f"{WIDTH / 2 + PIXELS_PER_M * y:.1f} {FLOOR - PIXELS_PER_M * z:.1f}" for y, z in places.tolist()]
 
 
-def _moved(kind: str, values: list[str], seconds: float, shape: str) -> str:
+def _animate(kind: str, values: list[str], seconds: float, shape: str) -> str:
     """Return a shape that moves from value to value in a loop."""
     return (
         f'<g transform="{kind}({values[STILL]})"><animateTransform attributeName="transform" type="{kind}" '

@@ -41,7 +41,7 @@ def scenes() -> str:
 A scene file (TOML) describes the fingertips, the objects and the effects: [write a scene](../operate/scenes.md).
 `softfinger schema scene` prints these tables as JSON Schema. {_KEYS} A relative path of a file starts at the scene's
 folder."""
-    return _page(head, "## Shipped scenes", _listed("scenes"), "## Keys", schema.markdown("scene"))
+    return _page(head, "## Shipped scenes", _format_list("scenes"), "## Keys", schema.markdown("scene"))
 
 
 def rigs() -> str:
@@ -52,7 +52,7 @@ def rigs() -> str:
 A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces: [write a
 rig](../operate/scenes.md#write-a-rig). [Each driver](drivers.md) has further keys. `softfinger schema rig` prints these
 tables as JSON Schema. {_KEYS}"""
-    return _page(head, "## Shipped rigs", _listed("rigs"), "## Keys", schema.markdown("rig"))
+    return _page(head, "## Shipped rigs", _format_list("rigs"), "## Keys", schema.markdown("rig"))
 
 
 def drivers() -> str:
@@ -80,7 +80,7 @@ An experiment file (TOML) describes trials and answers: [run an experiment](../r
 `softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
     kept = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
     return _page(
-        head, "## Shipped experiments", _listed("experiments"), "## Keys", schema.markdown("experiment"),
+        head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.markdown("experiment"),
         "## Files of the folder", "No file of a participant is overwritten.", kept,
     )  # fmt: skip
 
@@ -165,7 +165,7 @@ def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
     for kind, keys in kinds.items():
         for key in keys:
             of.setdefault(key, []).append(f"`{kind}`")
-    rows = [[", ".join(names), f"`{key.name}`", _typed(key), key.meaning] for key, names in of.items()]
+    rows = [[", ".join(names), f"`{key.name}`", _format_type(key), key.meaning] for key, names in of.items()]
     return schema.grid(["kind", "key", "type", "meaning"], rows)
 
 
@@ -181,10 +181,10 @@ messages. Units are SI. A key in brackets may be left out. `object` and `finger`
     parts = []
     for name, (params, result, meaning) in commands.table().items():
         method = commands.METHODS[name]
-        takes = f"- takes {params}. {_said(method.params)}" if params else ""
-        gives = f"- gives {result}. {'' if method.result in shared else _said(method.result)}"
+        takes = f"- takes {params}. {_describe_type(method.params)}" if params else ""
+        gives = f"- gives {result}. {'' if method.result in shared else _describe_type(method.result)}"
         parts += [f"### `{name}`", meaning, "\n".join(filter(None, [takes, gives.strip()]))]
-    several = schema.grid(["keys", "meaning"], [[commands.fields(kind), _said(kind)] for kind in shared])
+    several = schema.grid(["keys", "meaning"], [[commands.fields(kind), _describe_type(kind)] for kind in shared])
     errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
     results_of = ["## Results of several methods", several]
     return _page(
@@ -318,16 +318,16 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 def keys_table(keys: Iterable[Key]) -> str:
     """Format the keys of a message as a Markdown table."""
-    rows = [[f"`{key.name}`", _typed(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
+    rows = [[f"`{key.name}`", _format_type(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
     return schema.grid(["key", "type", "meaning"], rows)
 
 
-def _typed(key: Key) -> str:
+def _format_type(key: Key) -> str:
     """Return type, unit and frame of a key, omitting missing ones: `float[3], m, world`."""
     return ", ".join(part for part in (key.type, key.unit, key.frame) if part not in ("", "1"))
 
 
-def _said(kind: Any) -> str:
+def _describe_type(kind: Any) -> str:
     """Return the docstring of a type of the table of commands, on one line."""
     text = commands.VALUES if kind is commands.Values else kind.__doc__ if isinstance(kind, type) else ""
     return " ".join((text or "").split())
@@ -341,7 +341,7 @@ def _numbers(values: Iterable[tuple[int, str]]) -> str:
     return ", ".join(f"{value} `{name}`" for value, name in values)
 
 
-def _listed(verb: str) -> str:
+def _format_list(verb: str) -> str:
     rows = [[f"`{each['name']}`", each["description"]] for each in shipped.list_shipped(verb)]
     return schema.grid(["name", "what it is"], rows)
 

@@ -283,10 +283,10 @@ def measure(cell: Cell) -> Found:
         unbalanced_n=max(cycle.unbalanced, after.unbalanced),
     )
     touching = after.mode[-1, : 2 if cell.case == "hold" else 1] != FREE
-    return judged(found, bool(touching.all()))
+    return judge(found, bool(touching.all()))
 
 
-def judged(found: Found, touching: bool) -> Found:
+def judge(found: Found, touching: bool) -> Found:
     """Return the results with verdict and reason."""
     assert found.left is not None and found.grown is not None
     if not touching:

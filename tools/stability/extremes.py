@@ -146,7 +146,7 @@ def never_slides(records: Array) -> str:
     return touches_and_leaves(records) or ("it slid" if (records[:, AT.contact_mode] == SLIDING).any() else "")
 
 
-def zero_where_refused(records: Array) -> str:
+def zero_refused(records: Array) -> str:
     refused = records[:, AT.servo_guard] == POSE_REFUSED
     silent = (
         not records[refused][:, AT.force : AT.force + 3].any() and not (records[refused, AT.contact_mode] != FREE).any()
@@ -197,11 +197,11 @@ def on_a_plane() -> Iterator[Case]:
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         broken = press(0.001)
         broken[100:300:7, 1] = value
-        yield Case("broken position", words, scene(), broken, even(TICKS), True, zero_where_refused)
+        yield Case("broken position", words, scene(), broken, even(TICKS), True, zero_refused)
     for norm in (0.0, 1e-3, nan, inf, 1e200):
         broken = press(0.001)
         broken[100:300:7, 3] = norm
-        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even(TICKS), True, zero_where_refused)
+        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even(TICKS), True, zero_refused)
     for norm in (0.51, 1.99):
         uneven = press(0.001)
         uneven[::2, 3] = norm

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf_geoms import taken
+from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.actions import kernel_motion
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import pose_at, pose_in_world
@@ -154,7 +154,7 @@ def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
     with_material = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
     contact_names = {obj.name for obj in scene.object}
     try:
-        geoms = [each.object for each in taken(with_material) if each.name not in contact_names]
+        geoms = [each.object for each in convert_geoms(with_material) if each.name not in contact_names]
     except ConfigError:
         return []
     return [obj for obj in geoms if obj is not None and not isinstance(obj, Filed)]

@@ -27,7 +27,7 @@ from softfinger.config.materials import materials
 from softfinger.server import cli
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
-from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, START_TOLERANCE_RAD, Haptics
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
@@ -395,7 +395,7 @@ def test_a_hand_follows_straight_lines() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", list_shipped())
 def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
     """At the smallest and the largest level the hand feels a force, and no tick is lost."""
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)

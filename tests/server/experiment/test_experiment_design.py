@@ -11,7 +11,7 @@ import pytest
 from softfinger.config.errors import ConfigError
 from softfinger.server.experiment.design import conditions, plan_trials, williams
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import number_blocks
@@ -34,7 +34,7 @@ def file(**tables: Any) -> ExperimentFile:
     return Experiment(small(**tables)).file
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", list_shipped())
 def test_each_shipped_experiment_can_be_used(name: str) -> None:
     assert Experiment(name).file.title
 

@@ -28,7 +28,7 @@ from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.answers import DryRun
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
-from softfinger.server.experiment.files import shipped
+from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.folder import Folder, load
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Journal, Memory, read
@@ -57,7 +57,9 @@ def test_a_rehearsal_reports_each_trial() -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("name", [name for name in shipped() if name != "stiffness-and-workload"])  # tested elsewhere
+@pytest.mark.parametrize(
+    "name", [name for name in list_shipped() if name != "stiffness-and-workload"]
+)  # tested elsewhere
 def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
     """The simulated observer answers every trial; the folder then has figures, numbers and a tidy table."""
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
@@ -276,7 +278,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
     """`experiments` lists the shipped experiments; the verbs refuse missing options, unknown names and bad folders."""
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
-    assert [line.split()[0] for line in listed.splitlines()] == shipped()
+    assert [line.split()[0] for line in listed.splitlines()] == list_shipped()
     for words, said in (
         (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),

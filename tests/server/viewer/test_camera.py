@@ -10,7 +10,7 @@ import pytest
 
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
-from softfinger.config.sources import shipped
+from softfinger.config.sources import list_shipped
 from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.nodes.bodies import visual_geoms
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
@@ -34,7 +34,7 @@ def seen(camera: Camera, point: Any) -> tuple[float, float]:
     return float(way @ right) / scale, float(way @ np.cross(right, depth)) / scale
 
 
-@pytest.mark.parametrize("name", shipped(Scene))
+@pytest.mark.parametrize("name", list_shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
     """A fingertip on top of the first solid object is inside a square picture and has at least a twentieth of its
     height."""
