@@ -3,7 +3,6 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import map_each, pad
 from softfinger.proxy.kernels.model import NO_OUTCOME, ZERO, Contact, ContactOutcome, Quaternion, Surface, Vec3
 from softfinger.proxy.record import AT
@@ -63,19 +62,11 @@ def write_contact(
     write_outcome(row, AT.contacts2_object, three)
 
 
-@by_type
+@jit
 def write_surfaces(surfaces: Any, rows: Any) -> None:
     """Fill the fields of an elastic surface in the records of all fingers, after `write_contact`."""
-
-
-@write_surfaces.of(None)
-def write_no_surfaces(surfaces: None, rows: Any) -> None:
-    pass
-
-
-@write_surfaces.otherwise
-def write_every_surface(surfaces: Any, rows: Any) -> None:
-    map_each(write_surface, (rows, surfaces))
+    if surfaces is not None:
+        map_each(write_surface, (rows, surfaces))
 
 
 @jit

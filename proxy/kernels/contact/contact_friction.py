@@ -6,7 +6,6 @@ this motion slips.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import carry_of, relative_velocity
 from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
@@ -32,6 +31,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
+from softfinger.proxy.kernels.query.carry import carry_of, relative_velocity
 from softfinger.proxy.kernels.query.container import object_at
 
 

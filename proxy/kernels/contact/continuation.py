@@ -3,19 +3,12 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
-from softfinger.proxy.kernels.contact.carry import (
-    carry_of,
-    move_point,
-    relative_rotation,
-    turn_direction,
-)
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
     Finger,
@@ -25,7 +18,14 @@ from softfinger.proxy.kernels.model import (
     Scene,
     Vec3,
 )
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.carry import (
+    carry_of,
+    move_point,
+    relative_rotation,
+    turn_direction,
+)
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import slides_round_hollow
 from softfinger.proxy.kernels.shapes import is_hollow, transport
@@ -33,52 +33,20 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import FREE
 
 
-@by_type
+@jit
 def adjust_roll_in_hollow(
-    method: Any,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> Any:
+    method: Any, body: Any, radius: float, position: Vec3, start: OffsetPoint, turn: Quaternion, rolled: Roll
+) -> tuple[Roll, Vec3, bool]:
     """Return the effect of a roll from `start` on the coupling in a hollow; elsewhere it is `rolled`.
 
     returns  Roll, the part of it (3,) m that the centre has not followed, and True if the centre followed none of it
     """
-
-
-@adjust_roll_in_hollow.of(None)
-def adjust_no_roll(
-    method: None,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> tuple[Roll, Vec3, bool]:
-    nothing = (-0.0, -0.0, -0.0)
-    if follows_on(body, radius, start, rolled.center):
-        return rolled, nothing, False
-    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
-
-
-@adjust_roll_in_hollow.otherwise
-def adjust_roll(
-    method: Any,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> tuple[Roll, Vec3, bool]:
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
-    strays = not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
-    strays = strays or not follows_on(body, radius, start, rolled.center)
+    strays = not follows_on(body, radius, start, rolled.center)
+    if method is None:
+        return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if strays else rolled, beyond, strays
+    strays = strays or not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
     if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))

@@ -3,9 +3,6 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.carry import (
-    any_moves,
-)
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.first_pose import first_touch, raise_outside
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
@@ -25,6 +22,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
+from softfinger.proxy.kernels.query.carry import any_moves, carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
@@ -35,7 +33,6 @@ from softfinger.proxy.kernels.query.kinds import (
     by_multipoint,
     is_mesh_at,
 )
-from softfinger.proxy.kernels.query.motion import carry_along
 from softfinger.proxy.kernels.query.objects import (
     NOBODY,
     closest_to_within,
@@ -127,7 +124,7 @@ def refine_touch_of_facet(
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
     body = object_at(objects, index)
-    begin = carry_along(body, start)
+    begin = move_point(carry_of(body), start)
     share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
     found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
     return found, is_outside(objects, radius, found, found, budget)

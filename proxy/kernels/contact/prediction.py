@@ -7,7 +7,6 @@ all contacts stick, c is at rest on its objects, and the tangent planes there do
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
@@ -24,6 +23,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.objects import curvature_of
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 

@@ -8,7 +8,6 @@ touches one object, and is clear of all other objects, is treated as in a scene 
 from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
-from softfinger.proxy.kernels.contact.carry import any_moves
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
@@ -27,7 +26,7 @@ from softfinger.proxy.kernels.contact.rest.among import (
     slide_over_facets,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
-from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
+from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import (
     NONE,
@@ -41,6 +40,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.carry import any_moves
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
@@ -60,8 +60,7 @@ NO_FORCES = ContactForces(
         mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
         slip_deflection=0.0, spin=0.0, spin_slip_speed=0.0, spin_slip_angle=0.0, force=ZERO, moment=0.0,
     ),
-    area=ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0),
-    unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
+    area=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces of an unused contact."""
 

@@ -89,12 +89,12 @@ def share_at(depth: float, edge: float) -> float:
 
 
 @reach.of(None)
-def reach_everywhere(region: None, situation: Situation) -> float:
+def reach_of_workspace(region: None, situation: Situation) -> float:
     return 1.0
 
 
 @reach.of(Touching)
-def reach_while_touched(region: Touching, situation: Situation) -> float:
+def reach_of_touch(region: Touching, situation: Situation) -> float:
     if situation.touched == 0.0:
         return 0.0
     return region.share

@@ -11,8 +11,8 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import STILL, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
+from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
-from softfinger.proxy.kernels.query.motion import carry_along
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
 
@@ -39,7 +39,7 @@ def sweep_to_row(
     body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, Vec3, int]:
     """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
-    begin = carry_along(body, start)
+    begin = move_point(carry_of(body), start)
     met, facet, budget = meets(body.shape, into(body.pose, begin), into(body.pose, end), radius, leaves, budget)
     return met, facet, vec3.add_scaled(begin, met, vec3.sub(end, begin)), budget
 
