@@ -10,22 +10,10 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import (
-    Finger,
-    FingerState,
-    Probe,
-    Quaternion,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.carry import (
-    carry_of,
-    move_point,
-    relative_rotation,
-    turn_direction,
-)
+from softfinger.proxy.kernels.query.carry import carry_of, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import slides_round_hollow
 from softfinger.proxy.kernels.shapes import is_hollow, transport

@@ -11,15 +11,7 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import (
-    NONE,
-    ActiveSet,
-    Constraint,
-    Finger,
-    FingerState,
-    Probe,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Finger, FingerState, Probe, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.carry import any_moves, carry_of, move_point
@@ -33,12 +25,7 @@ from softfinger.proxy.kernels.query.kinds import (
     by_multipoint,
     is_mesh_at,
 )
-from softfinger.proxy.kernels.query.objects import (
-    NOBODY,
-    closest_to_within,
-    deepest,
-    is_inside,
-)
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, is_inside
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes import travel
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM, SPENT

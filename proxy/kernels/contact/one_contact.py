@@ -3,12 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import (
-    ContactForces,
-    Ground,
-    Load,
-    with_friction_result,
-)
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, Load, with_friction_result
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome

@@ -13,15 +13,7 @@ from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    ActiveSet,
-    Constraint,
-    ContactState,
-    FingerState,
-    Quaternion,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.objects import curvature_of

@@ -21,23 +21,11 @@ from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.rest.among import (
-    is_safe_step,
-    slide_over_facets,
-)
+from softfinger.proxy.kernels.contact.rest.among import is_safe_step, slide_over_facets
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import (
-    NONE,
-    ActiveSet,
-    Finger,
-    FingerState,
-    FrictionResult,
-    Probe,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import any_moves

@@ -3,34 +3,18 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import (
-    ContactForces,
-    Prediction,
-    with_friction_result,
-)
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Prediction, with_friction_result
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
-from softfinger.proxy.kernels.contact.rest.among import (
-    constraints_over_edges,
-    settle_among_several,
-)
+from softfinger.proxy.kernels.contact.rest.among import constraints_over_edges, settle_among_several
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    NO_CONTACT,
-    ActiveSet,
-    Constraint,
-    ContactState,
-    Finger,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Finger, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import (
-    has_creases_at,
-)
+from softfinger.proxy.kernels.query.kinds import has_creases_at
 
 DEEP = 0.5
 """Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:

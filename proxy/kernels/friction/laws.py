@@ -14,14 +14,7 @@ from typing import Any
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    Anisotropic,
-    Friction,
-    PaperFriction,
-    Quaternion,
-    SpeedFriction,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import Anisotropic, Friction, PaperFriction, Quaternion, SpeedFriction, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 

@@ -11,7 +11,7 @@ from math import cos, floor, pi, sin
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
 from softfinger.proxy.kernels.model import (
     SIMULATED,
     SINUSOID,
@@ -122,9 +122,10 @@ def moving_pose_of_any(motion: Motion, pose: Pose) -> Pose:
     return Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) if motion.kind == STILL else pose
 
 
-@by_type
-def can_move(motion: Any) -> Any:
+@by_type_with_default
+def can_move(motion: Any) -> float:
     """Return 1 for a motion that can change an object's pose, else 0."""
+    return 1.0
 
 
 @can_move.of(None)
@@ -135,8 +136,3 @@ def cannot_move(motion: None) -> float:
 @can_move.of(Motion)
 def any_can_move(motion: Motion) -> float:
     return 0.0 if motion.kind == STILL else 1.0
-
-
-@can_move.otherwise
-def moves(motion: Any) -> float:
-    return 1.0

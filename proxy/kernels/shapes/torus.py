@@ -2,13 +2,7 @@
 
 from softfinger.proxy.kernels.model import Torus, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import (
-    X_AXIS,
-    closest,
-    curvature,
-    direction,
-    may_be_hollow,
-)
+from softfinger.proxy.kernels.shapes.protocol import X_AXIS, closest, curvature, direction, may_be_hollow
 
 may_be_hollow(Torus)
 
