@@ -35,7 +35,7 @@ STAND_INS = {
     "contact.fingertip.radius_of_curvature",
     "contact.fingertip.torque_of",
     "contact.fingertip.velocity_at",
-    "contact.normal.normal_force_linear",
+    "contact.normal.normal_force_of_spring",
     "contact.normal.linear_spring",
     "contact.normal.bound_force",
     "friction.contact_patch.point_contact",

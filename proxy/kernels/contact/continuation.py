@@ -41,10 +41,10 @@ def adjust_roll_in_hollow(
         rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
     elif is_hollow(body.shape):
         # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
-        begun = vec3.reject(vec3.sub(center, position), normal)
-        ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
-        wound = vec3.sub(ended, transport(body.shape, begun, normal, rolled.normal))
-        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin, True)
+        tangential_before = vec3.reject(vec3.sub(center, position), normal)
+        tangential_after = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
+        motion = vec3.sub(tangential_after, transport(body.shape, tangential_before, normal, rolled.normal))
+        rolled = Roll(rolled.center, rolled.normal, motion, rolled.theta, rolled.spin, True)
     return rolled, beyond, strays
 
 
@@ -58,19 +58,20 @@ def continue_contact(
     old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
-    begun = OffsetPoint(moved, old_normal)
+    start = OffsetPoint(moved, old_normal)
     whole = rolled.whole
-    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
+    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
     center, normal = rolled.center, rolled.normal
     rolled_part = transport(body.shape, turn_direction(carried, last.rolled_part), old_normal, normal)
-    before = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
-    behind = vec3.sub(center, position)
-    depth = max(vec3.dot(behind, normal), 0.0)
+    old_deflection = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
+    to_proxy = vec3.sub(center, position)
+    depth = max(vec3.dot(to_proxy, normal), 0.0)
     contact = replace(
-        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode, "deflection", before,
-        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", turn_direction(carried, last.bend),
+        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode,
+        "deflection", old_deflection, "rolled_part", vec3.add(rolled_part, rolled.motion),
+        "bend", turn_direction(carried, last.bend),
     )  # fmt: skip
-    deflection = vec3.add(vec3.sub(behind, vec3.scale(depth, normal)), beyond)
+    deflection = vec3.add(vec3.sub(to_proxy, vec3.scale(depth, normal)), beyond)
     return Approach(
         start=state.center,
         outside=moved,

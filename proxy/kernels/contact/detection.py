@@ -62,8 +62,8 @@ def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, constrain
     It is over the probe, at the depth along the normal; `met` if `follows` is False for that position.
     """
     body = object_at(objects, constraint.body)
-    over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
-    return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
+    above_probe = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
+    return above_probe if follows_on(body, radius, OffsetPoint(met, constraint.normal), above_probe) else met
 
 
 @jit
@@ -74,8 +74,8 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     two radii is certain to cross none.
     """
     if any_mesh(objects):
-        way = vec3.sub(position, start)
-        if vec3.dot(way, way) >= 4.0 * radius * radius:
+        path = vec3.sub(position, start)
+        if vec3.dot(path, path) >= 4.0 * radius * radius:
             return False
     gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
     return gap >= radius * (1.0 - INSIDE)
@@ -111,10 +111,10 @@ def refine_touch_of_facet(
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
     body = object_at(objects, index)
-    begin = move_point(carry_of(body), start)
-    share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
-    found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
-    return found, is_outside(objects, radius, found, found, budget)
+    path_start = move_point(carry_of(body), start)
+    share = travel(body.shape, into(body.pose, path_start), into(body.pose, end), radius, False)
+    touch = vec3.add_scaled(path_start, min(share, 1.0), vec3.sub(end, path_start))
+    return touch, is_outside(objects, radius, touch, touch, budget)
 
 
 @jit
@@ -122,8 +122,8 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     """Return True if the scene has a mesh, and the fingertip touches nothing and is outside of all closed objects."""
     if not any_mesh(objects):
         return False
-    gap, _, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
-    return left >= 0 and gap >= radius
+    gap, _, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+    return budget >= 0 and gap >= radius
 
 
 @jit
@@ -187,10 +187,10 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
 @jit
 def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
     """Detect a first contact, and bring its proxy to rest."""
-    met = detect_among_several(finger, objects, state, probe.position)
-    center, active = met.center, met.active
+    meeting = detect_among_several(finger, objects, state, probe.position)
+    center, active = meeting.center, meeting.active
     body = active[0].body
-    if body >= 0.0 and met.over and is_inside(objects, body):
+    if body >= 0.0 and meeting.over and is_inside(objects, body):
         # The wall may be far away along the normal of the first touch. Nothing is wound up: use the nearest point.
         center, active, _ = settle_on_one(
             objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
@@ -200,16 +200,16 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
         "mode", float(ROLLING),
     )  # fmt: skip
     return Approach(
-        start=met.start,
-        outside=met.met,
+        start=meeting.start,
+        outside=meeting.met,
         center=center,
         active=active,
         predicted=first_of(state.contacts, Prediction(contact, (0.0, 0.0, 0.0), 0.0, True), NO_PREDICTION),
         rolled=state.rolled,
-        strays=not met.over,
-        single=met.over,
+        strays=not meeting.over,
+        single=meeting.over,
         began=True,
         bounded=0.0,
-        budget=met.budget,
+        budget=meeting.budget,
         stuck=state.stuck,
     )

@@ -78,8 +78,8 @@ def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, r
     """Add a roll to the wind-up, whose energy is constant while load and share change: see `winding_unit`."""
     stiffness = max(loss * area.bending, MIN_STIFFNESS)
     unit = sqrt(stiffness / max(share, LEAST_SHARE))
-    wound = vec3.add(vec3.scale(1.0 / unit, bend), roll)
-    size = vec3.norm(wound)
+    angle = vec3.add(vec3.scale(1.0 / unit, bend), roll)
+    size = vec3.norm(angle)
     if size > area.bend_max:
-        wound = vec3.scale(area.bend_max / size, wound)
-    return Resistance(vec3.scale(unit, wound), vec3.scale(-stiffness, wound))
+        angle = vec3.scale(area.bend_max / size, angle)
+    return Resistance(vec3.scale(unit, angle), vec3.scale(-stiffness, angle))

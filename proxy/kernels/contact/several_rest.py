@@ -84,11 +84,11 @@ def predict_lag(approach: Approach) -> Vec3:
 
 
 @jit
-def shift_deflection(contact: ContactState, way: Vec3) -> ContactState:
+def shift_deflection(contact: ContactState, displacement: Vec3) -> ContactState:
     """Add the tangential part of a displacement (3,) m to the deflection of a contact."""
     if contact.body < 0.0:
         return contact
-    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
+    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(displacement, contact.normal)))
 
 
 @jit
@@ -108,11 +108,11 @@ def settle_after_friction(
     )
     radius, lag, budget = finger.radius, lag_of(after), approach.budget
     goal, active, ease = vec3.add(position, lag), approach.active, 1.0
-    above = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
-    depth = vec3.norm(above)
+    to_proxy = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
+    depth = vec3.norm(to_proxy)
     if lag != ZERO and depth > DEEP * radius:
         ease = DEEP * radius / depth
-        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), ease_depths(active, ease)
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, to_proxy), ease_depths(active, ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
@@ -127,6 +127,6 @@ def settle_after_friction(
         contacts = update_pushes(contacts, active)
         if ease < 1.0 and not rest.late and not leaves_no_room(active):
             one, two, three = contacts
-            aside = vec3.sub(rest.center, place)
-            contacts = shift_deflection(one, aside), shift_deflection(two, aside), shift_deflection(three, aside)
+            shift = vec3.sub(rest.center, place)
+            contacts = shift_deflection(one, shift), shift_deflection(two, shift), shift_deflection(three, shift)
     return Settled(rest.center, active, contacts, rest.late, rest.budget)

@@ -118,10 +118,10 @@ def raise_by(
         return depth, normal
     at = chart_at(body, position, normal)
     z = sample(texture, at.u, at.v)
-    below = relief.height * (1.0 - z.value)
+    drop = relief.height * (1.0 - z.value)
     rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
-    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -below, at.inward)
-    return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
+    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -drop, at.inward)
+    return depth - at.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
 @jit

@@ -37,8 +37,8 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
 
     states  a tuple for each Carrier of the objects
     """
-    felt, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
-    force, unsearched = fold_each(add_forces, felt, (NO_FORCE, 0.0))
+    results, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
+    force, unsearched = fold_each(add_forces, results, (NO_FORCE, 0.0))
     return force, after, unsearched
 
 
@@ -67,8 +67,8 @@ def effects_of(
         is_touched = 0.0
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
-        way = vec3.sub(move_point(carry_of(body), touched.before), touched.before)
-        velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
+        displacement = vec3.sub(move_point(carry_of(body), touched.before), touched.before)
+        velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, displacement)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
         normal=normal, carrier=frame,

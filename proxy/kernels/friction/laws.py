@@ -181,8 +181,8 @@ def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: fl
     a, b = 1.0 / (s1 * s1), 1.0 / (s2 * s2)
     m = multiplier((x, y, 0.0), (a, b, 1.0))
     x, y, _ = shrink((x, y, 0.0), (a, b, 1.0), m)
-    kept = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
-    return kept, vec3.norm(vec3.sub(deflection, kept)), vec3.norm(kept)
+    nearest = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
+    return nearest, vec3.norm(vec3.sub(deflection, nearest)), vec3.norm(nearest)
 
 
 @rotate_law.of(Anisotropic)

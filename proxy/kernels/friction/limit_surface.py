@@ -102,10 +102,13 @@ def slide_on_limit_surface(
         energies = longest / widest
         ratio = min(max(energies * energies * stiffness / k_z, 1.0 / WEIGHT_MAX), WEIGHT_MAX)
         weight = (1.0 / (s1 * s1), 1.0 / (s2 * s2), ratio)
-        kept = shrink(y, weight, multiplier(y, weight))
-        deflection = vec3.add_scaled(vec3.scale(a1 * kept[0], d1), a2 * kept[1], d2)
-        lost, turned = vec3.sub(given.deflection, deflection), (spin - widest * kept[2]) * k_z * widest / limit
-        slip = sqrt(vec3.dot(lost, lost) + turned * turned)
-        spin = widest * kept[2]
+        nearest = shrink(y, weight, multiplier(y, weight))
+        deflection = vec3.add_scaled(vec3.scale(a1 * nearest[0], d1), a2 * nearest[1], d2)
+        slip_vector, slip_angle = (
+            vec3.sub(given.deflection, deflection),
+            (spin - widest * nearest[2]) * k_z * widest / limit,
+        )
+        slip = sqrt(vec3.dot(slip_vector, slip_vector) + slip_angle * slip_angle)
+        spin = widest * nearest[2]
     length = sqrt(vec3.dot(deflection, deflection) + k_z / stiffness * spin * spin)
     return Slide(deflection, spin, 0.0, slip, length)

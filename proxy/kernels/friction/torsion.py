@@ -176,8 +176,8 @@ def wind_spring(
     """
     stiffness = torsional_stiffness(torsion)
     limit = torsional_limit(torsion, normal_force) / stiffness
-    wound = min(max(spin + turn, -limit), limit)
-    return TorsionResult(wound, -stiffness * wound, 0.0, 0.0)
+    angle = min(max(spin + turn, -limit), limit)
+    return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
 
 @wind_up.of(LimitSurface)
@@ -206,20 +206,20 @@ def wind_soft_finger(
     static_limit = torsional_limit(torsion.law, normal_force) / stiffness
     sticks = slip_speed == 0.0
     limit = static_limit if sticks else torsion.kinetic_share * static_limit
-    wound = spin + turn
-    slip = max(abs(wound) - limit, 0.0)
-    wound = min(max(wound, -limit), limit)
+    angle = spin + turn
+    slip = max(abs(angle) - limit, 0.0)
+    angle = min(max(angle, -limit), limit)
     slips = slip > SPIN_ROUNDING * limit
     speed = slip / dt if dt > 0.0 else 0.0
     if sticks:
         if slips:
-            slip_speed, slip_angle = max(speed, SLOWEST), abs(wound)
+            slip_speed, slip_angle = max(speed, SLOWEST), abs(angle)
     else:
         if slips:
-            slip_angle = abs(wound)
+            slip_angle = abs(angle)
         slip_speed = max(slip_speed + (speed - slip_speed) * dt / (SPIN_SLIP_TIME_CONSTANT_S + dt), SLOWEST)
-        stopped = slip_speed < STOP_SPIN_RAD_PER_S
-        turned_back = slip_angle - abs(wound) > SPIN_REVERSE_SHARE * slip_angle
-        if not slips and (stopped or turned_back):
+        has_stopped = slip_speed < STOP_SPIN_RAD_PER_S
+        has_reversed = slip_angle - abs(angle) > SPIN_REVERSE_SHARE * slip_angle
+        if not slips and (has_stopped or has_reversed):
             slip_speed = 0.0
-    return TorsionResult(wound, -stiffness * wound, slip_speed, slip_angle)
+    return TorsionResult(angle, -stiffness * angle, slip_speed, slip_angle)

@@ -9,8 +9,6 @@ from softfinger.proxy.kernels.model.elastic import *
 from softfinger.proxy.kernels.model.laws import *
 from softfinger.proxy.kernels.model.methods import *
 from softfinger.proxy.kernels.model.motions import *
-from softfinger.proxy.kernels.model.normal import *
-from softfinger.proxy.kernels.model.patch import *
 from softfinger.proxy.kernels.model.scene import *
 from softfinger.proxy.kernels.model.shapes import *
 from softfinger.proxy.kernels.model.state import *

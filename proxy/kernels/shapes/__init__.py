@@ -5,5 +5,5 @@ shape implements; another package can implement them for its shapes, too. What b
 (`proxy/meshes/tree.py`, `proxy/heightmaps.py`) imports its folder: most scenes have neither.
 """
 
-from softfinger.proxy.kernels.shapes import ellipsoid, minkowski, plane, round, sharp, torus  # noqa: F401 - registration
+from softfinger.proxy.kernels.shapes import ellipsoid, minkowski, plane, round, sharp  # noqa: F401 - registration
 from softfinger.proxy.kernels.shapes.protocol import *

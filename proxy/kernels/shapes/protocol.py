@@ -245,8 +245,8 @@ TOUCHING = 1e-9
 @travel.otherwise
 def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
     """Conservative advancement: repeatedly move by the clearance, within which there is no obstacle."""
-    way = vec3.sub(end, start)
-    length = vec3.norm(way)
+    path = vec3.sub(end, start)
+    length = vec3.norm(path)
     gap, _, _ = closest(shape, start)
     clearance = gap - radius
     if clearance >= length:
@@ -260,7 +260,7 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         share += clearance / length
         if share >= 1.0:
             return NO_HIT
-        gap, _, _ = closest(shape, vec3.add_scaled(start, share, way))
+        gap, _, _ = closest(shape, vec3.add_scaled(start, share, path))
         clearance = gap - radius
         if clearance <= touching:
             return share
@@ -271,13 +271,13 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         if gap < radius:
             return share
         third = (high - low) / 3.0
-        gap, _, _ = closest(shape, vec3.add_scaled(start, low + third, way))
-        other, _, _ = closest(shape, vec3.add_scaled(start, high - third, way))
-        if gap < other:
+        gap, _, _ = closest(shape, vec3.add_scaled(start, low + third, path))
+        second_gap, _, _ = closest(shape, vec3.add_scaled(start, high - third, path))
+        if gap < second_gap:
             high -= third
         else:
             low += third
-            gap = other
+            gap = second_gap
     return NO_HIT
 
 

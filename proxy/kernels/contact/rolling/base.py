@@ -89,9 +89,9 @@ def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
 
 
 @by_type_with_default
-def surface_part(shape: Any, way: Vec3, normal: Vec3) -> float:
+def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
     """Return the length along the surface of a displacement (3,) m of the centre."""
-    return vec3.norm(way)
+    return vec3.norm(displacement)
 
 
 @by_type_with_default
@@ -113,8 +113,8 @@ def center_velocity_of_ellipsoid(shape: MinkowskiSum, radius: float, w: Vec3, no
 
 
 @surface_part.of(MinkowskiSum)
-def part_along_the_surface(shape: MinkowskiSum, way: Vec3, normal: Vec3) -> float:
-    return vec3.norm(vec3.reject(way, normal))
+def part_along_the_surface(shape: MinkowskiSum, displacement: Vec3, normal: Vec3) -> float:
+    return vec3.norm(vec3.reject(displacement, normal))
 
 
 @roll_angle.of(MinkowskiSum)
