@@ -16,13 +16,12 @@ from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from softfinger.config.errors import ConfigError, HapticError
-from softfinger.proxy.kernels.fingers import poses_in, write_contacts
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import rows_of
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
-from softfinger.proxy.kernels.record_writer import write_surfaces
+from softfinger.proxy.kernels.record_writer import poses_in, write_contacts, write_surfaces
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
 from softfinger.proxy.records import Records

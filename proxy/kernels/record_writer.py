@@ -1,11 +1,14 @@
-"""Writer of the contact's part of a record: the compiled form of the table `softfinger.proxy.record`."""
+"""Rows of poses, read for every finger, and records, written for every finger by the table `softfinger.proxy.record`.
+
+With one finger, the operations on tuples of fingers compile to nothing.
+"""
 
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import map_each, pad
-from softfinger.proxy.kernels.model import NO_OUTCOME, ZERO, Contact, ContactOutcome, Quaternion, Surface, Vec3
+from softfinger.proxy.kernels.model import NO_OUTCOME, ZERO, Contact, ContactOutcome, Pose, Quaternion, Surface, Vec3
+from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.record import AT
 
 
@@ -63,19 +66,11 @@ def write_contact(
     write_outcome(row, AT.contacts2_object, three)
 
 
-@by_type
+@jit
 def write_surfaces(surfaces: Any, rows: Any) -> None:
     """Fill the fields of an elastic surface in the records of all fingers, after `write_contact`."""
-
-
-@write_surfaces.of(None)
-def write_no_surfaces(surfaces: None, rows: Any) -> None:
-    pass
-
-
-@write_surfaces.otherwise
-def write_every_surface(surfaces: Any, rows: Any) -> None:
-    map_each(write_surface, (rows, surfaces))
+    if surfaces is not None:
+        map_each(write_surface, (rows, surfaces))
 
 
 @jit
@@ -93,3 +88,27 @@ def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
     put3(row, at + AT.contacts0_force - AT.contacts0_object, outcome.force)
     row[at + AT.contacts0_mode - AT.contacts0_object] = outcome.mode
     row[at + AT.contacts0_spin - AT.contacts0_object] = outcome.spin
+
+
+@jit
+def pose_in(row: Any) -> Pose:
+    """Return the Pose of a row x, y, z, qw, qx, qy, qz."""
+    return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
+
+
+@jit
+def poses_in(rows: Any) -> Any:
+    """Return the Pose of each row of a tuple."""
+    return map_each(pose_in, (rows,))
+
+
+@jit
+def write_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
+    """Fill a record for each finger for tick number `tick`; its timestamp is that number times dt (s)."""
+    map_each(write_timed_contact, (contacts, rows, probes), tick, dt)
+
+
+@jit
+def write_timed_contact(contact: Any, row: Any, probe: Pose, tick: int, dt: float) -> None:
+    row[AT.timestamp] = tick * dt
+    write_contact(row, tick, dt, probe.position, probe.orientation, contact, contact.force, contact.torque)

@@ -90,16 +90,16 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     if faulty(bodies):
         return release_all(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
-    begin = state.fingers
-    state, contacts = step_once(scene, state, map_each(on_the_way, (begin, poses), 1.0 / count), dt / count)
+    start = state.fingers
+    state, contacts = step_once(scene, state, map_each(on_the_way, (start, poses), 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
         if step_bodies(bodies) == NO_FAULT:
-            there = map_each(on_the_way, (begin, poses), (i + 1.0) / count)
-            state, contacts = step_once(scene, state, there, dt / count)
+            substep_poses = map_each(on_the_way, (start, poses), (i + 1.0) / count)
+            state, contacts = step_once(scene, state, substep_poses, dt / count)
             push_bodies(bodies, contacts, state.fingers)
     if faulty(bodies):
-        return release_all(scene, state.world, begin, poses, dt)
+        return release_all(scene, state.world, start, poses, dt)
     return state, contacts
 
 
@@ -127,10 +127,10 @@ def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
     probe = state.probe
     if share == 1.0 or state.started == 0.0:
         return pose
-    way = vec3.sub(pose.position, probe.position)
+    path = vec3.sub(pose.position, probe.position)
     turn = rotations.log(rotations.relative(pose.orientation, probe.orientation))
-    turned = rotations.multiply(rotations.exp(vec3.scale(share, turn)), probe.orientation)
-    return Pose(vec3.add_scaled(probe.position, share, way), turned)
+    orientation = rotations.multiply(rotations.exp(vec3.scale(share, turn)), probe.orientation)
+    return Pose(vec3.add_scaled(probe.position, share, path), orientation)
 
 
 @outlined_where(moves_by_itself)
@@ -140,8 +140,8 @@ def step_finger(
     """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    seen = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
-    return update_contact(seen, scene, finger, state, probe, dt)
+    obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
+    return update_contact(obstacles, scene, finger, state, probe, dt)
 
 
 @jit

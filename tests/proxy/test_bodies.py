@@ -22,13 +22,13 @@ from softfinger.config.load import load_scene
 from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.bodies import RigidBodies, bodies_of
 from softfinger.proxy.engine import Engine, PoseError
-from softfinger.proxy.kernels.fingers import poses_in
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, keep_to_budget, step_bodies
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
+from softfinger.proxy.kernels.record_writer import poses_in
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import FREE, SLIDING

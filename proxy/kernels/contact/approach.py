@@ -8,12 +8,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import (
-    NO_CONTACT,
-    ActiveSet,
-    FingerState,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, FingerState, Vec3
 
 NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
 """Prediction without a contact."""

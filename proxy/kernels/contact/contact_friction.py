@@ -6,7 +6,6 @@ this motion slips.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import carry_of, relative_velocity
 from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
@@ -32,6 +31,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
+from softfinger.proxy.kernels.query.carry import carry_of, relative_velocity
 from softfinger.proxy.kernels.query.container import object_at
 
 
@@ -119,13 +119,15 @@ def ground_of(body: Any) -> Ground:
 
 
 @jit
-def load_on(finger: Finger, objects: Any, ground: Ground, at: Constraint, motion: ProbeMotion, touches: bool) -> Load:
+def load_on(
+    finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, touches: bool
+) -> Load:
     """Return the normal force of a constraint; `touches` is True if nothing has moved the contact yet."""
     probe, last, dt = motion
-    against = relative_velocity(ground.carried, probe.velocity, last.position, dt)
-    against = velocity_at(finger.form, against, ground.carried, probe, last, at.normal, 0.0 if touches else dt)
-    depth, m = texture_depth_on(objects, at.body, at.depth, at.normal, probe.position)
-    return Load(normal_force_of(ground.material.normal, depth, vec3.dot(against, m)), m)
+    speed = relative_velocity(ground.carried, probe.velocity, last.position, dt)
+    speed = velocity_at(finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt)
+    depth, direction = texture_depth_on(objects, constraint.body, constraint.depth, constraint.normal, probe.position)
+    return Load(normal_force_of(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
 
 
 @jit
@@ -134,8 +136,8 @@ def apply_friction(
 ) -> ContactForces:
     """Compute friction, torsion and rolling resistance of a contact that has this share of the springs."""
     contact, material, probe = predicted.contact, ground.material, motion.probe
-    at = Constraint(contact.body, contact.normal, contact.push)
-    load = load_on(finger, objects, ground, at, motion, predicted.touches).size
+    constraint = Constraint(contact.body, contact.normal, contact.push)
+    load = load_on(finger, objects, ground, constraint, motion, predicted.touches).size
     round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
     area = contact_patch(finger.patch, round_by, material.compliance, load)
     unit = winding_unit(material.torsion, area, share)
@@ -166,17 +168,19 @@ def apply_friction(
             normal_force=load,
         ),
     )
-    bent = ResistanceInput(contact.normal, share, contact.bend, predicted.touches)
-    bend, bending = resist(finger.patch, ground.carried, bent, probe, motion.last, area)
-    return ContactForces(result, area, unit, load, bend, bending)
+    resistance_input = ResistanceInput(contact.normal, share, contact.bend, predicted.touches)
+    bend, bending_moment = resist(finger.patch, ground.carried, resistance_input, probe, motion.last, area)
+    return ContactForces(result, area, unit, load, bend, bending_moment)
 
 
 @jit
 def with_friction_result(predicted: Prediction, forces: ContactForces) -> ContactState:
     """Return the predicted contact with the result of friction."""
-    kept, unit = forces.result, forces.unit
+    friction, unit = forces.result, forces.unit
     return replace(
-        predicted.contact, "mode", kept.mode, "deflection", kept.deflection, "rolled_part", kept.rolled_part,
-        "spin", kept.spin * unit, "slip_speed", kept.slip_speed, "slip_deflection", kept.slip_deflection,
-        "spin_slip_speed", kept.spin_slip_speed, "spin_slip_angle", kept.spin_slip_angle * unit, "bend", forces.bend,
+        predicted.contact, "mode", friction.mode, "deflection", friction.deflection,
+        "rolled_part", friction.rolled_part, "spin", friction.spin * unit,
+        "slip_speed", friction.slip_speed, "slip_deflection", friction.slip_deflection,
+        "spin_slip_speed", friction.spin_slip_speed, "spin_slip_angle", friction.spin_slip_angle * unit,
+        "bend", forces.bend,
     )  # fmt: skip

@@ -3,29 +3,17 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
-from softfinger.proxy.kernels.contact.carry import (
-    carry_of,
-    move_point,
-    relative_rotation,
-    turn_direction,
-)
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import (
-    Finger,
-    FingerState,
-    Probe,
-    Quaternion,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Quaternion, Scene, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.carry import carry_of, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.objects import slides_round_hollow
 from softfinger.proxy.kernels.shapes import is_hollow, transport
@@ -33,62 +21,30 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import FREE
 
 
-@by_type
+@jit
 def adjust_roll_in_hollow(
-    method: Any,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> Any:
+    method: Any, body: Any, radius: float, position: Vec3, start: OffsetPoint, turn: Quaternion, rolled: Roll
+) -> tuple[Roll, Vec3, bool]:
     """Return the effect of a roll from `start` on the coupling in a hollow; elsewhere it is `rolled`.
 
     returns  Roll, the part of it (3,) m that the centre has not followed, and True if the centre followed none of it
     """
-
-
-@adjust_roll_in_hollow.of(None)
-def adjust_no_roll(
-    method: None,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> tuple[Roll, Vec3, bool]:
-    nothing = (-0.0, -0.0, -0.0)
-    if follows_on(body, radius, start, rolled.center):
-        return rolled, nothing, False
-    return Roll(start.center, start.normal, (0.0, 0.0, 0.0), 0.0, rolled.spin, True), nothing, True
-
-
-@adjust_roll_in_hollow.otherwise
-def adjust_roll(
-    method: Any,
-    body: Any,
-    radius: float,
-    position: Vec3,
-    start: OffsetPoint,
-    turn: Quaternion,
-    rolled: Roll,
-) -> tuple[Roll, Vec3, bool]:
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
-    strays = not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
-    strays = strays or not follows_on(body, radius, start, rolled.center)
+    strays = not follows_on(body, radius, start, rolled.center)
+    if method is None:
+        return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if strays else rolled, beyond, strays
+    strays = strays or not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
     if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
         rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
     elif is_hollow(body.shape):
         # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
-        begun = vec3.reject(vec3.sub(center, position), normal)
-        ended = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
-        wound = vec3.sub(ended, transport(body.shape, begun, normal, rolled.normal))
-        rolled = Roll(rolled.center, rolled.normal, wound, rolled.theta, rolled.spin, True)
+        tangential_before = vec3.reject(vec3.sub(center, position), normal)
+        tangential_after = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
+        motion = vec3.sub(tangential_after, transport(body.shape, tangential_before, normal, rolled.normal))
+        rolled = Roll(rolled.center, rolled.normal, motion, rolled.theta, rolled.spin, True)
     return rolled, beyond, strays
 
 
@@ -102,19 +58,20 @@ def continue_contact(
     old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
-    begun = OffsetPoint(moved, old_normal)
+    start = OffsetPoint(moved, old_normal)
     whole = rolled.whole
-    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, begun, turn, rolled)
+    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
     center, normal = rolled.center, rolled.normal
     rolled_part = transport(body.shape, turn_direction(carried, last.rolled_part), old_normal, normal)
-    before = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
-    behind = vec3.sub(center, position)
-    depth = max(vec3.dot(behind, normal), 0.0)
+    old_deflection = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
+    to_proxy = vec3.sub(center, position)
+    depth = max(vec3.dot(to_proxy, normal), 0.0)
     contact = replace(
-        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode, "deflection", before,
-        "rolled_part", vec3.add(rolled_part, rolled.motion), "bend", turn_direction(carried, last.bend),
+        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode,
+        "deflection", old_deflection, "rolled_part", vec3.add(rolled_part, rolled.motion),
+        "bend", turn_direction(carried, last.bend),
     )  # fmt: skip
-    deflection = vec3.add(vec3.sub(behind, vec3.scale(depth, normal)), beyond)
+    deflection = vec3.add(vec3.sub(to_proxy, vec3.scale(depth, normal)), beyond)
     return Approach(
         start=state.center,
         outside=moved,

@@ -3,9 +3,6 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.carry import (
-    any_moves,
-)
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.first_pose import first_touch, raise_outside
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
@@ -14,17 +11,10 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import (
-    NONE,
-    ActiveSet,
-    Constraint,
-    Finger,
-    FingerState,
-    Probe,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Finger, FingerState, Probe, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
+from softfinger.proxy.kernels.query.carry import any_moves, carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
@@ -35,13 +25,7 @@ from softfinger.proxy.kernels.query.kinds import (
     by_multipoint,
     is_mesh_at,
 )
-from softfinger.proxy.kernels.query.motion import carry_along
-from softfinger.proxy.kernels.query.objects import (
-    NOBODY,
-    closest_to_within,
-    deepest,
-    is_inside,
-)
+from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, is_inside
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes import travel
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM, SPENT
@@ -78,8 +62,8 @@ def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, constrain
     It is over the probe, at the depth along the normal; `met` if `follows` is False for that position.
     """
     body = object_at(objects, constraint.body)
-    over = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
-    return over if follows_on(body, radius, OffsetPoint(met, constraint.normal), over) else met
+    above_probe = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
+    return above_probe if follows_on(body, radius, OffsetPoint(met, constraint.normal), above_probe) else met
 
 
 @jit
@@ -90,8 +74,8 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     two radii is certain to cross none.
     """
     if any_mesh(objects):
-        way = vec3.sub(position, start)
-        if vec3.dot(way, way) >= 4.0 * radius * radius:
+        path = vec3.sub(position, start)
+        if vec3.dot(path, path) >= 4.0 * radius * radius:
             return False
     gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
     return gap >= radius * (1.0 - INSIDE)
@@ -127,10 +111,10 @@ def refine_touch_of_facet(
 ) -> tuple[Vec3, bool]:
     """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
     body = object_at(objects, index)
-    begin = carry_along(body, start)
-    share = travel(body.shape, into(body.pose, begin), into(body.pose, end), radius, False)
-    found = vec3.add_scaled(begin, min(share, 1.0), vec3.sub(end, begin))
-    return found, is_outside(objects, radius, found, found, budget)
+    path_start = move_point(carry_of(body), start)
+    share = travel(body.shape, into(body.pose, path_start), into(body.pose, end), radius, False)
+    touch = vec3.add_scaled(path_start, min(share, 1.0), vec3.sub(end, path_start))
+    return touch, is_outside(objects, radius, touch, touch, budget)
 
 
 @jit
@@ -138,8 +122,8 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     """Return True if the scene has a mesh, and the fingertip touches nothing and is outside of all closed objects."""
     if not any_mesh(objects):
         return False
-    gap, _, left = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
-    return left >= 0 and gap >= radius
+    gap, _, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+    return budget >= 0 and gap >= radius
 
 
 @jit
@@ -203,10 +187,10 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
 @jit
 def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
     """Detect a first contact, and bring its proxy to rest."""
-    met = detect_among_several(finger, objects, state, probe.position)
-    center, active = met.center, met.active
+    meeting = detect_among_several(finger, objects, state, probe.position)
+    center, active = meeting.center, meeting.active
     body = active[0].body
-    if body >= 0.0 and met.over and is_inside(objects, body):
+    if body >= 0.0 and meeting.over and is_inside(objects, body):
         # The wall may be far away along the normal of the first touch. Nothing is wound up: use the nearest point.
         center, active, _ = settle_on_one(
             objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
@@ -216,16 +200,16 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
         "mode", float(ROLLING),
     )  # fmt: skip
     return Approach(
-        start=met.start,
-        outside=met.met,
+        start=meeting.start,
+        outside=meeting.met,
         center=center,
         active=active,
         predicted=first_of(state.contacts, Prediction(contact, (0.0, 0.0, 0.0), 0.0, True), NO_PREDICTION),
         rolled=state.rolled,
-        strays=not met.over,
-        single=met.over,
+        strays=not meeting.over,
+        single=meeting.over,
         began=True,
         bounded=0.0,
-        budget=met.budget,
+        budget=meeting.budget,
         stuck=state.stuck,
     )

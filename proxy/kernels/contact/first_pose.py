@@ -97,18 +97,18 @@ def raise_off_object(objects: Any, index: float, radius: float, center: Vec3, no
 @raise_outside.of(WITH_MESH)
 def raise_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     """Return the first position along the normal that is outside of all objects."""
-    height, step, left = 0.0, RISE * radius, ROOM
+    height, step, room = 0.0, RISE * radius, ROOM
     for _ in range(RISES):
-        place = vec3.add_scaled(center, height, normal)
-        gap, _, after = deepest(objects, place, radius, NOBODY, min(left, BUDGET))
-        left -= min(left, BUDGET) - max(after, 0)
-        if after >= 0 and gap >= radius * (1.0 - INSIDE):  # cuts no triangle; the side needs a search of all
-            gap, _, after = deepest(objects, place, EVERYWHERE, NOBODY, min(left, BUDGET))
-            left -= min(left, BUDGET) - max(after, 0)
-            if after >= 0 and gap >= radius * (1.0 - INSIDE):
-                return place, True
-        if left <= 0:
+        position = vec3.add_scaled(center, height, normal)
+        gap, _, budget = deepest(objects, position, radius, NOBODY, min(room, BUDGET))
+        room -= min(room, BUDGET) - max(budget, 0)
+        if budget >= 0 and gap >= radius * (1.0 - INSIDE):  # cuts no triangle; the side needs a search of all
+            gap, _, budget = deepest(objects, position, EVERYWHERE, NOBODY, min(room, BUDGET))
+            room -= min(room, BUDGET) - max(budget, 0)
+            if budget >= 0 and gap >= radius * (1.0 - INSIDE):
+                return position, True
+        if room <= 0:
             break
-        height += max(radius - gap if after >= 0 else 0.0, step)
+        height += max(radius - gap if budget >= 0 else 0.0, step)
         step *= RISES_BY
     return center, False

@@ -46,12 +46,12 @@ def load_shares(objects: Any, active: ActiveSet) -> Vec3:
 @jit
 def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
     """Return the current load share of object `body`."""
-    one, two, three = active
-    if body == one.body:
+    first, second, third = active
+    if body == first.body:
         return shares[0]
-    if body == two.body:
+    if body == second.body:
         return shares[1]
-    if body == three.body:
+    if body == third.body:
         return shares[2]
     return 0.0
 
@@ -74,22 +74,22 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 
 
 @jit
-def merge_contact(objects: Any, taker: ContactState, giver: ContactState, weight: float) -> Any:
+def merge_contact(objects: Any, receiver: ContactState, giver: ContactState, weight: float) -> Any:
     """Add the deflection and wind-up of `giver`, times `weight`, to a contact.
 
     Vectors are projected onto the tangent plane of the receiver, and the spin onto its normal. On a stiffer torsional
     spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
     """
     if weight == 0.0:
-        return taker
-    ease = torsional_stiffness(material_of(objects, giver.body).torsion)
-    ease = min(ease / torsional_stiffness(material_of(objects, taker.body).torsion), 1.0)
-    turned = vec3.dot(giver.normal, taker.normal)
-    deflection = vec3.add_scaled(taker.deflection, weight, vec3.reject(giver.deflection, taker.normal))
-    rolled_part = vec3.add_scaled(taker.rolled_part, weight, vec3.reject(giver.rolled_part, taker.normal))
-    bend = vec3.add_scaled(taker.bend, weight, vec3.reject(giver.bend, taker.normal))
-    spin = taker.spin + weight * ease * turned * giver.spin
-    return replace(taker, "deflection", deflection, "rolled_part", rolled_part, "spin", spin, "bend", bend)
+        return receiver
+    ratio = torsional_stiffness(material_of(objects, giver.body).torsion)
+    ratio = min(ratio / torsional_stiffness(material_of(objects, receiver.body).torsion), 1.0)
+    cosine = vec3.dot(giver.normal, receiver.normal)
+    deflection = vec3.add_scaled(receiver.deflection, weight, vec3.reject(giver.deflection, receiver.normal))
+    rolled_part = vec3.add_scaled(receiver.rolled_part, weight, vec3.reject(giver.rolled_part, receiver.normal))
+    bend = vec3.add_scaled(receiver.bend, weight, vec3.reject(giver.bend, receiver.normal))
+    spin = receiver.spin + weight * ratio * cosine * giver.spin
+    return replace(receiver, "deflection", deflection, "rolled_part", rolled_part, "spin", spin, "bend", bend)
 
 
 @jit
@@ -105,21 +105,21 @@ def contact_after_hand_over(
     body, normal, push = constraint
     if body < 0.0:
         return NO_CONTACT
-    own = contact_on(contacts, body)
-    lost = losses[0] + losses[1] + losses[2]
-    keeps = own.body >= 0.0
-    like = own if keeps or lost == 0.0 else largest_loser(contacts, losses)
-    kept, gained = 0.0, 0.0
+    previous = contact_on(contacts, body)
+    total_loss = losses[0] + losses[1] + losses[2]
+    continues = previous.body >= 0.0
+    source = previous if continues or total_loss == 0.0 else largest_loser(contacts, losses)
+    remainder, gain = 0.0, 0.0
     if share > 0.0:
-        kept = min(own.share, share) / share
-        if lost > 0.0:
-            gained = max(share - own.share, 0.0) / (lost * share)
-    mode = like.mode if like.body >= 0.0 else float(ROLLING)
+        remainder = min(previous.share, share) / share
+        if total_loss > 0.0:
+            gain = max(share - previous.share, 0.0) / (total_loss * share)
+    mode = source.mode if source.body >= 0.0 else float(ROLLING)
     zero = (0.0, 0.0, 0.0)
     deflection, rolled_part = zero, zero
-    if keeps:
-        deflection = vec3.scale(kept, vec3.reject(own.deflection, normal))
-        rolled_part = vec3.scale(kept, vec3.reject(own.rolled_part, normal))
+    if continues:
+        deflection = vec3.scale(remainder, vec3.reject(previous.deflection, normal))
+        rolled_part = vec3.scale(remainder, vec3.reject(previous.rolled_part, normal))
     contact = ContactState(
         body=body,
         normal=normal,
@@ -128,16 +128,16 @@ def contact_after_hand_over(
         mode=mode,
         deflection=deflection,
         rolled_part=rolled_part,
-        spin=kept * own.spin,
-        slip_speed=like.slip_speed,
-        slip_deflection=like.slip_deflection,
-        spin_slip_speed=like.spin_slip_speed,
-        spin_slip_angle=like.spin_slip_angle,
-        bend=vec3.scale(kept, own.bend),
+        spin=remainder * previous.spin,
+        slip_speed=source.slip_speed,
+        slip_deflection=source.slip_deflection,
+        spin_slip_speed=source.spin_slip_speed,
+        spin_slip_angle=source.spin_slip_angle,
+        bend=vec3.scale(remainder, previous.bend),
     )
-    contact = merge_contact(objects, contact, contacts[0], gained * losses[0])
-    contact = merge_contact(objects, contact, contacts[1], gained * losses[1])
-    return merge_contact(objects, contact, contacts[2], gained * losses[2])
+    contact = merge_contact(objects, contact, contacts[0], gain * losses[0])
+    contact = merge_contact(objects, contact, contacts[1], gain * losses[1])
+    return merge_contact(objects, contact, contacts[2], gain * losses[2])
 
 
 @jit

@@ -45,14 +45,9 @@ def spring_under_damping(law: HuntCrossley, depth: float) -> float:
     return spring(law.law, depth)
 
 
-@normal_force_of.of(LinearNormal)
-def normal_force_linear(law: LinearNormal, depth: float, speed: float) -> float:
-    return bound_force(linear_spring(law, depth), law.damping, speed)
-
-
-@normal_force_of.of(PowerNormal)
-def normal_force_power(law: PowerNormal, depth: float, speed: float) -> float:
-    return bound_force(power_spring(law, depth), law.damping, speed)
+@normal_force_of.of(LinearNormal, PowerNormal)
+def normal_force_of_spring(law: Any, depth: float, speed: float) -> float:
+    return bound_force(spring(law, depth), law.damping, speed)
 
 
 @normal_force_of.of(HuntCrossley)

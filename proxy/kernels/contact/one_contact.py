@@ -3,12 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import (
-    ContactForces,
-    Ground,
-    Load,
-    with_friction_result,
-)
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, Load, with_friction_result
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
@@ -40,11 +35,11 @@ class Landing(NamedTuple):
 @jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
     """Move the proxy with a slip over the only object; it does not move if it sticks."""
-    kept, predicted, held = forces.result, approach.predicted[0], approach.active[0]
-    if kept.mode != SLIDING and kept.deflection == predicted.deflection and not approach.strays:
+    friction, predicted, constraint = forces.result, approach.predicted[0], approach.active[0]
+    if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.strays:
         return Landing(approach.center, approach.active, 0.0)
     center, active, bounded = settle_on_one(
-        shapes, held.body, finger.radius, position, approach.center, kept.deflection, held.normal
+        shapes, constraint.body, finger.radius, position, approach.center, friction.deflection, constraint.normal
     )
     return Landing(center, active, bounded)
 
@@ -52,13 +47,13 @@ def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: Contact
 @jit
 def contact_state(landing: Landing, predicted: Any, forces: ContactForces, position: Vec3) -> ContactState:
     """Return the contact at the end of the tick; its deflection is the tangential part from probe to proxy."""
-    held = landing.active[0]
-    behind = vec3.sub(landing.center, position)
+    constraint = landing.active[0]
+    to_proxy = vec3.sub(landing.center, position)
     return replace(
         with_friction_result(predicted, forces),
-        "body", held.body, "normal", held.normal, "push", held.depth,
-        "deflection", vec3.sub(behind, vec3.scale(held.depth, held.normal)),
-        "rolled_part", vec3.reject(forces.result.rolled_part, held.normal),
+        "body", constraint.body, "normal", constraint.normal, "push", constraint.depth,
+        "deflection", vec3.sub(to_proxy, vec3.scale(constraint.depth, constraint.normal)),
+        "rolled_part", vec3.reject(forces.result.rolled_part, constraint.normal),
     )  # fmt: skip
 
 
@@ -74,8 +69,8 @@ def outcome_of_one(
     effects: Effects,
 ) -> Outcome:
     """Compute the forces of the only contact under `load` at its new position, and its state."""
-    kept, normal = forces.result, landing.active[0].normal
-    tangential, moment, bending = vec3.reject(kept.force, normal), kept.moment, forces.bending
+    friction, normal = forces.result, landing.active[0].normal
+    tangential, moment, bending = vec3.reject(friction.force, normal), friction.moment, forces.bending
     if forces.load > load.size:
         # The normal force is smaller there. This keeps both within their limits; the torsional one grows by up to
         # f_N^(4/3).
@@ -90,16 +85,16 @@ def outcome_of_one(
         point=point_under(finger.form, finger.radius, probe.orientation, landing.center, normal),
         normal=normal,
         force=vec3.add(pressing, tangential),
-        mode=kept.mode,
-        spin=kept.spin,
+        mode=friction.mode,
+        spin=friction.spin,
         torque=torque,
     )
-    cause = kept.cause
+    cause = friction.cause
     if approach.began and cause == CAUSE_NONE:
         cause = float(CAUSE_TOUCH)
     contact = contact_state(landing, approach.predicted[0], forces, probe.position)
     return Outcome(
-        mode=kept.mode,
+        mode=friction.mode,
         cause=cause,
         object=ground.number,
         normal=normal,
@@ -113,7 +108,7 @@ def outcome_of_one(
         effect_states=effects.states,
         torque=torque,
         torsion=moment,
-        spin=kept.spin,
+        spin=friction.spin,
         radius=forces.area.radius,
         rolled=approach.rolled,
         stuck=0.0,

@@ -9,15 +9,7 @@ from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of
-from softfinger.proxy.kernels.model import (
-    NO_CONTACT,
-    NO_OUTCOME,
-    Contact,
-    Finger,
-    FingerState,
-    Probe,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NO_CONTACT, NO_OUTCOME, Contact, Finger, FingerState, Probe, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, FREE
 

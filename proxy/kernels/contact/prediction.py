@@ -7,23 +7,15 @@ all contacts stick, c is at rest on its objects, and the tangent planes there do
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    ActiveSet,
-    Constraint,
-    ContactState,
-    FingerState,
-    Quaternion,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.objects import curvature_of
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -69,9 +61,9 @@ def move_contact(objects: Any, contact: ContactState) -> ContactState:
     """Return the contact moved with its object."""
     if contact.body < 0.0:
         return contact
-    moved = carry(objects, contact.body)
-    normal, deflection = turn_direction(moved, contact.normal), turn_direction(moved, contact.deflection)
-    rolled_part, bend = turn_direction(moved, contact.rolled_part), turn_direction(moved, contact.bend)
+    carried = carry(objects, contact.body)
+    normal, deflection = turn_direction(carried, contact.normal), turn_direction(carried, contact.deflection)
+    rolled_part, bend = turn_direction(carried, contact.rolled_part), turn_direction(carried, contact.bend)
     return replace(contact, "normal", normal, "deflection", deflection, "rolled_part", rolled_part, "bend", bend)
 
 
@@ -110,16 +102,16 @@ def displacement_by_rotation(before: ContactState, carried: ContactState) -> Vec
 @jit
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
     """Return the motion of the contacts; `last` are those of the last tick, moved with their objects."""
-    probe, before, _ = motion
-    way = vec3.add(displacement_by_push(last, contacts[0]), displacement_by_push(last, contacts[1]))
-    way = vec3.add(way, displacement_by_push(last, contacts[2]))
+    probe, last_probe, _ = motion
+    by_push = vec3.add(displacement_by_push(last, contacts[0]), displacement_by_push(last, contacts[1]))
+    by_push = vec3.add(by_push, displacement_by_push(last, contacts[2]))
     one, two, three = state.contacts
-    rode = vec3.add(displacement_by_rotation(one, last[0]), displacement_by_rotation(two, last[1]))
-    rode = vec3.add(rode, displacement_by_rotation(three, last[2]))
+    by_rotation = vec3.add(displacement_by_rotation(one, last[0]), displacement_by_rotation(two, last[1]))
+    by_rotation = vec3.add(by_rotation, displacement_by_rotation(three, last[2]))
     return Shear(
-        turn=rotations.relative(probe.orientation, before.orientation),
-        free=vec3.add(vec3.add(vec3.sub(probe.position, before.position), way), rode),
-        blocked=vec3.scale(-1.0, way),
+        turn=rotations.relative(probe.orientation, last_probe.orientation),
+        free=vec3.add(vec3.add(vec3.sub(probe.position, last_probe.position), by_push), by_rotation),
+        blocked=vec3.scale(-1.0, by_push),
         center=state.center,
     )
 
@@ -131,8 +123,8 @@ def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -
     Neither product exceeds 1 in size. At 1, the probe is at the centre of curvature and does not move.
     """
     k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
-    most = max(abs(k1), abs(k2)) * contact.push
-    depth = contact.push / most if most > 1.0 else contact.push
+    largest = max(abs(k1), abs(k2)) * contact.push
+    depth = contact.push / largest if largest > 1.0 else contact.push
     return Lever(depth * k1, depth * k2, along)
 
 
@@ -164,17 +156,17 @@ def predict(
         return NO_PREDICTION, (0.0, 0.0, 0.0), 0.0
     normal, carried = contact.normal, carry(objects, contact.body)
     rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, shear.turn))
-    rode = vec3.sub(move_point(carried, shear.center), shear.center)
-    way = vec3.reject(vec3.sub(shear.free, rode), normal)
-    wound = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
-    deflection = vec3.add(vec3.sub(contact.deflection, way), wound)
+    object_motion = vec3.sub(move_point(carried, shear.center), shear.center)
+    shear_motion = vec3.reject(vec3.sub(shear.free, object_motion), normal)
+    roll_motion = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
+    deflection = vec3.add(vec3.sub(contact.deflection, shear_motion), roll_motion)
     blocked = vec3.reject(shear.blocked, normal)
     square = vec3.dot(blocked, blocked)
     if square > 0.0:
         share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
         deflection = vec3.add_scaled(deflection, -share, blocked)
-    wound_part = replace(contact, "rolled_part", vec3.add(contact.rolled_part, wound))
-    return Prediction(wound_part, deflection, rolled.spin, False), rolled.motion, rolled.theta
+    contact_with_roll = replace(contact, "rolled_part", vec3.add(contact.rolled_part, roll_motion))
+    return Prediction(contact_with_roll, deflection, rolled.spin, False), rolled.motion, rolled.theta
 
 
 @jit

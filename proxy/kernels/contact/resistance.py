@@ -8,15 +8,11 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.carry import relative_rotation
 from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, MIN_STIFFNESS, ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Probe, RollingLoss, Vec3
+from softfinger.proxy.kernels.model import ZERO, Probe, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-
-NOTHING = (-0.0, -0.0, -0.0)
-"""Zero that can be added to any number without a change, including the sign of a zero."""
+from softfinger.proxy.kernels.query.carry import relative_rotation
 
 
 class ResistanceInput(NamedTuple):
@@ -39,52 +35,37 @@ class Resistance(NamedTuple):
     moment: Vec3
 
 
-@by_type
-def resist(patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Any:
+NO_RESISTANCE = Resistance(ZERO, (-0.0, -0.0, -0.0))
+"""A zero moment that can be added to any number without a change, including the sign of a zero."""
+
+
+@jit
+def resist(
+    patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+) -> Resistance:
     """Return the Resistance after the fingertip's rotation relative to the object since the `last` probe.
 
     Only the rotation about an axis in the tangent plane counts.
     """
-
-
-@by_type
-def resist_by_loss(
-    rolling: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
-) -> Any:
-    """Return `resist` for a patch with `rolling`, a RollingLoss or None."""
-
-
-@resist.of(None)
-def resist_without_patch(
-    patch: None, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
-) -> Resistance:
-    return Resistance((0.0, 0.0, 0.0), NOTHING)
-
-
-@resist.otherwise
-def resist_on_patch(
-    patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
-) -> Resistance:
+    if patch is None:
+        return NO_RESISTANCE
     return resist_by_loss(patch.rolling, carried, bent, probe, last, area)
 
 
-@resist_by_loss.of(None)
-def resist_without_loss(
-    rolling: None, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+@jit
+def resist_by_loss(
+    rolling: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
-    return Resistance((0.0, 0.0, 0.0), NOTHING)
+    """Return `resist` for a patch with `rolling`, a RollingLoss or None.
 
-
-@resist_by_loss.of(RollingLoss)
-def resist_with_loss(
-    rolling: RollingLoss, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
-) -> Resistance:
-    """Apply a spring against the roll; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
+    A spring acts against the roll; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
 
     Source of the moment: Greenwood, Minshall, Tabor (1961); Johnson (1985), section 9.1. The spring is not from these
     sources. It holds a finger at rest, and reaches the limit after rolling by the patch's radius.
     """
-    roll = (0.0, 0.0, 0.0)
+    if rolling is None:
+        return NO_RESISTANCE
+    roll = ZERO
     if not bent.touches:
         turn = rotations.relative(probe.orientation, last.orientation)
         theta, axis = rotations.tilt(relative_rotation(carried, turn), bent.normal)
@@ -97,8 +78,8 @@ def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, r
     """Add a roll to the wind-up, whose energy is constant while load and share change: see `winding_unit`."""
     stiffness = max(loss * area.bending, MIN_STIFFNESS)
     unit = sqrt(stiffness / max(share, LEAST_SHARE))
-    wound = vec3.add(vec3.scale(1.0 / unit, bend), roll)
-    size = vec3.norm(wound)
+    angle = vec3.add(vec3.scale(1.0 / unit, bend), roll)
+    size = vec3.norm(angle)
     if size > area.bend_max:
-        wound = vec3.scale(area.bend_max / size, wound)
-    return Resistance(vec3.scale(unit, wound), vec3.scale(-stiffness, wound))
+        angle = vec3.scale(area.bend_max / size, angle)
+    return Resistance(vec3.scale(unit, angle), vec3.scale(-stiffness, angle))

@@ -8,7 +8,6 @@ touches one object, and is clear of all other objects, is treated as in a scene 
 from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
-from softfinger.proxy.kernels.contact.carry import any_moves
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
@@ -22,25 +21,14 @@ from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.rest.among import (
-    is_safe_step,
-    slide_over_facets,
-)
+from softfinger.proxy.kernels.contact.rest.among import is_safe_step, slide_over_facets
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
-from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
+from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import (
-    NONE,
-    ActiveSet,
-    Finger,
-    FingerState,
-    FrictionResult,
-    Probe,
-    Scene,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.carry import any_moves
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
@@ -60,8 +48,7 @@ NO_FORCES = ContactForces(
         mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
         slip_deflection=0.0, spin=0.0, spin_slip_speed=0.0, spin_slip_angle=0.0, force=ZERO, moment=0.0,
     ),
-    area=ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0),
-    unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
+    area=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces of an unused contact."""
 
@@ -72,9 +59,9 @@ def is_single(state: FingerState, radius: float) -> bool:
     one, two, _ = state.contacts
     if two.body >= 0.0:
         return False
-    behind = vec3.sub(vec3.sub(state.center, state.probe.position), one.deflection)
-    beside = vec3.add_scaled(behind, -one.push, one.normal)
-    return vec3.dot(beside, beside) <= (10.0 * AT_REST * radius) ** 2
+    displacement = vec3.sub(vec3.sub(state.center, state.probe.position), one.deflection)
+    residual = vec3.add_scaled(displacement, -one.push, one.normal)
+    return vec3.dot(residual, residual) <= (10.0 * AT_REST * radius) ** 2
 
 
 @jit
@@ -95,15 +82,15 @@ def is_clear_of_others(
 
     room  1 if objects that it only touches count, too, such as the second of two flush objects, otherwise -1
     """
-    held = (index, -1.0, -1.0)
+    skip = (index, -1.0, -1.0)
     if start != center or any_moves(objects):
-        hit, _, budget = first_hit(objects, start, center, radius, True, held, budget)
+        hit, _, budget = first_hit(objects, start, center, radius, True, skip, budget)
         if hit >= 0.0:
             return False
-    gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), held, budget)
+    gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), skip, budget)
     # The proxy may cut into the triangle it is on, and into a height map whose search did not finish.
-    rests_on_it = at == index and kind_at(objects, index) == 0.0
-    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or rests_on_it)
+    is_support = at == index and kind_at(objects, index) == 0.0
+    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or is_support)
 
 
 @jit
@@ -199,14 +186,14 @@ def land_in_company(
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
     center, active, bounded, at_rest = approach.center, approach.active, 0.0, True
-    held, radius, kept = active[0], finger.radius, forces.result
+    constraint, radius, friction = active[0], finger.radius, forces.result
     if not approach.single:
         return Landing(center, active, bounded), False
-    if kept.mode == SLIDING or kept.deflection != approach.predicted[0].deflection or approach.strays:
+    if friction.mode == SLIDING or friction.deflection != approach.predicted[0].deflection or approach.strays:
         center, active, bounded, at_rest = follow_slip(
-            objects, held.body, radius, position, center, kept.deflection, held.normal
+            objects, constraint.body, radius, position, center, friction.deflection, constraint.normal
         )
-    if not at_rest or (is_mesh_at(objects, held.body) and not is_safe_step(approach.outside, center, radius)):
+    if not at_rest or (is_mesh_at(objects, constraint.body) and not is_safe_step(approach.outside, center, radius)):
         return Landing(center, active, bounded), False
     # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
     room = 1.0 if approach.began else -1.0

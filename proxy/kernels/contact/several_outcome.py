@@ -86,15 +86,15 @@ def kept_share(giver: ContactState, after: Contacts) -> float:
 
 @jit
 def with_part_of(
-    rubbing: FrictionShare, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float
+    friction: FrictionShare, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float
 ) -> FrictionShare:
     """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
     if weight <= 0.0 or giver.body < 0.0 or giver.share <= 0.0:
-        return rubbing
+        return friction
     return FrictionShare(
-        vec3.add_scaled(rubbing.force, weight, vec3.reject(forces.result.force, normal)),
-        rubbing.moment + weight * vec3.dot(giver.normal, normal) * forces.result.moment,
-        vec3.add_scaled(rubbing.bending, weight, forces.bending),
+        vec3.add_scaled(friction.force, weight, vec3.reject(forces.result.force, normal)),
+        friction.moment + weight * vec3.dot(giver.normal, normal) * forces.result.moment,
+        vec3.add_scaled(friction.bending, weight, forces.bending),
     )
 
 
@@ -105,25 +105,31 @@ def friction_share_on(approach: Approach, forces: Any, after: Contacts, constrai
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    kept = (kept_share(one, after), kept_share(two, after), kept_share(three, after))
-    lost = (1.0 - kept[0]) * one.share + (1.0 - kept[1]) * two.share + (1.0 - kept[2]) * three.share
-    body, normal, gained = constraint.body, constraint.normal, 0.0
-    if lost > 0.0:
-        own = contact_on((one, two, three), body)
-        gained = max(contact_on(after, body).share - own.share, 0.0) / lost
-    found = FrictionShare(ZERO, 0.0, ZERO)
-    found = with_part_of(found, one, forces[0], normal, kept[0] if one.body == body else (1.0 - kept[0]) * gained)
-    found = with_part_of(found, two, forces[1], normal, kept[1] if two.body == body else (1.0 - kept[1]) * gained)
-    weight = kept[2] if three.body == body else (1.0 - kept[2]) * gained
-    return with_part_of(found, three, forces[2], normal, weight)
+    remainders = (kept_share(one, after), kept_share(two, after), kept_share(three, after))
+    total_loss = (
+        (1.0 - remainders[0]) * one.share + (1.0 - remainders[1]) * two.share + (1.0 - remainders[2]) * three.share
+    )
+    body, normal, gain = constraint.body, constraint.normal, 0.0
+    if total_loss > 0.0:
+        previous = contact_on((one, two, three), body)
+        gain = max(contact_on(after, body).share - previous.share, 0.0) / total_loss
+    result = FrictionShare(ZERO, 0.0, ZERO)
+    result = with_part_of(
+        result, one, forces[0], normal, remainders[0] if one.body == body else (1.0 - remainders[0]) * gain
+    )
+    result = with_part_of(
+        result, two, forces[1], normal, remainders[1] if two.body == body else (1.0 - remainders[1]) * gain
+    )
+    weight = remainders[2] if three.body == body else (1.0 - remainders[2]) * gain
+    return with_part_of(result, three, forces[2], normal, weight)
 
 
 @jit
 def share_of_wrench(
     finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
-    constraint: Constraint, ease: float,
+    constraint: Constraint, scale: float,
 ) -> Share:  # fmt: skip
-    """Compute the wrench of one constraint; `ease` is the remaining part of the normal force during friction."""
+    """Compute the wrench of one constraint; `scale` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
         return NO_SHARE
     probe, normal = motion.probe, constraint.normal
@@ -131,15 +137,15 @@ def share_of_wrench(
     contact = contact_on(settled.contacts, constraint.body)
     load = load_on(finger, objects, ground, constraint, motion, approach.began)
     pressing = vec3.scale(load.size, load.along)
-    rubbing = friction_share_on(approach, forces, settled.contacts, constraint)
+    friction = friction_share_on(approach, forces, settled.contacts, constraint)
     # The limit of the torsional moment grows by up to f_N^(4/3).
-    moment, bending = ease * ease * rubbing.moment, vec3.scale(ease * ease, rubbing.bending)
+    moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)
     law = rotate_law(ground.material.friction, ground.orientation)
-    tangential = limit_to_cone(law, normal, vec3.scale(ease, rubbing.force), load.size, contact.slip_speed)
+    tangential = limit_to_cone(law, normal, vec3.scale(scale, friction.force), load.size, contact.slip_speed)
     torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
-    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)
-    area = contact_patch(finger.patch, round_by, ground.material.compliance, load.size)
+    curvature_radius = radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)
+    area = contact_patch(finger.patch, curvature_radius, ground.material.compliance, load.size)
     return Share(
         pressing,
         tangential,
@@ -167,16 +173,16 @@ def outcome_of_several(
     probe, active, began = motion.probe, settled.active, approach.began
     load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
     load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
-    ease = load / before if before > load else 1.0
-    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], ease)
-    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], ease)
-    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], ease)
+    scale = load / before if before > load else 1.0
+    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], scale)
+    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], scale)
+    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], scale)
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)
     if on_its_way:
-        behind = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
-        extra, budget = vec3.add(extra, trailing_force(shapes, active, behind)), float(ON_ITS_WAY)
+        to_proxy = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
+        extra, budget = vec3.add(extra, trailing_force(shapes, active, to_proxy)), float(ON_ITS_WAY)
     if effects.unknown != 0.0 or (settled.late and settled.budget < 0):
         budget = float(UNSEARCHED)
     cause, stuck = forces[0].result.cause, 0.0

@@ -3,34 +3,18 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import (
-    ContactForces,
-    Prediction,
-    with_friction_result,
-)
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Prediction, with_friction_result
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
-from softfinger.proxy.kernels.contact.rest.among import (
-    constraints_over_edges,
-    settle_among_several,
-)
+from softfinger.proxy.kernels.contact.rest.among import constraints_over_edges, settle_among_several
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    NO_CONTACT,
-    ActiveSet,
-    Constraint,
-    ContactState,
-    Finger,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Finger, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import (
-    has_creases_at,
-)
+from softfinger.proxy.kernels.query.kinds import has_creases_at
 
 DEEP = 0.5
 """Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:
@@ -100,11 +84,11 @@ def predict_lag(approach: Approach) -> Vec3:
 
 
 @jit
-def shift_deflection(contact: ContactState, way: Vec3) -> ContactState:
+def shift_deflection(contact: ContactState, displacement: Vec3) -> ContactState:
     """Add the tangential part of a displacement (3,) m to the deflection of a contact."""
     if contact.body < 0.0:
         return contact
-    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(way, contact.normal)))
+    return replace(contact, "deflection", vec3.add(contact.deflection, vec3.reject(displacement, contact.normal)))
 
 
 @jit
@@ -124,11 +108,11 @@ def settle_after_friction(
     )
     radius, lag, budget = finger.radius, lag_of(after), approach.budget
     goal, active, ease = vec3.add(position, lag), approach.active, 1.0
-    above = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
-    depth = vec3.norm(above)
+    to_proxy = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
+    depth = vec3.norm(to_proxy)
     if lag != ZERO and depth > DEEP * radius:
         ease = DEEP * radius / depth
-        goal, active = vec3.add_scaled(goal, 1.0 - ease, above), ease_depths(active, ease)
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, to_proxy), ease_depths(active, ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
@@ -143,6 +127,6 @@ def settle_after_friction(
         contacts = update_pushes(contacts, active)
         if ease < 1.0 and not rest.late and not leaves_no_room(active):
             one, two, three = contacts
-            aside = vec3.sub(rest.center, place)
-            contacts = shift_deflection(one, aside), shift_deflection(two, aside), shift_deflection(three, aside)
+            shift = vec3.sub(rest.center, place)
+            contacts = shift_deflection(one, shift), shift_deflection(two, shift), shift_deflection(three, shift)
     return Settled(rest.center, active, contacts, rest.late, rest.budget)

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.friction.laws import scale_law
 from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import ActiveSet, Grip, Relief, Texture, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp
@@ -102,45 +101,27 @@ def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
 # --- heights -------------------------------------------------------------------------------------
 
 
-@by_type
-def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any:
+@jit
+def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
     """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy."""
-
-
-@texture_depth.of(None)
-def depth_without_texture(texture: None, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    return depth, shade_normal(body.shape, body.pose, normal, position)
-
-
-@texture_depth.of(Texture)
-def depth_with_texture(texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    if texture.columns == 0.0:  # no texture, in a scene with textured objects
-        return depth_without_texture(None, body, depth, normal, position)
+    if texture is None or texture.columns == 0.0:  # no texture, in a scene with textured objects
+        return depth, shade_normal(body.shape, body.pose, normal, position)
     return raise_by(texture.relief, texture, body, depth, normal, position)
 
 
-@by_type
-def raise_by(relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3) -> Any: ...
-
-
-@raise_by.of(None)
-def raise_by_nothing(
-    relief: None, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
-) -> tuple[float, Vec3]:
-    return depth, normal
-
-
-@raise_by.of(Relief)
-def raise_by_relief(
-    relief: Relief, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
+@jit
+def raise_by(
+    relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
 ) -> tuple[float, Vec3]:
     """Add h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
+    if relief is None:
+        return depth, normal
     at = chart_at(body, position, normal)
     z = sample(texture, at.u, at.v)
-    below = relief.height * (1.0 - z.value)
+    drop = relief.height * (1.0 - z.value)
     rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
-    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -below, at.inward)
-    return depth - at.inside * below, vec3.sub(normal, turn_out_of(body.pose, uphill))
+    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -drop, at.inward)
+    return depth - at.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
 @jit
@@ -153,34 +134,18 @@ def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, pos
 # --- friction ------------------------------------------------------------------------------------
 
 
-@by_type
+@jit
 def texture_friction(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """Return object `index`; if it supports the proxy, with its friction under the proxy's `center` (3,) m."""
-
-
-@texture_friction.of(None)
-def friction_without_texture(texture: None, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    return body
-
-
-@texture_friction.of(Texture)
-def friction_with_texture(texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+    if texture is None:
+        return body
     return scale_friction(texture.grip, texture, body, index, active, center)
 
 
-@by_type
-def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any: ...
-
-
-@scale_friction.of(None)
-def scale_no_friction(grip: None, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    return body
-
-
-@scale_friction.of(Grip)
-def scale_friction_by_grip(
-    grip: Grip, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3
-) -> Any:
+@jit
+def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+    if grip is None:
+        return body
     factor = 1.0
     one, two, three = active
     if texture.columns != 0.0 and (index == one.body or index == two.body or index == three.body):
@@ -189,6 +154,6 @@ def scale_friction_by_grip(
         # At an edge of the object, the texture fades to its highest value.
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
-    made_of = body.material
-    friction, torsion = scale_law(made_of.friction, factor), with_scaled_friction(made_of.torsion, factor)
-    return replace(body, "material", replace(made_of, "friction", friction, "torsion", torsion))
+    material = body.material
+    friction, torsion = scale_law(material.friction, factor), with_scaled_friction(material.torsion, factor)
+    return replace(body, "material", replace(material, "friction", friction, "torsion", torsion))

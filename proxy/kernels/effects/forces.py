@@ -89,12 +89,12 @@ def share_at(depth: float, edge: float) -> float:
 
 
 @reach.of(None)
-def reach_everywhere(region: None, situation: Situation) -> float:
+def reach_of_workspace(region: None, situation: Situation) -> float:
     return 1.0
 
 
 @reach.of(Touching)
-def reach_while_touched(region: Touching, situation: Situation) -> float:
+def reach_of_touch(region: Touching, situation: Situation) -> float:
     if situation.touched == 0.0:
         return 0.0
     return region.share
@@ -165,8 +165,8 @@ def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
         return (0.0, 0.0, 0.0)
     inward = vec3.scale(-1.0 / depth, outward)
     elastic = min(effect.stiffness * depth, effect.force_max)
-    damped = elastic - clamp(effect.damping * vec3.dot(situation.velocity, inward), FORCE_CEILING_N)
-    push = min(max(damped, 0.0), 2.0 * elastic, effect.force_max)
+    total = elastic - clamp(effect.damping * vec3.dot(situation.velocity, inward), FORCE_CEILING_N)
+    push = min(max(total, 0.0), 2.0 * elastic, effect.force_max)
     return times(push, inward)
 
 
@@ -250,14 +250,14 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
     zero = (0.0, 0.0, 0.0)
     if situation.touched == 0.0:
         return zero, Anchor(zero, 0.0)
-    here = Anchor(into(situation.carrier, situation.position), 1.0)
+    anchor = Anchor(into(situation.carrier, situation.position), 1.0)
     if state.held == 0.0:
-        return zero, here
-    stretched = vec3.sub(out_of(situation.carrier, state.point), situation.position)
-    pull = vec3.scale(effect.stiffness, vec3.reject(stretched, situation.normal))
+        return zero, anchor
+    stretch = vec3.sub(out_of(situation.carrier, state.point), situation.position)
+    pull = vec3.scale(effect.stiffness, vec3.reject(stretch, situation.normal))
     if vec3.norm(pull) <= effect.force_max:
         return pull, state
-    return zero, here
+    return zero, anchor
 
 
 # --- all effects ---------------------------------------------------------------------------------

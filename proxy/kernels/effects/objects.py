@@ -8,8 +8,9 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import Carrier, Constraint, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.motion import carry_along, moving_pose
+from softfinger.proxy.kernels.query.motion import moving_pose
 from softfinger.proxy.kernels.query.objects import closest_or_bound_on
 
 
@@ -36,8 +37,8 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
 
     states  a tuple for each Carrier of the objects
     """
-    felt, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
-    force, unsearched = fold_each(add_forces, felt, (NO_FORCE, 0.0))
+    results, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
+    force, unsearched = fold_each(add_forces, results, (NO_FORCE, 0.0))
     return force, after, unsearched
 
 
@@ -53,7 +54,7 @@ def effects_of(
 ) -> tuple[tuple[Vec3, float], Any]:
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)
-    gap, _, normal, unsearched = closest_or_bound_on(whole(objects, body), contact.position)
+    gap, _, normal, unsearched = closest_or_bound_on(whole_object(objects, body), contact.position)
     is_touched = 1.0
     # The normal of the contact, not of the nearest surface point: the probe may have passed through a thin body.
     if body.number == touched.one.body:
@@ -66,8 +67,8 @@ def effects_of(
         is_touched = 0.0
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
-        way = vec3.sub(carry_along(body, touched.before), touched.before)
-        velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, way)
+        displacement = vec3.sub(move_point(carry_of(body), touched.before), touched.before)
+        velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, displacement)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
         normal=normal, carrier=frame,
@@ -77,15 +78,15 @@ def effects_of(
 
 
 @by_type
-def whole(objects: Any, body: Any) -> Any:
+def whole_object(objects: Any, body: Any) -> Any:
     """Return the object itself instead of one of its triangles."""
 
 
-@whole.of(Single)
-def whole_of_single(objects: Single, body: Any) -> Any:
+@whole_object.of(Single)
+def only_whole_object(objects: Single, body: Any) -> Any:
     return objects.body
 
 
-@whole.of(Many)
-def whole_of_many(objects: Many, body: Any) -> Any:
+@whole_object.of(Many)
+def one_whole_object(objects: Many, body: Any) -> Any:
     return body

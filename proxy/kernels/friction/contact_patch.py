@@ -13,7 +13,15 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, PowerPatch, SoftFingerProxy, Torsion
+from softfinger.proxy.kernels.model import (
+    HertzPatch,
+    LimitSurface,
+    PatchTorsion,
+    PowerPatch,
+    PowerTorsion,
+    SoftFingerProxy,
+    Torsion,
+)
 
 HERTZ_LEVER = 3.0 * pi / 16.0
 """Mean distance of Hertz's pressure from the centre, over the patch's radius."""
@@ -40,6 +48,9 @@ class ContactPatch(NamedTuple):
     bend_max: float
 
 
+NO_PATCH = ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0)
+
+
 @by_type
 def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> Any:
     """Return the patch of a fingertip of `radius`, m, on an object of shear compliance 1/G, m^2/N; None: no patch."""
@@ -62,8 +73,8 @@ def winding_unit(torsion: Any, contact_patch: ContactPatch, share: float) -> Any
 
 
 @contact_patch.of(None)
-def no_contact_patch(patch: None, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
-    return ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0)
+def point_contact(patch: None, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
+    return NO_PATCH
 
 
 @jit
@@ -95,12 +106,7 @@ def power_contact_patch(patch: PowerPatch, radius: float, compliance: float, nor
     return contact_patch_of(a, patch.lever, radius, patch.compliance + compliance, normal_force)
 
 
-@torsion_under.of(None)
-def no_torsion_under(torsion: None, contact_patch: ContactPatch) -> None:
-    return torsion
-
-
-@torsion_under.otherwise
+@torsion_under.of(None, Torsion, PowerTorsion)
 def constant_torsion(torsion: Any, contact_patch: ContactPatch) -> Any:
     return torsion
 
@@ -120,12 +126,7 @@ def soft_finger_under(torsion: SoftFingerProxy, contact_patch: ContactPatch) -> 
     return SoftFingerProxy(torsion_under(torsion.law, contact_patch), torsion.kinetic_share)
 
 
-@winding_unit.of(None)
-def no_unit(torsion: None, contact_patch: ContactPatch, share: float) -> float:
-    return 1.0
-
-
-@winding_unit.otherwise
+@winding_unit.of(None, Torsion, PowerTorsion)
 def unit_of_constant(torsion: Any, contact_patch: ContactPatch, share: float) -> float:
     return 1.0
 
@@ -135,11 +136,6 @@ def unit_of_patch(torsion: PatchTorsion, contact_patch: ContactPatch, share: flo
     return sqrt(contact_patch.torsional / max(share, LEAST_SHARE))
 
 
-@winding_unit.of(LimitSurface)
-def unit_on_limit_surface(torsion: LimitSurface, contact_patch: ContactPatch, share: float) -> float:
-    return winding_unit(torsion.law, contact_patch, share)
-
-
-@winding_unit.of(SoftFingerProxy)
-def unit_of_soft_finger(torsion: SoftFingerProxy, contact_patch: ContactPatch, share: float) -> float:
+@winding_unit.of(LimitSurface, SoftFingerProxy)
+def unit_of_law(torsion: Any, contact_patch: ContactPatch, share: float) -> Any:
     return winding_unit(torsion.law, contact_patch, share)

@@ -13,15 +13,8 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import (
-    Anisotropic,
-    Friction,
-    PaperFriction,
-    Quaternion,
-    SpeedFriction,
-    Stribeck,
-    Vec3,
-)
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Anisotropic, Friction, PaperFriction, Quaternion, SpeedFriction, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 
@@ -100,32 +93,18 @@ def scale_no_law(law: None, factor: float) -> None:
     return law
 
 
-@scale_law.of(Friction)
-def scale_coulomb(law: Friction, factor: float) -> Friction:
-    return Friction(factor * law.static, factor * law.kinetic)
-
-
-@scale_law.of(PaperFriction)
-def scale_paper(law: PaperFriction, factor: float) -> PaperFriction:
-    return PaperFriction(factor * law.static, factor * law.kinetic)
+@scale_law.of(Friction, PaperFriction)
+def scale_coulomb(law: Any, factor: float) -> Any:
+    return replace(law, "static", factor * law.static, "kinetic", factor * law.kinetic)
 
 
 # --- with the speed --------------------------------------------------------------------------------
 
 
-@by_type
-def remaining_drop(stribeck: Any, slip_speed: float) -> Any:
+@jit
+def remaining_drop(stribeck: Any, slip_speed: float) -> float:
     """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
-
-
-@remaining_drop.of(None)
-def drop_to_kinetic_at_once(stribeck: None, slip_speed: float) -> float:
-    return 0.0
-
-
-@remaining_drop.of(Stribeck)
-def drop_to_kinetic_with_speed(stribeck: Stribeck, slip_speed: float) -> float:
-    if stribeck.speed <= 0.0:
+    if stribeck is None or stribeck.speed <= 0.0:
         return 0.0
     ratio = slip_speed / stribeck.speed
     return exp(-ratio * ratio)
@@ -143,7 +122,7 @@ def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tu
 
 @scale_law.of(SpeedFriction)
 def scale_speed_law(law: SpeedFriction, factor: float) -> SpeedFriction:
-    return SpeedFriction(factor * law.static, factor * law.kinetic, law.stribeck, factor * law.viscous)
+    return replace(scale_coulomb(law, factor), "viscous", factor * law.viscous)
 
 
 # --- anisotropic -----------------------------------------------------------------------------------
@@ -202,29 +181,15 @@ def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: fl
     a, b = 1.0 / (s1 * s1), 1.0 / (s2 * s2)
     m = multiplier((x, y, 0.0), (a, b, 1.0))
     x, y, _ = shrink((x, y, 0.0), (a, b, 1.0), m)
-    kept = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
-    return kept, vec3.norm(vec3.sub(deflection, kept)), vec3.norm(kept)
+    nearest = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
+    return nearest, vec3.norm(vec3.sub(deflection, nearest)), vec3.norm(nearest)
 
 
 @rotate_law.of(Anisotropic)
 def rotate_anisotropic(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
-    return Anisotropic(
-        law.law,
-        rotations.rotate(rotation, law.direction),
-        law.static_along,
-        law.static_across,
-        law.kinetic_along,
-        law.kinetic_across,
-    )
+    return replace(law, "direction", rotations.rotate(rotation, law.direction))
 
 
 @scale_law.of(Anisotropic)
 def scale_anisotropic(law: Anisotropic, factor: float) -> Anisotropic:
-    return Anisotropic(
-        scale_law(law.law, factor),
-        law.direction,
-        law.static_along,
-        law.static_across,
-        law.kinetic_along,
-        law.kinetic_across,
-    )
+    return replace(law, "law", scale_law(law.law, factor))

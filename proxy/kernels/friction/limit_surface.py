@@ -9,9 +9,16 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
-from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import FrictionInput, LimitSurface, Vec3
+from softfinger.proxy.kernels.model import (
+    FrictionInput,
+    LimitSurface,
+    PatchTorsion,
+    PowerTorsion,
+    SoftFingerProxy,
+    Torsion,
+    Vec3,
+)
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, near, shrink
 
@@ -44,35 +51,18 @@ def room(torsion: Any, spin: float, normal_force: float) -> Any:
 def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Any: ...
 
 
-@jit
-def slide_alone(law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Slide:
-    """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
-    deflection, slip, length = cut(law, given.normal, limit / stiffness, breaking, given.deflection)
-    return Slide(deflection, given.spin, given.twist, slip, length)
-
-
-@room.of(None)
-def room_without_torsion(torsion: None, spin: float, normal_force: float) -> float:
-    return 1.0
-
-
-@room.otherwise
+@room.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
 def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float:
     return 1.0
 
 
-@slide.of(None)
-def slide_without_torsion(
-    torsion: None, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
-) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, given)
-
-
-@slide.otherwise
+@slide.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
 def slide_beside_torsion(
     torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
 ) -> Slide:
-    return slide_alone(law, stiffness, limit, breaking, given)
+    """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
+    deflection, slip, length = cut(law, given.normal, limit / stiffness, breaking, given.deflection)
+    return Slide(deflection, given.spin, given.twist, slip, length)
 
 
 @room.of(LimitSurface)
@@ -102,8 +92,7 @@ def slide_on_limit_surface(
     spin = given.spin + given.twist
     if longest <= 0.0 or widest <= 0.0:
         # A degenerate surface: two separate limits, one of them zero.
-        deflection, slip, length = cut(law, given.normal, longest, breaking, given.deflection)
-        return Slide(deflection, given.spin, given.twist, slip, length)
+        return slide_beside_torsion(torsion, law, stiffness, limit, breaking, given)
 
     d1, d2, s1, s2 = scales(law, given.normal, given.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest
@@ -113,10 +102,13 @@ def slide_on_limit_surface(
         energies = longest / widest
         ratio = min(max(energies * energies * stiffness / k_z, 1.0 / WEIGHT_MAX), WEIGHT_MAX)
         weight = (1.0 / (s1 * s1), 1.0 / (s2 * s2), ratio)
-        kept = shrink(y, weight, multiplier(y, weight))
-        deflection = vec3.add_scaled(vec3.scale(a1 * kept[0], d1), a2 * kept[1], d2)
-        lost, turned = vec3.sub(given.deflection, deflection), (spin - widest * kept[2]) * k_z * widest / limit
-        slip = sqrt(vec3.dot(lost, lost) + turned * turned)
-        spin = widest * kept[2]
+        nearest = shrink(y, weight, multiplier(y, weight))
+        deflection = vec3.add_scaled(vec3.scale(a1 * nearest[0], d1), a2 * nearest[1], d2)
+        slip_vector, slip_angle = (
+            vec3.sub(given.deflection, deflection),
+            (spin - widest * nearest[2]) * k_z * widest / limit,
+        )
+        slip = sqrt(vec3.dot(slip_vector, slip_vector) + slip_angle * slip_angle)
+        spin = widest * nearest[2]
     length = sqrt(vec3.dot(deflection, deflection) + k_z / stiffness * spin * spin)
     return Slide(deflection, spin, 0.0, slip, length)

@@ -52,14 +52,14 @@ def slide_freely(
 ) -> FrictionResult:
     """Resolve torsion only: without friction, the proxy has no deflection from the probe, and there is no sticking."""
     zero = (0.0, 0.0, 0.0)
-    wound = wind_up(
+    wind = wind_up(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
-        slip_deflection=0.0, spin=wound.spin, spin_slip_speed=wound.slip_speed, spin_slip_angle=wound.slip_angle,
+        slip_deflection=0.0, spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle,
         force=zero,
-        moment=damp_moment(torsion, coupling.torsional_damping, wound.moment, wound.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
     )  # fmt: skip
 
 
@@ -124,8 +124,8 @@ def start_of_sliding(
 
     The larger part of the load determines the cause: CAUSE_DRAG for dragging, CAUSE_THETA_MAX for rolling.
     """
-    wound = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
-    load = load_size(law, given.normal, wound)
+    weighted_load = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
+    load = load_size(law, given.normal, weighted_load)
     # A finger that slid with mu_d = mu_s stops on the cone: rounding must not make it slip again.
     if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * given.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
@@ -149,14 +149,14 @@ def end_of_sliding(
     slip_deflection  m    length of the deflection at the last slip
     length           m    current length of the deflection
     """
-    stopped, unwound = slip_speed < STOP_SPEED_M_PER_S, slip_deflection - length
-    if not stopped and unwound <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * given.resolution):
+    has_stopped, unwinding = slip_speed < STOP_SPEED_M_PER_S, slip_deflection - length
+    if not has_stopped and unwinding <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * given.resolution):
         return float(CAUSE_NONE)
     # With viscous friction the load of a fast slip may exceed the static cone: the contact cannot stick yet.
     may_stick = load_size(law, given.normal, load) <= (1.0 + ROUNDING) * static_limit
     if not may_stick:
         return float(CAUSE_NONE)
-    return float(CAUSE_STOP) if stopped else float(CAUSE_REVERSE)
+    return float(CAUSE_STOP) if has_stopped else float(CAUSE_REVERSE)
 
 
 @stick_slip.of(Friction, SpeedFriction, Anisotropic)
@@ -191,13 +191,18 @@ def stick_slip_by_law(
         limit = kinetic_limit
 
     if limit >= 0.0:
-        slid = slide(torsion, law, stiffness, limit, breaking, given)
-        deflection, spin, twist, length = slid.deflection, slid.spin, slid.twist, slid.length
+        slide_result = slide(torsion, law, stiffness, limit, breaking, given)
+        deflection, spin, twist, length = (
+            slide_result.deflection,
+            slide_result.spin,
+            slide_result.twist,
+            slide_result.length,
+        )
         rolled_part = (0.0, 0.0, 0.0)
-        slips = slid.slip > ROUNDING * length
+        slips = slide_result.slip > ROUNDING * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
-        speed = slid.slip / given.dt if given.dt > 0.0 else 0.0
+        speed = slide_result.slip / given.dt if given.dt > 0.0 else 0.0
         if cause != CAUSE_NONE:
             slip_speed = speed
         else:
@@ -214,12 +219,12 @@ def stick_slip_by_law(
         force = vec3.add_scaled(force, coupling.damping / given.dt, change)
     if mode == ROLLING or breaking != 0.0:
         force = limit_force(law, given.normal, force, whole_limit if breaking != 0.0 else static_limit)
-    now = wind_up(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
+    wind = wind_up(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
-        slip_deflection=slip_deflection, spin=now.spin, spin_slip_speed=now.slip_speed,
-        spin_slip_angle=now.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
+        slip_deflection=slip_deflection, spin=wind.spin, spin_slip_speed=wind.slip_speed,
+        spin_slip_angle=wind.slip_angle, force=force,
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
     )  # fmt: skip
 
 

@@ -57,11 +57,11 @@ def stick_slip_by_equations(
         force = vec3.scale(stiffness, deflection)
     elif given.dt > 0.0:
         force = vec3.add_scaled(force, coupling.damping / given.dt, change)
-    now = wind_up(
+    wind = wind_up(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
     )
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
-        spin=now.spin, spin_slip_speed=now.slip_speed, spin_slip_angle=now.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, now.moment, now.spin - given.spin, given),
+        spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle, force=force,
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
     )  # fmt: skip

@@ -46,18 +46,6 @@ def torsional_limit(torsion: Any, normal_force: float) -> Any:
     """Return the largest moment about the normal, N m, under a normal force."""
 
 
-@by_type
-def torsional_stiffness(torsion: Any) -> Any:
-    """Return k_z, N m/rad; 1 without torsion, for comparisons."""
-
-
-@by_type
-def wind_up(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Any:
-    """Return the state of the spring after a rotation of `turn` rad about the normal."""
-
-
 @torsional_limit.of(Torsion)
 def linear_limit(torsion: Torsion, normal_force: float) -> float:
     return torsion.friction_length * normal_force
@@ -72,20 +60,28 @@ def power_limit(torsion: PowerTorsion, normal_force: float) -> float:
     return torsion.friction_length * normal_force * normal_force**torsion.exponent
 
 
-@torsional_stiffness.otherwise
-def own_stiffness(torsion: Any) -> float:
+@torsional_limit.of(LimitSurface, SoftFingerProxy)
+def limit_of_law(torsion: Any, normal_force: float) -> Any:
+    return torsional_limit(torsion.law, normal_force)
+
+
+@by_type
+def torsional_stiffness(torsion: Any) -> Any:
+    """Return k_z, N m/rad.
+
+    1 without torsion, for comparisons, and for a patch: its wind-up includes the root of its stiffness, see
+    `contact_patch.winding_unit`.
+    """
+
+
+@torsional_stiffness.of(Torsion, PowerTorsion)
+def stiffness_of_spring(torsion: Any) -> float:
     stiffness: float = torsion.stiffness
     return stiffness
 
 
-@torsional_stiffness.of(None)
-def no_stiffness(torsion: None) -> float:
-    return 1.0
-
-
-@torsional_stiffness.of(PatchTorsion)
-def stiffness_in_winding_units(torsion: PatchTorsion) -> float:
-    """Return 1: a stored wind-up includes the root of its stiffness, see `contact_patch.winding_unit`."""
+@torsional_stiffness.of(None, PatchTorsion)
+def unit_stiffness(torsion: Any) -> float:
     return 1.0
 
 
@@ -100,33 +96,31 @@ def with_scaled_friction(torsion: Any, factor: float) -> Any:
 
 
 @with_scaled_friction.of(None)
-def grip_none(torsion: None, factor: float) -> None:
+def scale_no_torsion(torsion: None, factor: float) -> None:
     return torsion
 
 
 @with_scaled_friction.of(Torsion, PowerTorsion)
-def grip_spring(torsion: Any, factor: float) -> Any:
+def scale_spring(torsion: Any, factor: float) -> Any:
     return replace(torsion, "friction_length", factor * torsion.friction_length)
 
 
 @with_scaled_friction.of(PatchTorsion)
-def grip_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
+def scale_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
     return PatchTorsion(factor * torsion.friction)
 
 
 @with_scaled_friction.of(LimitSurface, SoftFingerProxy)
-def grip_law(torsion: Any, factor: float) -> Any:
+def scale_law_of(torsion: Any, factor: float) -> Any:
     return replace(torsion, "law", with_scaled_friction(torsion.law, factor))
 
 
 @by_type
 def share_of(torsion: Any, share: float) -> Any:
-    """Return the law of a patch with this share of the spring; its limit follows from the patch's normal force."""
+    """Return the law with this share of the spring.
 
-
-@share_of.of(None)
-def share_of_none(torsion: None, share: float) -> None:
-    return torsion
+    The limit of every law, and the spring of a patch, follow from the normal force of the contact.
+    """
 
 
 @share_of.of(Torsion, PowerTorsion)
@@ -134,9 +128,8 @@ def share_of_spring(torsion: Any, share: float) -> Any:
     return replace(torsion, "stiffness", share * torsion.stiffness)
 
 
-@share_of.of(PatchTorsion)
-def share_of_patch(torsion: PatchTorsion, share: float) -> PatchTorsion:
-    """Return the law unchanged: its spring follows from the patch's normal force."""
+@share_of.of(None, PatchTorsion)
+def share_of_patch(torsion: Any, share: float) -> Any:
     return torsion
 
 
@@ -145,48 +138,36 @@ def share_of_law(torsion: Any, share: float) -> Any:
     return replace(torsion, "law", share_of(torsion.law, share))
 
 
-@by_type
-def damp_moment(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> Any:
+@jit
+def damp_moment(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
     """Return the moment of spring and parallel damper, N m, clamped to the torsional limit.
 
     damping  N m s/rad
     wound    rad        change of the wind-up in this tick: a slipping anchor does not damp
     """
-
-
-@damp_moment.of(None)
-def damp_no_moment(torsion: None, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
-    return moment
-
-
-@damp_moment.otherwise
-def damp_spring(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
-    if damping == 0.0 or given.dt <= 0.0:
+    if torsion is None or damping == 0.0 or given.dt <= 0.0:
         return moment
     limit = torsional_limit(torsion, given.normal_force)
     both: float = min(max(moment - damping * wound / given.dt, -limit), limit)
     return both
 
 
-@torsional_limit.of(LimitSurface)
-def limit_of_surface(torsion: LimitSurface, normal_force: float) -> float:
-    return torsional_limit(torsion.law, normal_force)
-
-
-@torsional_limit.of(SoftFingerProxy)
-def limit_of_soft_finger(torsion: SoftFingerProxy, normal_force: float) -> float:
-    return torsional_limit(torsion.law, normal_force)
+@by_type
+def wind_up(
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
+) -> Any:
+    """Return the state of the spring after a rotation of `turn` rad about the normal."""
 
 
 @wind_up.of(None)
-def no_torsion(
+def wind_nothing(
     torsion: None, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     return TorsionResult(0.0, 0.0, 0.0, 0.0)
 
 
-@jit
-def clamp_to_torsion(
+@wind_up.of(Torsion, PowerTorsion)
+def wind_spring(
     torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
@@ -195,40 +176,21 @@ def clamp_to_torsion(
     """
     stiffness = torsional_stiffness(torsion)
     limit = torsional_limit(torsion, normal_force) / stiffness
-    wound = min(max(spin + turn, -limit), limit)
-    return TorsionResult(wound, -stiffness * wound, 0.0, 0.0)
-
-
-@wind_up.otherwise
-def wind_spring(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> TorsionResult:
-    return clamp_to_torsion(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt)
+    angle = min(max(spin + turn, -limit), limit)
+    return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
 
 @wind_up.of(LimitSurface)
 def wind_limit_surface(
-    torsion: LimitSurface,
-    spin: float,
-    turn: float,
-    normal_force: float,
-    slip_speed: float,
-    slip_angle: float,
-    dt: float,
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     """Apply the limit surface without a tangential load; with one, `slide` has already limited phi."""
-    return clamp_to_torsion(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
+    return wind_spring(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
 
 
 @wind_up.of(SoftFingerProxy)
 def wind_soft_finger(
-    torsion: SoftFingerProxy,
-    spin: float,
-    turn: float,
-    normal_force: float,
-    slip_speed: float,
-    slip_angle: float,
-    dt: float,
+    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
 ) -> TorsionResult:
     """Compute the proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
@@ -244,20 +206,20 @@ def wind_soft_finger(
     static_limit = torsional_limit(torsion.law, normal_force) / stiffness
     sticks = slip_speed == 0.0
     limit = static_limit if sticks else torsion.kinetic_share * static_limit
-    wound = spin + turn
-    slip = max(abs(wound) - limit, 0.0)
-    wound = min(max(wound, -limit), limit)
+    angle = spin + turn
+    slip = max(abs(angle) - limit, 0.0)
+    angle = min(max(angle, -limit), limit)
     slips = slip > SPIN_ROUNDING * limit
     speed = slip / dt if dt > 0.0 else 0.0
     if sticks:
         if slips:
-            slip_speed, slip_angle = max(speed, SLOWEST), abs(wound)
+            slip_speed, slip_angle = max(speed, SLOWEST), abs(angle)
     else:
         if slips:
-            slip_angle = abs(wound)
+            slip_angle = abs(angle)
         slip_speed = max(slip_speed + (speed - slip_speed) * dt / (SPIN_SLIP_TIME_CONSTANT_S + dt), SLOWEST)
-        stopped = slip_speed < STOP_SPIN_RAD_PER_S
-        turned_back = slip_angle - abs(wound) > SPIN_REVERSE_SHARE * slip_angle
-        if not slips and (stopped or turned_back):
+        has_stopped = slip_speed < STOP_SPIN_RAD_PER_S
+        has_reversed = slip_angle - abs(angle) > SPIN_REVERSE_SHARE * slip_angle
+        if not slips and (has_stopped or has_reversed):
             slip_speed = 0.0
-    return TorsionResult(wound, -stiffness * wound, slip_speed, slip_angle)
+    return TorsionResult(angle, -stiffness * angle, slip_speed, slip_angle)

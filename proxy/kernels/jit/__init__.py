@@ -8,7 +8,8 @@ Nothing of geometry or contact. A kernel has one of these decorators:
     @outlined_where(holds) outlined for some types of arguments, otherwise as @jit
     @c_function(signature) called by a C library, or by address
     @by_type               declares a kernel chosen by the type of its first argument: `.of(Kind)` implements it
-    @by_type_of(field)     the same, by the type of a field of the first argument
+    @by_type_with_default  the same; the declaration is the implementation for all other types
+    @by_type_of(field)     as @by_type, by the type of a field of the first argument
 
 Other choices, as those of `query/kinds.py`, are functions that call `chosen_by`.
 """

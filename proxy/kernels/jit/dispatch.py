@@ -39,6 +39,13 @@ def by_type(declaration: Callable[..., Any]) -> Any:
     return chosen_by(declaration, type, _kind_of_class, _kind_of)
 
 
+def by_type_with_default(default: Callable[..., Any]) -> Any:
+    """Declare a kernel as by `by_type`; the function is the implementation for all kinds without one of their own."""
+    choice = by_type(default)
+    choice.otherwise(default)
+    return choice
+
+
 def by_type_of(field: str) -> Callable[[Callable[..., Any]], Any]:
     """Declare a kernel chosen as by `by_type`, by the type of a field of the first argument, a named tuple."""
     return lambda declaration: chosen_by(

@@ -1,8 +1,30 @@
-"""Friction and torsion laws: their coefficients. A law that a material does not have is None."""
+"""Laws of the normal force, of friction, torsion and the contact patch: their coefficients. A missing law is None."""
 
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.model.vectors import Vec3
+
+
+class LinearNormal(NamedTuple):
+    """Spring, N/m, and bounded damper, N s/m (Kelvin-Voigt)."""
+
+    stiffness: float
+    damping: float
+
+
+class PowerNormal(NamedTuple):
+    """Spring coefficient * depth^exponent, N/m^exponent, and bounded damper, N s/m; exponent 3/2 is Hertz's."""
+
+    coefficient: float
+    exponent: float
+    damping: float
+
+
+class HuntCrossley(NamedTuple):
+    """Normal force of `law` (LinearNormal or PowerNormal), and damping proportional to it: c, s/m."""
+
+    law: Any
+    damping: float
 
 
 class Friction(NamedTuple):
@@ -79,3 +101,43 @@ class SoftFingerProxy(NamedTuple):
 
     law: Any
     kinetic_share: float
+
+
+class HertzPatch(NamedTuple):
+    """Patch of an elastic sphere on a plane.
+
+    compliance  m^2/N  1/G, G the fingertip's shear modulus
+    rolling            RollingLoss or None
+    """
+
+    compliance: float
+    rolling: Any
+
+
+class PowerPatch(NamedTuple):
+    """Patch with the radius `at_newton` (f_N / 1 N)^exponent.
+
+    at_newton   m      radius at 1 N
+    exponent           0 to 1/3
+    lever              mean distance of the pressure from the centre, over the patch's radius
+    compliance  m^2/N  1/G, G the fingertip's shear modulus
+    rolling            RollingLoss or None
+    """
+
+    at_newton: float
+    exponent: float
+    lever: float
+    compliance: float
+    rolling: Any
+
+
+class RollingLoss(NamedTuple):
+    """Fraction of the elastic work that rolling dissipates, 0 to 1."""
+
+    share: float
+
+
+class PatchTorsion(NamedTuple):
+    """Torsion computed from the fingertip's patch; `friction` is mu_s of the object."""
+
+    friction: float

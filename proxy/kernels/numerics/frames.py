@@ -40,13 +40,13 @@ def out_of_world(pose: None, x: Vec3) -> Vec3:
     return x
 
 
-@turn_into.of(None)
-def turn_into_world(pose: None, v: Vec3) -> Vec3:
+@turn_into.of(None, Place)
+def turn_into_place(pose: Any, v: Vec3) -> Vec3:
     return v
 
 
-@turn_out_of.of(None)
-def turn_out_of_world(pose: None, v: Vec3) -> Vec3:
+@turn_out_of.of(None, Place)
+def turn_out_of_place(pose: Any, v: Vec3) -> Vec3:
     return v
 
 
@@ -58,16 +58,6 @@ def into_place(pose: Place, x: Vec3) -> Vec3:
 @out_of.of(Place)
 def out_of_place(pose: Place, x: Vec3) -> Vec3:
     return vec3.add(x, pose.position)
-
-
-@turn_into.of(Place)
-def turn_into_place(pose: Place, v: Vec3) -> Vec3:
-    return v
-
-
-@turn_out_of.of(Place)
-def turn_out_of_place(pose: Place, v: Vec3) -> Vec3:
-    return v
 
 
 @into.of(Pose)

@@ -9,7 +9,7 @@ that the torque of a long tool is clamped where the device exerts it. Without a 
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
@@ -26,52 +26,31 @@ class Tool(NamedTuple):
     turn: Quaternion
 
 
-@by_type
-def tip_of(tool: Any, handle: Pose) -> Any:
+@jit
+def tip_of(tool: Any, handle: Pose) -> Pose:
     """Return the pose of the tip, world frame."""
-
-
-@by_type
-def about_handle(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Any:
-    """Return the torque (3,) N m about the handle of a wrench at the tip.
-
-    All vectors are in the world frame; `tip` is the tip's orientation.
-    """
-
-
-@by_type
-def about_tip(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Any:
-    """Return the torque (3,) N m about the tip of a wrench at the handle: the inverse of `about_handle`."""
-
-
-@tip_of.of(None)
-def tip_is_handle(tool: None, handle: Pose) -> Pose:
-    return handle
-
-
-@about_handle.of(None)
-def same_about_handle(tool: None, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
-    return torque
-
-
-@about_tip.of(None)
-def same_about_tip(tool: None, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
-    return torque
-
-
-@tip_of.of(Tool)
-def tip_of_tool(tool: Tool, handle: Pose) -> Pose:
+    if tool is None:
+        return handle
     tip = multiply(handle.orientation, tool.turn)
     return Pose(vec3.add(handle.position, rotate(tip, tool.lever)), tip)
 
 
-@about_handle.of(Tool)
-def about_handle_of_tool(tool: Tool, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
+@jit
+def about_handle(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
+    """Return the torque (3,) N m about the handle of a wrench at the tip.
+
+    All vectors are in the world frame; `tip` is the tip's orientation.
+    """
+    if tool is None:
+        return torque
     return vec3.add(torque, vec3.cross(rotate(tip, tool.lever), force))
 
 
-@about_tip.of(Tool)
-def about_tip_of_tool(tool: Tool, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
+@jit
+def about_tip(tool: Any, tip: Quaternion, force: Vec3, torque: Vec3) -> Vec3:
+    """Return the torque (3,) N m about the tip of a wrench at the handle: the inverse of `about_handle`."""
+    if tool is None:
+        return torque
     return vec3.sub(torque, vec3.cross(rotate(tip, tool.lever), force))
 
 

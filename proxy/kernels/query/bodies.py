@@ -12,7 +12,6 @@ until the simulation is reset.
 from typing import Any, Final
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
 from softfinger.proxy.kernels.jit.rescue import call_rescued
 from softfinger.proxy.kernels.jit.seqlock import Slot, store
@@ -134,21 +133,12 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
         wrench[at + 3 + i] -= about[i]
 
 
-@by_type
-def publish_motion(bodies: Any, tick: int, slot: Slot, scratch: Any) -> None:
+@jit
+def publish_motion(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
     """Publish the motion of the bodies that can move: the number of the tick, then MOTION_SIZE values for each body.
 
     scratch  (1 + MOTION_SIZE * n,)  work array, n the number of bodies that can move
     """
-
-
-@publish_motion.of(None)
-def publish_no_motion(bodies: None, tick: int, slot: Slot, scratch: Any) -> None:
-    pass
-
-
-@publish_motion.of(Bodies)
-def publish_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
     block = bodies.block
     twist, centers, roots = float64_at(block[VELOCITY]), float64_at(block[TREE_CENTER]), int32_at(block[TREE_ROOT])
     scratch[0] = tick
@@ -168,18 +158,11 @@ def publish_motion_of_bodies(bodies: Bodies, tick: int, slot: Slot, scratch: Any
     store(slot, scratch)
 
 
-@by_type
-def step_bodies(bodies: Any) -> Any:
+@jit
+def step_bodies(bodies: Any) -> int:
     """Advance all bodies by one step and return their fault, or NO_FAULT. With a fault, the bodies do not move."""
-
-
-@step_bodies.of(None)
-def step_no_bodies(bodies: None) -> int:
-    return NO_FAULT
-
-
-@step_bodies.of(Bodies)
-def step_all_bodies(bodies: Bodies) -> int:
+    if bodies is None:
+        return NO_FAULT
     block = bodies.block
     fault = int64_at(block[FAULT])
     if fault[0] == NO_FAULT:

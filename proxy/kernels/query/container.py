@@ -61,7 +61,7 @@ def one_of_many(objects: Many, index: float) -> Object:
     entry = objects.entries[row]
     pose, was = poses_of(objects.poses, entry, row)
     return Object(
-        shape=as_seen(objects.tip, replace(entry.shape, "facet", facet), pose),
+        shape=shape_for(objects.tip, replace(entry.shape, "facet", facet), pose),
         pose=pose,
         motion=entry.motion,
         material=material_of_row(objects.materials, entry.normal, row),
@@ -75,7 +75,8 @@ def one_of_many(objects: Many, index: float) -> Object:
 def world_plane(objects: Any, index: float) -> Any:
     """Return True and its Plane if object `index` of many is a plane at rest, otherwise False.
 
-    Such a plane is in the world frame, and its queries need no pose. The compiler knows that of a single object.
+    Such a plane is in the world frame, and its queries need no pose. The compiler knows that of a single object. An
+    ellipsoidal fingertip touches Minkowski sums, not planes.
     """
 
 
@@ -89,20 +90,10 @@ def plane_of_many(objects: Many, index: float) -> tuple[bool, Plane]:
     return plane_under(objects.tip, objects.entries[row_of(index)].shape)
 
 
-@by_type
-def plane_under(tip: Any, shape: AnyShape) -> Any:
-    """Return `world_plane`; an ellipsoidal fingertip touches Minkowski sums, not planes."""
-
-
-@plane_under.of(None)
-def plane_under_ball(tip: None, shape: AnyShape) -> tuple[bool, Plane]:
-    if shape.surface == WORLD_PLANE:
+@jit
+def plane_under(tip: Any, shape: AnyShape) -> tuple[bool, Plane]:
+    if tip is None and shape.surface == WORLD_PLANE:
         return True, plane_of(shape)
-    return False, NO_PLANE
-
-
-@plane_under.of(Tip)
-def no_plane_under_ellipsoid(tip: Tip, shape: AnyShape) -> tuple[bool, Plane]:
     return False, NO_PLANE
 
 
@@ -133,19 +124,10 @@ def step_on_many(objects: Many) -> float:
     return float(ENTRIES)
 
 
-@by_type
-def poses_of(poses: Any, entry: Entry, row: int) -> Any:
+@jit
+def poses_of(poses: Any, entry: Entry, row: int) -> tuple[Pose, Pose]:
     """Return the poses of one of many objects in this tick and in the last."""
-
-
-@poses_of.of(None)
-def poses_at_rest(poses: None, entry: Entry, row: int) -> tuple[Pose, Pose]:
-    return entry.pose, entry.pose
-
-
-@poses_of.of(Mutable)
-def poses_in_world(poses: Mutable, entry: Entry, row: int) -> tuple[Pose, Pose]:
-    if entry.motion.kind == STILL:
+    if poses is None or entry.motion.kind == STILL:
         return entry.pose, entry.pose
     return read_pose(poses, MEMORY * row), read_pose(poses, MEMORY * row + 7)
 
@@ -164,17 +146,17 @@ def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
 
 
 @by_type
-def as_seen(tip: Any, shape: AnyShape, pose: Pose) -> Any:
+def shape_for(tip: Any, shape: AnyShape, pose: Pose) -> Any:
     """Return the shape, for an ellipsoidal fingertip its Minkowski sum with the fingertip."""
 
 
-@as_seen.of(None)
-def as_seen_by_ball(tip: None, shape: AnyShape, pose: Pose) -> AnyShape:
+@shape_for.of(None)
+def shape_for_ball(tip: None, shape: AnyShape, pose: Pose) -> AnyShape:
     return shape
 
 
-@as_seen.of(Tip)
-def as_seen_by_ellipsoid(tip: Tip, shape: AnyShape, pose: Pose) -> MinkowskiSum:
+@shape_for.of(Tip)
+def shape_for_ellipsoid(tip: Tip, shape: AnyShape, pose: Pose) -> MinkowskiSum:
     axes = rotations.multiply(rotations.conjugate(pose.orientation), tip.orientation)
     return MinkowskiSum(shape, tip.semi_axes, axes, tip.radius)
 
@@ -185,12 +167,12 @@ def material_of_row(materials: Any, normal: Any, row: int) -> Any:
 
 
 @material_of_row.of(None)
-def bare_material(materials: None, normal: Any, row: int) -> Material:
+def material_without_friction(materials: None, normal: Any, row: int) -> Material:
     return Material(normal, None, None)
 
 
 @material_of_row.of(Rows)
-def whole_material(materials: Rows, normal: Any, row: int) -> Material:
+def material_with_friction(materials: Rows, normal: Any, row: int) -> Material:
     return replace(materials[row], "normal", normal)
 
 
@@ -200,27 +182,20 @@ def texture_of_row(textures: Any, row: int) -> Any:
 
 
 @texture_of_row.of(None)
-def no_texture(textures: None, row: int) -> None:
+def texture_of_none(textures: None, row: int) -> None:
     return None
 
 
 @texture_of_row.of(Rows)
-def some_texture(textures: Rows, row: int) -> Any:
+def texture_of_many(textures: Rows, row: int) -> Any:
     return textures[row]
 
 
-@by_type
-def extra_reach(tip: Any) -> Any:
+@jit
+def largest_semi_axis(tip: Any) -> float:
     """Return the largest semi-axis of an ellipsoidal fingertip, m, otherwise 0."""
-
-
-@extra_reach.of(None)
-def no_extra_reach(tip: None) -> float:
-    return 0.0
-
-
-@extra_reach.of(Tip)
-def reach_of_tip(tip: Tip) -> float:
+    if tip is None:
+        return 0.0
     return max(tip.semi_axes[0], tip.semi_axes[1], tip.semi_axes[2])
 
 
@@ -229,6 +204,6 @@ def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
     """Return True if the bounding ball of an object is farther than `limit` (m) from `x`; takes 2 ns."""
     entry = objects.entries[row]
     pose, _ = poses_of(objects.poses, entry, row)
-    way = vec3.sub(x, pose.position)
-    away = max(limit, 0.0) + entry.shape.reach + extra_reach(objects.tip)
-    return vec3.dot(way, way) > ROUNDING * away * away
+    offset = vec3.sub(x, pose.position)
+    distance = max(limit, 0.0) + entry.shape.reach + largest_semi_axis(objects.tip)
+    return vec3.dot(offset, offset) > ROUNDING * distance * distance

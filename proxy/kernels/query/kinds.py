@@ -82,17 +82,17 @@ def any_mesh(objects: Any) -> Any:
 
 
 @any_mesh.of(SINGLE_POINT)
-def no_mesh(objects: Any) -> bool:
+def has_no_mesh(objects: Any) -> bool:
     return False
 
 
 @any_mesh.of(WITH_MESH)
-def some_mesh(objects: Any) -> bool:
+def has_a_mesh(objects: Any) -> bool:
     return True
 
 
 @any_mesh.of(WITH_HEIGHTMAP)
-def mesh_beside_heightmap(objects: Any) -> bool:
+def may_have_mesh(objects: Any) -> bool:
     return has_meshes(objects)
 
 
@@ -117,12 +117,12 @@ def any_creases(objects: Any) -> Any:
 
 
 @any_creases.of(WITH_HEIGHTMAP)
-def some_creases(objects: Any) -> bool:
+def has_a_heightmap(objects: Any) -> bool:
     return True
 
 
 @any_creases.otherwise
-def no_creases(objects: Any) -> bool:
+def has_no_heightmap(objects: Any) -> bool:
     return False
 
 

@@ -11,7 +11,7 @@ from math import cos, floor, pi, sin
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_of
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
 from softfinger.proxy.kernels.model import (
     SIMULATED,
     SINUSOID,
@@ -27,7 +27,6 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.query.bodies import pose_of_body
 
 TURNS_CEILING = 1e15
@@ -65,12 +64,12 @@ def moving_pose(motion: Any, pose: Any) -> Any:
 
 
 @moving_pose.of(None)
-def no_moving_pose(motion: None, pose: Any) -> None:
+def pose_of_fixed(motion: None, pose: Any) -> None:
     return None
 
 
 @moving_pose.otherwise
-def own_pose(motion: Any, pose: Pose) -> Pose:
+def pose_of_moving(motion: Any, pose: Pose) -> Pose:
     return pose
 
 
@@ -123,9 +122,10 @@ def moving_pose_of_any(motion: Motion, pose: Pose) -> Pose:
     return Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) if motion.kind == STILL else pose
 
 
-@by_type
-def can_move(motion: Any) -> Any:
+@by_type_with_default
+def can_move(motion: Any) -> float:
     """Return 1 for a motion that can change an object's pose, else 0."""
+    return 1.0
 
 
 @can_move.of(None)
@@ -136,25 +136,3 @@ def cannot_move(motion: None) -> float:
 @can_move.of(Motion)
 def any_can_move(motion: Motion) -> float:
     return 0.0 if motion.kind == STILL else 1.0
-
-
-@can_move.otherwise
-def moves(motion: Any) -> float:
-    return 1.0
-
-
-@by_type_of("was")
-def carry_along(body: Any, x: Vec3) -> Any:
-    """Return the current position of a point that was at `x` (3,) m at the last tick and moved with the object."""
-
-
-@carry_along.of(None)
-def carry_nothing(body: Any, x: Vec3) -> Vec3:
-    return x
-
-
-@carry_along.of(Pose)
-def carried_by_pose(body: Any, x: Vec3) -> Vec3:
-    if can_move(body.motion) == 0.0:
-        return x
-    return out_of(body.pose, into(body.was, x))

@@ -186,7 +186,7 @@ def facets_of(search: Any, row: int, known: Vec3) -> Any:
 
 
 @facets_of.of(Smooth)
-def no_facets(search: Smooth, row: int, known: Vec3) -> Vec3:
+def facets_of_smooth(search: Smooth, row: int, known: Vec3) -> Vec3:
     return known
 
 

@@ -11,8 +11,8 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import STILL, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
+from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
-from softfinger.proxy.kernels.query.motion import carry_along
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
 
@@ -39,9 +39,9 @@ def sweep_to_row(
     body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, Vec3, int]:
     """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
-    begin = carry_along(body, start)
-    met, facet, budget = meets(body.shape, into(body.pose, begin), into(body.pose, end), radius, leaves, budget)
-    return met, facet, vec3.add_scaled(begin, met, vec3.sub(end, begin)), budget
+    path_start = move_point(carry_of(body), start)
+    share, facet, budget = meets(body.shape, into(body.pose, path_start), into(body.pose, end), radius, leaves, budget)
+    return share, facet, vec3.add_scaled(path_start, share, vec3.sub(end, path_start)), budget
 
 
 @first_hit.of(Single)
@@ -50,24 +50,26 @@ def first_hit_of_one(
 ) -> tuple[float, Vec3, int]:
     if skip[0] == 0.0 or skip[1] == 0.0 or skip[2] == 0.0:
         return -1.0, end, budget
-    met, facet, where, budget = sweep_to_row(objects.body, start, end, radius, leaves, budget)
-    return (facet, where, budget) if met < NO_HIT else (-1.0, end, budget)
+    share, facet, center, budget = sweep_to_row(objects.body, start, end, radius, leaves, budget)
+    return (facet, center, budget) if share < NO_HIT else (-1.0, end, budget)
 
 
 @first_hit.of(Many)
 def first_hit_of_many(
     objects: Many, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, Vec3, int]:
-    share, index, where = NO_HIT, -1.0, end
-    near = radius + vec3.norm(vec3.sub(end, start))
+    share, index, center = NO_HIT, -1.0, end
+    reach = radius + vec3.norm(vec3.sub(end, start))
     for row in range(int(objects.size)):
-        at = float(row)
-        if at == skip[0] or at == skip[1] or at == skip[2]:
+        row_index = float(row)
+        if row_index == skip[0] or row_index == skip[1] or row_index == skip[2]:
             continue
         entry = objects.entries[row]
-        if entry.motion.kind == STILL and is_beyond(objects, row, start, near):
+        if entry.motion.kind == STILL and is_beyond(objects, row, start, reach):
             continue
-        met, facet, place, budget = sweep_to_row(object_at(objects, at), start, end, radius, leaves, budget)
-        if met < share:
-            share, index, where = met, at + ENTRIES * facet, place
-    return index, where, budget
+        hit_share, facet, hit_center, budget = sweep_to_row(
+            object_at(objects, row_index), start, end, radius, leaves, budget
+        )
+        if hit_share < share:
+            share, index, center = hit_share, row_index + ENTRIES * facet, hit_center
+    return index, center, budget

@@ -10,7 +10,7 @@ from softfinger.proxy.kernels.jit.arrays import Mutable
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import SIMULATED, Entry, Many, Material, Pose, Single, World
+from softfinger.proxy.kernels.model import SIMULATED, Entry, Many, Material, Single, World
 from softfinger.proxy.kernels.query.bodies import last_pose_of_body
 from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose, write_pose
 from softfinger.proxy.kernels.query.motion import moving_pose, pose_at, pose_in_world
@@ -25,9 +25,8 @@ def advance(objects: Any, world: World, dt: float) -> Any:
 def advance_one(objects: Single, world: World, dt: float) -> World:
     time, body = world.time + dt, objects.body
     pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
-    return World(
-        started=1.0, time=time, poses=pose, was=since(world.poses, world.started, pose), surfaces=world.surfaces
-    )
+    was = world.poses if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
+    return World(started=1.0, time=time, poses=pose, was=was, surfaces=world.surfaces)
 
 
 @advance.of(Many)
@@ -54,36 +53,11 @@ def move_one(entry: Entry, world: World, memory: Mutable, at: int, time: float) 
     memory[at + AT_TIME] = time
 
 
-@by_type
-def since(was: Any, started: float, pose: Any) -> Any:
-    """Return the pose of an object at the last tick, None if it cannot move.
-
-    In the first tick this is the current pose: the object counts as not having moved.
-    """
-
-
-@since.of(None)
-def since_ever(was: None, started: float, pose: Any) -> None:
-    return None
-
-
-@since.of(Pose)
-def since_last_tick(was: Pose, started: float, pose: Pose) -> Pose:
-    return was if started != 0.0 else pose
-
-
-@by_type
-def standing(pose: Any, rest: Any) -> Any:
+@jit
+def pose_or_rest(pose: Any, rest: Any) -> Any:
     """Return the pose in the world: `pose`, or the base pose `rest` if the object cannot move (None)."""
-
-
-@standing.of(None)
-def standing_at_rest(pose: None, rest: Any) -> Any:
-    return rest
-
-
-@standing.of(Pose)
-def rest_where_it_moved(pose: Pose, rest: Any) -> Pose:
+    if pose is None:
+        return rest
     return pose
 
 
@@ -95,7 +69,7 @@ def place_all(objects: Any, world: World) -> Any:
 @place_all.of(Single)
 def place_one(objects: Single, world: World) -> Single:
     body = objects.body
-    return replace(objects, "body", replace(body, "pose", standing(world.poses, body.pose), "was", world.was))
+    return replace(objects, "body", replace(body, "pose", pose_or_rest(world.poses, body.pose), "was", world.was))
 
 
 @place_all.of(Many)

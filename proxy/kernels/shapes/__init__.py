@@ -5,49 +5,5 @@ shape implements; another package can implement them for its shapes, too. What b
 (`proxy/meshes/tree.py`, `proxy/heightmaps.py`) imports its folder: most scenes have neither.
 """
 
-from softfinger.proxy.kernels.shapes import ellipsoid, minkowski, plane, round, sharp, torus
-from softfinger.proxy.kernels.shapes.protocol import (
-    BUDGET_OF_A_ROLL,
-    NO_HIT,
-    ahead,
-    bend,
-    closest,
-    closest_from,
-    closest_or_bound,
-    closest_within,
-    constraint_at,
-    curvature,
-    follows,
-    is_hollow,
-    rest_on,
-    tangent_plane,
-    transport,
-    travel,
-    unroll,
-)
-
-__all__ = [
-    "BUDGET_OF_A_ROLL",
-    "NO_HIT",
-    "ahead",
-    "bend",
-    "closest",
-    "closest_from",
-    "closest_or_bound",
-    "closest_within",
-    "constraint_at",
-    "curvature",
-    "ellipsoid",
-    "follows",
-    "is_hollow",
-    "minkowski",
-    "plane",
-    "rest_on",
-    "round",
-    "sharp",
-    "tangent_plane",
-    "torus",
-    "transport",
-    "travel",
-    "unroll",
-]
+from softfinger.proxy.kernels.shapes import ellipsoid, minkowski, plane, round, sharp  # noqa: F401 - registration
+from softfinger.proxy.kernels.shapes.protocol import *

@@ -13,7 +13,7 @@ Each triangle of a mesh counts as an object. Every other shape uses the defaults
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type_with_default
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.shapes.protocol import closest
 
@@ -24,23 +24,15 @@ ENOUGH = 1.0 - 1e-6
 fingertip by more than rounding."""
 
 
-@by_type
-def is_mesh_shape(shape: Any) -> Any:
+@by_type_with_default
+def is_mesh_shape(shape: Any) -> float:
     """Return 1 if each triangle of the shape is an object, otherwise 0."""
-
-
-@is_mesh_shape.otherwise
-def is_no_mesh(shape: Any) -> float:
     return 0.0
 
 
-@by_type
-def has_creases(shape: Any) -> Any:
+@by_type_with_default
+def has_creases(shape: Any) -> float:
     """Return 1 if the shape is one object that can touch a fingertip at several points, otherwise 0."""
-
-
-@has_creases.otherwise
-def has_no_creases(shape: Any) -> float:
     return 0.0
 
 
@@ -57,55 +49,32 @@ class Deepest(NamedTuple):
     budget: int
 
 
-@by_type
-def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
-    """Return `query.objects.deepest` for the objects of one shape, in its frame.
-
-    at      index of its first object; the returned place is relative to it
-    """
-
-
-@nearest_of_shape.otherwise
-def gap_of_it(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+@by_type_with_default
+def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+    """Return `query.objects.deepest` for the objects of one shape, in its frame; the place is relative to the first."""
     gap, _, _ = closest(shape, x)
     return Deepest(gap, 0.0, budget)
 
 
-@by_type
-def neighbour_of(shape: Any, x: Vec3) -> Any:
+@by_type_with_default
+def neighbour_of(shape: Any, x: Vec3) -> float:
     """Return the index, relative to this object, of the object across the edge closest to `x`; 0 for this object."""
-
-
-@neighbour_of.otherwise
-def no_neighbour(shape: Any, x: Vec3) -> float:
     return 0.0
 
 
-@by_type
+@by_type_with_default
 def element_of_shape(shape: Any, facet: float) -> Any:
     """Return the triangle of a mesh with that index, another shape itself."""
-
-
-@element_of_shape.otherwise
-def shape_itself(shape: Any, facet: float) -> Any:
     return shape
 
 
-@by_type
-def raised_clear(shape: Any, x: Vec3, radius: float) -> Any:
+@by_type_with_default
+def raised_clear(shape: Any, x: Vec3, radius: float) -> Vec3:
     """Return a point where a fingertip, perhaps inside at `x` (3,) m, is certainly outside."""
-
-
-@raised_clear.otherwise
-def keep_position(shape: Any, x: Vec3, radius: float) -> Vec3:
     return x
 
 
-@by_type
-def shade_normal(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Any:
+@by_type_with_default
+def shade_normal(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     """Return the unit vector (3,) of the normal force of a shape without texture, for a probe at `position` (3,) m."""
-
-
-@shade_normal.otherwise
-def keep_normal(shape: Any, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     return normal

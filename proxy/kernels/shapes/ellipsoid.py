@@ -18,14 +18,7 @@ from math import sqrt
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Ellipsoid, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import (
-    any_tangent,
-    closest,
-    curvature,
-    direction,
-    may_be_hollow,
-    offset,
-)
+from softfinger.proxy.kernels.shapes.protocol import any_tangent, closest, curvature, direction, may_be_hollow, offset
 
 _STEPS = 128
 """Limit of Newton's iterations; close to the surface three or four are enough. It is needed at the rim of the medial

@@ -2,15 +2,7 @@
 
 from softfinger.proxy.kernels.model import Plane, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import (
-    NO_HIT,
-    ahead,
-    any_tangent,
-    closest,
-    curvature,
-    transport,
-    travel,
-)
+from softfinger.proxy.kernels.shapes.protocol import NO_HIT, ahead, any_tangent, closest, curvature, transport, travel
 
 
 @closest.of(Plane)

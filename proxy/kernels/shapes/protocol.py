@@ -37,7 +37,7 @@ from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
 from softfinger.proxy.kernels.model import Plane, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
@@ -57,57 +57,39 @@ NO_HIT = 2.0
 def closest(shape: Any, x: Vec3) -> Any: ...
 
 
-@by_type
-def closest_from(shape: Any, x: Vec3, start: Vec3, budget: int) -> Any:
+@by_type_with_default
+def closest_from(shape: Any, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest` for a fingertip that rolls there from the surface point `start` (3,) m, and the budget left.
 
     A local nearest point, reached by descent from `start`, is enough.
     """
-
-
-@closest_from.otherwise
-def closest_from_anywhere(shape: Any, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     gap, point, normal = closest(shape, x)
     return gap, point, normal, budget
 
 
-@by_type
-def closest_within(shape: Any, x: Vec3, budget: int) -> Any:
+@by_type_with_default
+def closest_within(shape: Any, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest` and the remaining budget; if it is exhausted, the gap is a lower bound."""
-
-
-@closest_within.otherwise
-def closest_without_budget(shape: Any, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     gap, point, normal = closest(shape, x)
     return gap, point, normal, budget
 
 
-@by_type
-def closest_or_bound(shape: Any, x: Vec3) -> Any:
+@by_type_with_default
+def closest_or_bound(shape: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Return `closest` for uses other than contact, and 1 if the largest possible search did not finish, otherwise 0.
 
     If it did not finish, the point is the nearest known, but a closer one may exist.
     """
-
-
-@closest_or_bound.otherwise
-def closest_without_search(shape: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     gap, point, normal = closest(shape, x)
     return gap, point, normal, 0.0
 
 
-@by_type
-def constraint_at(shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int) -> Any:
+@by_type_with_default
+def constraint_at(shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int) -> tuple[Vec3, Vec3, int]:
     """Return contact point and normal of a fingertip at `center` (3,) m, and the remaining budget.
 
     normal  (3,)  previous normal of this constraint; selects one of several contact points of a shape
     """
-
-
-@constraint_at.otherwise
-def constraint_where_nearest(
-    shape: Any, center: Vec3, radius: float, normal: Vec3, budget: int
-) -> tuple[Vec3, Vec3, int]:
     _, point, normal = closest(shape, center)
     return point, normal, budget
 
@@ -116,18 +98,21 @@ def constraint_where_nearest(
 def curvature(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any: ...
 
 
-@by_type
-def transport(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Any: ...
+@by_type_with_default
+def transport(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
+    return turn_along(v, normal_from, normal_to)
 
 
-@by_type
-def is_hollow(shape: Any) -> Any:
+@by_type_with_default
+def is_hollow(shape: Any) -> bool:
     """Return True if the fingertip is inside the shape, so that the surface bends round it."""
+    return False
 
 
-@by_type
-def follows(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> Any:
+@by_type_with_default
+def follows(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
     """Return True if the fingertip's centre may roll from `start` (3,) m, with that normal, to `end` (3,) m."""
+    return True
 
 
 @by_type
@@ -159,33 +144,15 @@ def unroll(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> An
     """Roll by the rotation vector `w` (3,) rad at a constant rate; return a Roll."""
 
 
-@by_type
-def tangent_plane(shape: Any, normal: Vec3) -> Any:
+@by_type_with_default
+def tangent_plane(shape: Any, normal: Vec3) -> Plane:
     """Return a plane on which a roll starts as on this shape at a point with that normal."""
-
-
-@tangent_plane.otherwise
-def plane_with_normal(shape: Any, normal: Vec3) -> Plane:
     return Plane(normal, 0.0)
 
 
-@by_type
-def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> Any:
+@by_type_with_default
+def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     """Return the largest curvature with which the offset surface bends round the fingertip, 1/m; 0 if it does not."""
-
-
-@follows.otherwise
-def follows_anywhere(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
-    return True
-
-
-@is_hollow.otherwise
-def never_hollow(shape: Any) -> bool:
-    return False
-
-
-@bend.otherwise
-def no_bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     return 0.0
 
 
@@ -265,11 +232,6 @@ def turn_along(v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
     return vec3.add_scaled(flipped, 2.0 * vec3.dot(normal_from, v), normal_to)
 
 
-@transport.otherwise
-def transport_by_turning(shape: Any, v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
-    return turn_along(v, normal_from, normal_to)
-
-
 ADVANCES = 32
 """Limit of the steps of a sweep; each is as long as the clearance, so most sweeps take one or two."""
 
@@ -283,8 +245,8 @@ TOUCHING = 1e-9
 @travel.otherwise
 def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
     """Conservative advancement: repeatedly move by the clearance, within which there is no obstacle."""
-    way = vec3.sub(end, start)
-    length = vec3.norm(way)
+    path = vec3.sub(end, start)
+    length = vec3.norm(path)
     gap, _, _ = closest(shape, start)
     clearance = gap - radius
     if clearance >= length:
@@ -298,7 +260,7 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         share += clearance / length
         if share >= 1.0:
             return NO_HIT
-        gap, _, _ = closest(shape, vec3.add_scaled(start, share, way))
+        gap, _, _ = closest(shape, vec3.add_scaled(start, share, path))
         clearance = gap - radius
         if clearance <= touching:
             return share
@@ -309,23 +271,17 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
         if gap < radius:
             return share
         third = (high - low) / 3.0
-        gap, _, _ = closest(shape, vec3.add_scaled(start, low + third, way))
-        other, _, _ = closest(shape, vec3.add_scaled(start, high - third, way))
-        if gap < other:
+        gap, _, _ = closest(shape, vec3.add_scaled(start, low + third, path))
+        second_gap, _, _ = closest(shape, vec3.add_scaled(start, high - third, path))
+        if gap < second_gap:
             high -= third
         else:
             low += third
-            gap = other
+            gap = second_gap
     return NO_HIT
 
 
-@by_type
-def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int) -> Any:
+@by_type_with_default
+def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int) -> tuple[float, float, int]:
     """Return `travel`, the number of the element hit, and the remaining budget."""
-
-
-@meets.otherwise
-def meets_shape(
-    shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
-) -> tuple[float, float, int]:
     return travel(shape, start, end, radius, leaves), 0.0, budget

@@ -45,9 +45,9 @@ def displacement_of(active: ActiveSet) -> Vec3:
 
 
 @jit
-def active_set_of_one(index: float, normal: Vec3, behind: Vec3) -> ActiveSet:
-    """Return the active set of one object with the proxy at `behind` (3,) m from the probe."""
-    return one_constraint(index, normal, max(vec3.dot(behind, normal), 0.0))
+def active_set_of_one(index: float, normal: Vec3, to_proxy: Vec3) -> ActiveSet:
+    """Return the active set of one object with the proxy at `to_proxy` (3,) m from the probe."""
+    return one_constraint(index, normal, max(vec3.dot(to_proxy, normal), 0.0))
 
 
 @jit

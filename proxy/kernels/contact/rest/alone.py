@@ -82,7 +82,7 @@ def rest_on_curved(
         _, point, foot_normal = closest_on(shape, pose, probe)
         if vec3.dot(foot_normal, normal) > SAME_SIDE:
             return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
-    near, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
+    tolerance, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
     if deflection == (0.0, 0.0, 0.0):
         rounds = ROUNDS
     hollow = is_hollow(shape)
@@ -90,9 +90,9 @@ def rest_on_curved(
         depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
         _, point, normal = closest_on(shape, pose, goal)
-        moved = vec3.add_scaled(point, radius, normal)
-        step = vec3.sub(moved, center)
-        center = moved
-        if vec3.dot(step, step) <= near:
+        landing = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(landing, center)
+        center = landing
+        if vec3.dot(step, step) <= tolerance:
             break
     return center, normal, 0.0

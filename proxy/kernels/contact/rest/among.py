@@ -1,7 +1,7 @@
 """Rest position of the proxy among several objects, including the triangles of a mesh, without friction."""
 
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     with_touched,
 )
 from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
-from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, settle_by_planes
+from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
@@ -54,22 +54,6 @@ ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
 found, the proxy does not move in this tick."""
 
 
-class Rest(NamedTuple):
-    """Rest position of the proxy.
-
-    center  (3,) m  the proxy
-    active          constraints that support it
-    late            True if it is not at rest: on the path to its rest position, or unmoved if no better point was found
-                    to be outside
-    budget          remaining budget, below 0 if it was exhausted
-    """
-
-    center: Vec3
-    active: ActiveSet
-    late: bool
-    budget: int
-
-
 @outlined_where(takes_long)
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
@@ -95,85 +79,74 @@ def settle_by_search(
     """Settle the proxy: with height maps in short steps, with meshes by supporting planes, otherwise in one step."""
 
 
-@settle_by_search.of(SINGLE_POINT)
-def settle_at_once(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
-) -> Rest:
-    return settle_for(objects, radius, probe, start, center, active, budget)
-
-
-@settle_by_search.of(WITH_MESH)
-def settle_beside_meshes(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
-) -> Rest:
-    return settle_on_facets(objects, radius, probe, center, active, budget)
-
-
 @settle_by_search.of(WITH_HEIGHTMAP)
 def settle_in_steps(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
 ) -> Rest:
-    rest, whole, held = Rest(center, active, True, 0), probe, active
+    rest, target, constraints = Rest(center, active, True, 0), probe, active
     for budget in (3 * left // 4, left // 4):
-        goal = vec3.add(whole, displacement_of(held))
+        goal = vec3.add(target, displacement_of(constraints))
         if is_safe_step(center, goal, radius):
-            rest = settle_for(objects, radius, whole, start, center, held, budget)
+            rest = settle_for(objects, radius, target, start, center, constraints, budget)
             if not is_safe_step(center, rest.center, radius):  # it may have crossed a thin part
                 rest = Rest(center, active, True, rest.budget)
         if not rest.late:
             break
-        deep = vec3.sub(probe, center)
-        whole = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(deep), 0.5), deep)
-        _, held, _ = relax(objects, radius, whole, center, active, 1, rest.budget)
-    if whole == probe:
+        depth = vec3.sub(probe, center)
+        target = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(depth), 0.5), depth)
+        _, constraints, _ = relax(objects, radius, target, center, active, 1, rest.budget)
+    if target == probe:
         return rest
-    _, held, _ = relax(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
-    return Rest(rest.center, held, True, rest.budget)
+    _, constraints, _ = relax(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
+    return Rest(rest.center, constraints, True, rest.budget)
 
 
-@jit
-def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
+@settle_by_search.of(WITH_MESH)
+def settle_on_facets(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, anchor: Vec3, active: ActiveSet, budget: int
+) -> Rest:
     """Settle the proxy in a scene with a mesh.
 
     The first attempt assumes that the last constraints, or the neighbours of their facets, still support the proxy. If
     they do not, or if it would move away from the probe, it moves from the anchor by supporting planes, which is
     slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_safe_step` allows.
     """
-    there = vec3.add(probe, displacement_of(active))
-    center, held, moved, budget = project_until_rest(objects, radius, probe, there, active, ROUNDS, budget)
+    center = vec3.add(probe, displacement_of(active))
+    center, support, moved, budget = project_until_rest(objects, radius, probe, center, active, ROUNDS, budget)
     on_nearest = False
     for turn in range(EDGES + 1):
-        index, alone = held[0].body, held[1].body < 0.0
-        beyond = neighbour_on(objects, index, center) if alone else index
-        on_nearest = beyond == index
+        index, is_single = support[0].body, support[1].body < 0.0
+        neighbour = neighbour_on(objects, index, center) if is_single else index
+        on_nearest = neighbour == index
         if on_nearest or turn == EDGES:
             break
-        held = one_constraint(beyond, held[0].normal, 0.0)
-        center, held, moved, budget = project_until_rest(objects, radius, probe, center, held, ROUNDS, budget)
-    if held[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have moved from an edge onto the face
-        center, held, moved, budget = project_until_rest(objects, radius, probe, center, held, 1, budget)
-    behind, before = vec3.sub(center, probe), vec3.sub(anchor, probe)
-    nearer = vec3.dot(behind, behind) <= (1.0 + INSIDE) * vec3.dot(before, before) + (AT_REST * radius) ** 2
+        support = one_constraint(neighbour, support[0].normal, 0.0)
+        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, ROUNDS, budget)
+    if support[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have moved from an edge onto the face
+        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, 1, budget)
+    to_proxy, to_anchor = vec3.sub(center, probe), vec3.sub(anchor, probe)
+    is_nearer = (
+        vec3.dot(to_proxy, to_proxy) <= (1.0 + INSIDE) * vec3.dot(to_anchor, to_anchor) + (AT_REST * radius) ** 2
+    )
     # Beyond the edge of a facet its plane is tilted. The gap does not show that: it changes by the square of the tilt.
-    if moved <= AT_REST * radius and on_nearest and nearer and is_safe_step(anchor, center, radius):
-        gap, _, budget = deepest(objects, center, radius, active_objects(held), budget)
+    if moved <= AT_REST * radius and on_nearest and is_nearer and is_safe_step(anchor, center, radius):
+        gap, _, budget = deepest(objects, center, radius, active_objects(support), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Rest(center, sort_by_load(objects, held), False, budget)
-    stand = settle_by_planes(objects, radius, probe, anchor, active, budget)
-    held = stand.active
-    if held[0].body < 0.0:
-        held = one_constraint(active[0].body, active[0].normal, 0.0)
-    return Rest(stand.center, sort_by_load(objects, held), stand.late, stand.budget)
+            return Rest(center, sort_by_load(objects, support), False, budget)
+    center, support, late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
+    if support[0].body < 0.0:
+        support = one_constraint(active[0].body, active[0].normal, 0.0)
+    return Rest(center, sort_by_load(objects, support), late, budget)
 
 
 @jit
 def facet_under(objects: Any, index: float, x: Vec3) -> float:
     """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
     for _ in range(EDGES):
-        beyond = neighbour_on(objects, index, x)
-        if beyond == index:
+        neighbour = neighbour_on(objects, index, x)
+        if neighbour == index:
             break
-        index = beyond
+        index = neighbour
     return index
 
 
@@ -183,10 +156,10 @@ def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, oth
     body = constraint.body
     if body < 0.0 or not is_mesh_at(objects, body):
         return constraint
-    beyond = facet_under(objects, body, center)
-    if beyond == others[0].body or beyond == others[1].body or beyond == others[2].body:
+    neighbour = facet_under(objects, body, center)
+    if neighbour == others[0].body or neighbour == others[1].body or neighbour == others[2].body:
         return constraint
-    return Constraint(beyond, constraint.normal, constraint.depth)
+    return Constraint(neighbour, constraint.normal, constraint.depth)
 
 
 @by_multipoint
@@ -226,9 +199,9 @@ def slide_over_facets(
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
         index = facet_under(objects, index, goal)
         _, point, normal, _ = closest_to_within(objects, index, goal, BUDGET)
-        moved = vec3.add_scaled(point, radius, normal)
-        step = vec3.sub(moved, center)
-        center, square = moved, vec3.dot(step, step)
+        landing = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(landing, center)
+        center, square = landing, vec3.dot(step, step)
         if square <= (SETTLED * radius) ** 2:
             break
     at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
@@ -238,18 +211,18 @@ def slide_over_facets(
 @jit
 def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
     """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
-    way = vec3.sub(end, start)
-    return vec3.dot(way, way) <= (STRIDE * radius) ** 2
+    step = vec3.sub(end, start)
+    return vec3.dot(step, step) <= (STRIDE * radius) ** 2
 
 
-@jit
+@settle_by_search.of(SINGLE_POINT)
 def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
 ) -> Rest:
     """Settle the proxy in one step, with the remaining budget `left`; see `settle_among_several`."""
-    wide = any_multipoint(objects)
-    rounds = SLIDING_ROUNDS if wide else ROUNDS
-    before, active_before = center, active
+    is_multipoint = any_multipoint(objects)
+    rounds = SLIDING_ROUNDS if is_multipoint else ROUNDS
+    last_center, last_active = center, active
     goal = vec3.add(probe, displacement_of(active))
     for _ in range(4):
         hit, stop, left = first_hit(objects, start, goal, radius, True, active_objects(active), left)
@@ -263,14 +236,14 @@ def settle_for(
         active = with_another(active, hit, normal)
         goal, active, left = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
     center = goal
-    if not wide:
+    if not is_multipoint:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
         active, left = with_touched(objects, radius, goal, active, near)
     found, lift, budget = False, 0.0, left
-    for attempt in range(ATTEMPTS_ON_MANY if wide else ATTEMPTS):
+    for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
         center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
-        if wide and attempt == 0:
+        if is_multipoint and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
         if gap >= radius * (1.0 - INSIDE):
@@ -280,21 +253,21 @@ def settle_for(
             break
         if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
             lift = 2.0 * (radius - gap)
-        other = at != active[0].body and at != active[1].body and at != active[2].body
-        if other or any_creases(objects):
+        is_new = at != active[0].body and at != active[1].body and at != active[2].body
+        if is_new or any_creases(objects):
             _, _, normal, left = closest_to_within(objects, at, center, left)
-            if other or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
+            if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_of(active) == 3:
                     active = drop_weakest(active)
                 active = with_another(active, at, normal)
     late = not found
     if not found:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-        gap, _, left = deepest(objects, before, radius, active_objects(active_before), left)
+        gap, _, left = deepest(objects, last_center, radius, active_objects(last_active), left)
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
         if late:
-            center = before
-            _, active, left = relax(objects, radius, probe, before, active_before, 1, left)
+            center = last_center
+            _, active, left = relax(objects, radius, probe, last_center, last_active, 1, left)
     if any_creases(objects):
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), late, left)
@@ -309,10 +282,10 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
     for _ in range(EDGES):
         if active[1].body >= 0.0:
             break
-        beyond = neighbour_on(objects, active[0].body, goal)
-        if beyond == active[0].body:
+        neighbour = neighbour_on(objects, active[0].body, goal)
+        if neighbour == active[0].body:
             break
-        active = one_constraint(beyond, active[0].normal, 0.0)
+        active = one_constraint(neighbour, active[0].normal, 0.0)
         goal, active, _ = relax(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
 
@@ -347,7 +320,7 @@ def project_until_rest(
 ) -> tuple[Vec3, ActiveSet, float, int]:
     """Return `relax`, and the distance, m, that the proxy moved in the last round."""
     square = 1e300
-    near = (SETTLED * radius) ** 2
+    tolerance = (SETTLED * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
     push = Depths(one.depth, two.depth, three.depth)
@@ -384,31 +357,31 @@ def project_until_rest(
         solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
         push = solution.push
         p1, p2, p3 = solution.place
-        moved = vec3.add(base, displacement(solution.place, n1, n2, n3))
-        step = vec3.sub(moved, center)
-        center = moved
+        landing = vec3.add(base, displacement(solution.place, n1, n2, n3))
+        step = vec3.sub(landing, center)
+        center = landing
         square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
-        if square <= near:
+        if square <= tolerance:
             break
-    held = (
+    constraints = (
         Constraint(one.body, n1, push.first),
         Constraint(two.body, n2, push.second),
         Constraint(three.body, n3, push.third),
     )
-    return center, held, sqrt(square), budget
+    return center, constraints, sqrt(square), budget
 
 
 @jit
-def trailing_force(objects: Any, active: ActiveSet, behind: Vec3) -> Vec3:
-    """Return the additional force (3,) N on a probe with a late proxy at `behind` (3,) m from it.
+def trailing_force(objects: Any, active: ActiveSet, to_proxy: Vec3) -> Vec3:
+    """Return the additional force (3,) N on a probe with a late proxy at `to_proxy` (3,) m from it.
 
     The sum of this and the loads of the constraints is the force of a spring between probe and proxy. The constraints
     change while the proxy moves to its rest position, but its distance from the probe does not jump, nor does the
     spring's force.
     """
-    distance, (one, two, three) = vec3.norm(behind), loads_of(objects, active)
+    distance, (one, two, three) = vec3.norm(to_proxy), loads_of(objects, active)
     pull = 0.0
     if distance > 0.0:
         pull = spring(normal_law_of(objects, active[0].body), distance) / distance
-    borne = displacement(Depths(one, two, three), active[0].normal, active[1].normal, active[2].normal)
-    return vec3.sub(vec3.scale(pull, behind), borne)
+    supported = displacement(Depths(one, two, three), active[0].normal, active[1].normal, active[2].normal)
+    return vec3.sub(vec3.scale(pull, to_proxy), supported)

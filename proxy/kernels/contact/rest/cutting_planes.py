@@ -69,13 +69,14 @@ class CuttingPlanes(NamedTuple):
     push: Depths
 
 
-class Stand(NamedTuple):
-    """State of the proxy after some steps.
+class Rest(NamedTuple):
+    """Rest position of the proxy.
 
     center  (3,) m  the proxy
     active          constraints that support it
-    late            True if it is not yet at rest
-    budget          remaining budget
+    late            True if it is not at rest: on the path to its rest position, or unmoved if no better point was found
+                    to be outside
+    budget          remaining budget, below 0 if it was exhausted
     """
 
     center: Vec3
@@ -233,7 +234,7 @@ def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) ->
 @jit
 def step_towards(
     objects: Any, radius: float, probe: Vec3, anchor: Vec3, planes: CuttingPlanes, nearest: bool, budget: int
-) -> Stand:
+) -> Rest:
     """Move from the anchor to the point nearest to the probe that the planes allow, by a step that cannot cross a wall.
 
     nearest  True to add the plane of an obstructing facet nearest to the obstructed point, which is exact on flat
@@ -273,7 +274,7 @@ def step_towards(
     active, late = constraints_of(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
     budget = max(budget, 0) + kept
     if found:
-        return Stand(center, active, clipped, budget)
+        return Rest(center, active, clipped, budget)
     # Too many facets at about the same distance. Every point on the path to the last centre is closer to the probe
     # than the anchor.
     way = vec3.sub(center, anchor)
@@ -283,18 +284,18 @@ def step_towards(
         way = vec3.scale(0.5, way)
         gap, _, budget = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Stand(vec3.add(anchor, way), active, True, SPENT if late else budget)
+            return Rest(vec3.add(anchor, way), active, True, SPENT if late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
     gap, _, budget = deepest(objects, anchor, radius, bodies_of(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
-        return Stand(anchor, active, True, SPENT if late else budget)
-    return Stand(center, active, False, budget)
+        return Rest(anchor, active, True, SPENT if late else budget)
+    return Rest(center, active, False, budget)
 
 
 @outlined
-def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Stand:
+def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """Move the proxy from the anchor, where it is outside, to rest. Each step ends outside and closer to the probe."""
-    stand, nearest = Stand(anchor, active, True, budget), True
+    stand, nearest = Rest(anchor, active, True, budget), True
     for _ in range(STEPS):
         planes = planes_at(objects, radius, stand.center, active_objects(stand.active))
         before = stand.center

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
+from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
 from softfinger.proxy.kernels.model import MinkowskiSum, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest, closest_from
@@ -73,46 +73,30 @@ def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3,
 # --- dependence on the form of the fingertip: an ellipsoid is part of the shape, a MinkowskiSum ---------------------
 
 
-@by_type
+@by_type_with_default
 def earlier(shape: Any, w: Vec3, left: float) -> Any:
     """Return the shape at the time when the fraction `left` of the tick's rotation vector `w` (3,) rad remains."""
+    return shape
 
 
-@by_type
-def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Any:
+@by_type_with_default
+def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
     """Return the velocity (3,) of the fingertip's centre in rolling without slip with the angular velocity `w`.
 
     It is w x arm, with the arm from the contact point to the centre.
     """
-
-
-@by_type
-def surface_part(shape: Any, way: Vec3, normal: Vec3) -> Any:
-    """Return the length along the surface of a displacement (3,) m of the centre."""
-
-
-@by_type
-def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> Any:
-    """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
-
-
-@earlier.otherwise
-def have_same_view(shape: Any, w: Vec3, left: float) -> Any:
-    return shape
-
-
-@center_velocity.otherwise
-def center_velocity_of_ball(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
     return vec3.scale(radius, vec3.cross(w, normal))
 
 
-@surface_part.otherwise
-def all_along_the_surface(shape: Any, way: Vec3, normal: Vec3) -> float:
-    return vec3.norm(way)
+@by_type_with_default
+def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
+    """Return the length along the surface of a displacement (3,) m of the centre."""
+    return vec3.norm(displacement)
 
 
-@roll_angle.otherwise
-def roll_angle_of_ball(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
+@by_type_with_default
+def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
+    """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
     return vec3.norm(motion) / radius
 
 
@@ -129,8 +113,8 @@ def center_velocity_of_ellipsoid(shape: MinkowskiSum, radius: float, w: Vec3, no
 
 
 @surface_part.of(MinkowskiSum)
-def part_along_the_surface(shape: MinkowskiSum, way: Vec3, normal: Vec3) -> float:
-    return vec3.norm(vec3.reject(way, normal))
+def part_along_the_surface(shape: MinkowskiSum, displacement: Vec3, normal: Vec3) -> float:
+    return vec3.norm(vec3.reject(displacement, normal))
 
 
 @roll_angle.of(MinkowskiSum)

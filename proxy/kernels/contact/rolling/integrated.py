@@ -19,11 +19,11 @@ MAX_TRIALS = 256
 
 
 @jit
-def unroll_displacement(way: Vec3, normal: Vec3, length: float) -> Vec3:
-    """Project the displacement `way` (3,) m of a step into the tangent plane at its end, and scale it to `length` m."""
-    flat = vec3.reject(way, normal)
-    size = vec3.norm(flat)
-    return vec3.scale(length / size if size > 0.0 else 0.0, flat)
+def unroll_displacement(step: Vec3, normal: Vec3, length: float) -> Vec3:
+    """Project the path `step` (3,) m of a step into the tangent plane at its end, and scale it to `length` m."""
+    tangential = vec3.reject(step, normal)
+    size = vec3.norm(tangential)
+    return vec3.scale(length / size if size > 0.0 else 0.0, tangential)
 
 
 @roll.of(Midpoint)
@@ -31,15 +31,15 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
     """Roll by the midpoint rule: second order, two queries of the closest point."""
     w = rotations.log(turn)
     point, n, slope = center, normal, (0.0, 0.0, 0.0)
-    begun = vec3.add_scaled(center, -radius, normal)
+    start_point = vec3.add_scaled(center, -radius, normal)
     spin = 0.0
     length, tilted = 0.0, 0.0
     for stage in range(2):
         part = 0.5 if stage == 0 else 1.0
         slope, spin = center_velocity(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
         length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
-        then = earlier(shape, w, 1.0 - part)
-        _, point, n, _ = closest_from(then, vec3.add_scaled(center, part, slope), begun, BUDGET_OF_A_ROLL)
+        moving_shape = earlier(shape, w, 1.0 - part)
+        _, point, n, _ = closest_from(moving_shape, vec3.add_scaled(center, part, slope), start_point, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(slope, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
@@ -52,7 +52,7 @@ def roll_montana_rk4(
     """Roll by one step of the classical Runge-Kutta rule: fourth order, four queries of the closest point."""
     w = rotations.log(turn)
     point, n, moved = center, normal, (0.0, 0.0, 0.0)
-    begun = vec3.add_scaled(center, -radius, normal)
+    start_point = vec3.add_scaled(center, -radius, normal)
     spin, length, tilted, left = 0.0, 0.0, 0.0, 1.0
     # A loop instead of four explicit stages: the query of the closest point is compiled only once.
     for stage in range(4):
@@ -64,7 +64,7 @@ def roll_montana_rk4(
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
         left = 0.5 if stage < 2 else 0.0
-        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), begun, BUDGET_OF_A_ROLL)
+        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), start_point, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(moved, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)

@@ -45,5 +45,5 @@ def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal:
 @jit
 def follows_on(body: Any, radius: float, start: OffsetPoint, end: Vec3) -> bool:
     """Return `follows` of an object, in the world frame."""
-    begun = into(body.pose, start.center)
-    return follows(body.shape, radius, begun, turn_into(body.pose, start.normal), into(body.pose, end))
+    origin = into(body.pose, start.center)
+    return follows(body.shape, radius, origin, turn_into(body.pose, start.normal), into(body.pose, end))

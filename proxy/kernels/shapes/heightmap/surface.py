@@ -21,13 +21,7 @@ from typing import NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import (
-    Z_AXIS,
-    bend,
-    curvature,
-    direction,
-    offset,
-)
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, bend, curvature, direction, offset
 
 STEPS = 24
 """Limit of Newton's steps; usually three to five, more only for a start far from any foot point."""

@@ -82,7 +82,7 @@ def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int)
     return gone / length, budget
 
 
-@jit
+@meets.of(Mesh)
 def travel_to_facet(
     shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, int]:
@@ -142,13 +142,6 @@ def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, floa
 @curvature.of(Mesh)
 def curvature_of_mesh(shape: Mesh, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     return 0.0, 0.0, X_AXIS
-
-
-@meets.of(Mesh)
-def meets_facet(
-    shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
-) -> tuple[float, float, int]:
-    return travel_to_facet(shape, start, end, radius, leaves, budget)
 
 
 @is_mesh_shape.of(Facet)

@@ -31,12 +31,12 @@ def carry_of(body: Any) -> Any:
 
 
 @carry_of.of(None)
-def carry_of_fixed(body: Any) -> None:
+def make_no_carry(body: Any) -> None:
     return None
 
 
 @carry_of.otherwise
-def carry_of_moving(body: Any) -> Carry:
+def make_carry(body: Any) -> Carry:
     return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
 
 
@@ -61,73 +61,37 @@ def any_of_many_moves(objects: Many) -> bool:
     return objects.moving > 0.0
 
 
-@by_type
-def move_point(carried: Any, x: Vec3) -> Any:
+@jit
+def move_point(carried: Any, x: Vec3) -> Vec3:
     """Return the current position (3,) m of a point that moves with the object, in the world frame."""
-
-
-@by_type
-def turn_direction(carried: Any, v: Vec3) -> Any:
-    """Return the current direction (3,) of a vector that turns with the object, in the world frame."""
-
-
-@by_type
-def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Any:
-    """Return `velocity` (3,) m/s relative to the object at `position` (3,) m of the last tick.
-
-    With dt = 0 the object has no velocity.
-    """
-
-
-@by_type
-def relative_rotation(carried: Any, turn: Quaternion) -> Any:
-    """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
-
-
-@move_point.of(None)
-def keep_point(carried: None, x: Vec3) -> Vec3:
-    return x
-
-
-@turn_direction.of(None)
-def keep_direction(carried: None, v: Vec3) -> Vec3:
-    return v
-
-
-@relative_velocity.of(None)
-def keep_velocity(carried: None, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
-    return velocity
-
-
-@relative_rotation.of(None)
-def keep_rotation(carried: None, turn: Quaternion) -> Quaternion:
-    return turn
-
-
-@move_point.of(Carry)
-def move_point_with_object(carried: Carry, x: Vec3) -> Vec3:
-    if carried.moves == 0.0:
+    if carried is None or carried.moves == 0.0:
         return x
     return out_of(carried.now, into(carried.was, x))
 
 
-@relative_velocity.of(Carry)
-def velocity_against_object(carried: Carry, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
-    if carried.moves == 0.0 or dt <= 0.0:
-        return velocity
-    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(move_point(carried, position), position))
-
-
-@turn_direction.of(Carry)
-def turn_direction_with_object(carried: Carry, v: Vec3) -> Vec3:
-    if carried.moves == 0.0:
+@jit
+def turn_direction(carried: Any, v: Vec3) -> Vec3:
+    """Return the current direction (3,) of a vector that turns with the object, in the world frame."""
+    if carried is None or carried.moves == 0.0:
         return v
     return turn_out_of(carried.now, turn_into(carried.was, v))
 
 
-@relative_rotation.of(Carry)
-def rotation_against_object(carried: Carry, turn: Quaternion) -> Quaternion:
-    if carried.moves == 0.0:
+@jit
+def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+    """Return `velocity` (3,) m/s relative to the object at `position` (3,) m of the last tick.
+
+    With dt = 0 the object has no velocity.
+    """
+    if carried is None or carried.moves == 0.0 or dt <= 0.0:
+        return velocity
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(move_point(carried, position), position))
+
+
+@jit
+def relative_rotation(carried: Any, turn: Quaternion) -> Quaternion:
+    """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
+    if carried is None or carried.moves == 0.0:
         return turn
     objects_turn = rotations.relative(carried.now.orientation, carried.was.orientation)
     return rotations.relative(turn, objects_turn)
