@@ -87,7 +87,7 @@ def _check(faces: Faces) -> None:
     if len(counts) != promised:
         raise ValueError(f"promises {promised:,} faces, and has {len(counts):,}: it is truncated or damaged")
     if len(counts) == 0:
-        raise ValueError("has no triangles: it it is damaged or has only points: mesh them first")
+        raise ValueError("has no triangles: it is damaged or has only points: mesh them first")
     triangles = int(np.maximum(counts - 2, counts > 0).sum())
     if triangles > limits.MESH_TRIANGLES.high:
         raise ValueError(f"has {triangles:,} triangles, {limits.MESH_TRIANGLES.high:,} are the limit: decimate it")

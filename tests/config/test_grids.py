@@ -66,11 +66,11 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("a.jpg", b"\xff\xd8", "is none of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by"),
+        ("a.jpg", b"\xff\xd8", "must be one of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by"),
         ("a.png", b"\x89PNG", "cannot identify image file"),
         ("a.csv", b"7\n", "has a single value: must have at least two"),
-        ("a", b"", "is none of .npy"),
-        ("a.csv", b"# nothing\n", "has no numbers: a row is a line"),
+        ("a", b"", "must be one of .npy"),
+        ("a.csv", b"# nothing\n", "has no numbers: write one row per line"),
         ("a.csv", b"1,2\n3\n", "line 2 has 1 numbers, the first row 2"),
         ("a.csv", b"1,2\n3,x\n", "line 2: could not convert string to float: 'x'"),
         ("a.csv", b"1,nan\n", "row 0, column 1: nan: numbers are finite"),

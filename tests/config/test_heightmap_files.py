@@ -92,7 +92,7 @@ def test_files_that_cannot_be_read_are_said(tmp_path: Path) -> None:
     """One that is not there, one of another kind, one cut off."""
     missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
     assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
-    assert "is none of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
+    assert "must be one of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
     file = scene_file(tmp_path)
     (tmp_path / "hill.npy").write_bytes((tmp_path / "hill.npy").read_bytes()[:528])
     with pytest.raises(ConfigError, match=r"hill\.npy: Failed to read all data"):

@@ -323,7 +323,7 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
     Servo(device).read()
     stub.update(stubborn=1, hush_at=0)
     device.close()
-    assert "does not end its transfers" in caplog.text
+    assert "does not cancel its transfers" in caplog.text
     assert stub["dropped"] == 1 and stub["allocated"] == 2 and stub["misuse"] == 0
     assert stub["opens"] == stub["closes"]
     device.close()

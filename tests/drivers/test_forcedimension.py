@@ -258,7 +258,7 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"
-        assert "limits are not known" in caplog.text
+        assert "limits are unknown" in caplog.text
         for known in MODELS.values():
             assert device.info.force_max_n < known.limits.force_max_n
             assert device.info.stiffness_max_n_per_m < known.limits.stiffness_max_n_per_m

@@ -193,7 +193,7 @@ def test_stop_while_a_transfer_hangs(
         time.sleep(0.05)
         device.stop()
         assert stub.busy() and servo.ticks == 100  # the call still hangs
-        assert ("blocks all calls" in caplog.text) == bool(exclusive)
+        assert ("blocks all others" in caplog.text) == bool(exclusive)
         assert bool(device.zero_failure()) == bool(exclusive)
         assert exclusive or (stub.norm() == 0.0 and stub["force_on"] == 0)
         servo.stop()

@@ -118,7 +118,7 @@ def test_unknown_model_runs_with_the_least_limits(
     hd.update(model=6, outputs=6)
     with bench.open() as device:
         assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
-    assert "limits are not known" in caplog.text
+    assert "limits are unknown" in caplog.text
     with pytest.raises(DeviceNotFound, match=r"model = Touch: it is a Something new, serial 70001"):
         bench.open(model="Touch")
     assert hd["opens"] == hd["closes"] == 2 and not hd["running"]

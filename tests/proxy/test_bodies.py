@@ -364,8 +364,8 @@ BOMB = (
     '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><mujoco model="&c;"/>'
 )
 HOSTILE = {
-    "nothing": ("", "no well-formed XML"),
-    "no XML": ("<mujoco", "no well-formed XML"),
+    "nothing": ("", "not well-formed XML"),
+    "no XML": ("<mujoco", "not well-formed XML"),
     "another root": ("<robots/>", "robots"),
     "an entity that grows": (BOMB, "declares a document type"),
     "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),

@@ -69,7 +69,7 @@ def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
     key, data = identity(thing, elastic), Path(str(elastic.solution)).read_bytes()
     other = msgspec.structs.replace(elastic, poisson=0.3)
     for changed in (other, msgspec.structs.replace(elastic, reach=()), msgspec.structs.replace(elastic, fixed=())):
-        with pytest.raises(ValueError, match="solution of other values"):
+        with pytest.raises(ValueError, match="solution for other values"):
             solution.read(str(elastic.solution), identity(thing, changed))
     softer = msgspec.structs.replace(elastic, youngs_pa=1.0, damping_s=1.0, solution=None)
     assert identity(thing, softer) == key
@@ -114,7 +114,7 @@ def test_a_missing_extra_is_named_in_one_line(
             printed = capsys.readouterr()
             lines = [line for line in printed.err.splitlines() if not line.endswith("not usable") and line.strip()]
             assert len(lines) == 1 and "pip install 'softfinger[elastic]'" in lines[0], printed.err
-            assert ("solution of other values" in lines[0]) == (content is text)
+            assert ("solution for other values" in lines[0]) == (content is text)
 
 
 def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:

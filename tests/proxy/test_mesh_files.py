@@ -228,7 +228,7 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         ("a.ply", b"", "is not a PLY file: it starts with b''"),
         ("a.ply", FILES["stl"][1], "is not a PLY file"),
         ("a.stl", FILES["ply"][1], "it is truncated or not an STL file"),
-        ("a.glb", FILES["obj"][1], "no GLB file"),
+        ("a.glb", FILES["obj"][1], "not a GLB file"),
         ("a.obj", FILES["stl by hand"][1], "has no triangles: it is damaged"),
         ("a.obj", b"hello\n", "has no triangles: it is damaged"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no triangles"),
@@ -249,7 +249,7 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         ("a.ply", FILES["ply"][1][:-1], "it is truncated or damaged"),
         ("a.stl", FILES["stl"][1][:-1], "it was cut off"),
         ("a.stl", FILES["stl text"][1][:-500], "has no endsolid at its end: it is truncated"),
-        ("a.glb", FILES["glb"][1][:-1], "is damaged, or no GLB file"),
+        ("a.glb", FILES["glb"][1][:-1], "is damaged or not a GLB file"),
     ],
 )  # fmt: skip
 def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: bytes, text: str) -> None:
@@ -263,22 +263,22 @@ def test_missing_files_raise_a_one_line_error(tmp_path: Path) -> None:
     assert "No such file" in refusal(tmp_path / "none.ply")
     (tmp_path / "folder.stl").mkdir()
     assert "Is a directory" in refusal(tmp_path / "folder.stl")
-    assert "is none of .ply, .stl, .obj, .glb" in refusal(tmp_path / "part.step")
+    assert "must be one of .ply, .stl, .obj, .glb" in refusal(tmp_path / "part.step")
 
 
 LIARS: list[tuple[str, bytes, str]] = [
     ("a.ply", FILES["ply"][1].replace(b"face 180", b"face 19999999"), "promises 19,999,999 entries of face"),
     ("a.ply", ply_text(BALL).replace(b"face 180", b"face 1800000"), "promises 1,800,000 entries of face, and has 180"),
     ("a.ply", ply_text(BALL).replace(b"face 180", b"face 181"), "promises 181 entries of face, and has 180"),
-    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face -5"), "is damaged, or no PLY file"),
-    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face 9" + 30 * b"9"), "is damaged, or no PLY file"),
+    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face -5"), "is damaged or not a PLY file"),
+    ("a.ply", FILES["ply"][1].replace(b"face 180", b"face 9" + 30 * b"9"), "is damaged or not a PLY file"),
     ("a.stl", stl_binary(BALL)[:80] + b"\xff\xff\xff\xff" + stl_binary(BALL)[84:], "states 4,294,967,295"),
-    ("a.glb", glb_binary(BALL, lambda head: head["accessors"][0].update(count=1 << 40)), "is damaged, or no GLB file"),
+    ("a.glb", glb_binary(BALL, lambda head: head["accessors"][0].update(count=1 << 40)), "is damaged or not a GLB file"),
     ("a.glb", glb_binary(BALL, lambda head: head.update(extensionsRequired=["KHR_draco_mesh_compression"])),
      "is compressed (KHR_draco_mesh_compression)"),
     ("a.glb", glb_binary(BALL, lambda head: head["buffers"][0].update(uri="../../etc/passwd")), "in another file"),
     ("a.glb", glb_binary(BALL, lambda head: head["buffers"][0].update(uri="http://example.org/x")), "in another file"),
-    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=None)), "is damaged, or no GLB file"),
+    ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=None)), "is damaged or not a GLB file"),
     ("a.glb", glb_binary(BALL, lambda head: head.update(nodes=[{"children": [0]}])), ""),
 ]  # fmt: skip
 

@@ -95,7 +95,7 @@ def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--device", "replay", "--rig", "replay"], "'replay' cannot be run without a clock"),
+        (["--device", "replay", "--rig", "replay"], "'replay' cannot run offline"),
         (["--poses", "tap", "--duration", "1"], "--duration needs --device"),
     ],
 )

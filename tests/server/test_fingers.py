@@ -158,7 +158,7 @@ def test_a_hanging_device_does_not_prevent_the_stop_of_the_other(
     devices[place].arm()
     what = {"stop": shutdown.stop_all, "close": shutdown.close_all}
     said = {"stop": "be stopped", "close": "be closed"}
-    with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not come back.*switch it off"):
+    with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not returned.*switch it off"):
         what[act](devices)
     assert [each for each, *_ in devices[1 - place].acts][-1] == "stop"
     assert len(devices[place].wrenches) == (act == "stop")  # a plain write of zero instead of the stop

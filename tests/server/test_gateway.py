@@ -267,7 +267,7 @@ def test_forwarded_messages_equal_published_ones() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "give --to, --commands-to or --lsl"),
+        ([], "add --to, --commands-to or --lsl"),
         (["--to", "tcp://0.0.0.0:*"], "is open to the network: set the allowed clients"),
         (["--commands-to", "tcp://0.0.0.0:*", "--keys", "keys/server.key_secret"], "--commanders DIR"),
         (["--to", "tcp://127.0.0.1:*", "--readers", "readers"], "add --keys FILE"),

@@ -49,11 +49,11 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
     for gone in (None, public):
         if gone is not None:
             gone.unlink()
-        with pytest.raises(ConfigError, match="no key is overwritten"):
+        with pytest.raises(ConfigError, match="keys are not overwritten"):
             make_pair(tmp_path, "rig")
     assert secret.read_bytes() == kept[1] and not public.exists()
     (tmp_path / "link.key_secret").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(ConfigError, match="no key is overwritten"):
+    with pytest.raises(ConfigError, match="keys are not overwritten"):
         make_pair(tmp_path, "link")
     for name in ("", "../rig", ".hidden", "a/b", "a\n", "x" * 65):
         with pytest.raises(ConfigError, match="is not a name of a key"):
@@ -85,7 +85,7 @@ def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
     mixed = tmp_path / "mixed"
     mixed.touch(0o600)
     mixed.write_text(text.replace(text.split('"')[3], other.read_text().split('"')[3]))
-    with pytest.raises(ConfigError, match="not that of the secret one"):
+    with pytest.raises(ConfigError, match="does not belong to its secret key"):
         read_pair(mixed)
     with pytest.raises(ConfigError, match="no line public-key"):
         read_public(Path(__file__).parents[2] / "LICENSE")

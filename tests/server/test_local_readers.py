@@ -216,9 +216,9 @@ def test_files_of_another_user_are_not_removed():
 def test_unreadable_rings_are_refused(tmp_path, monkeypatch):
     """An unknown name, a path, an empty file and another layout are refused."""
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
-    with pytest.raises(ConfigError, match="ask it for one"):
+    with pytest.raises(ConfigError, match="get it with"):
         Local("../etc/passwd")
-    with pytest.raises(ConfigError, match="does the daemon still run"):
+    with pytest.raises(ConfigError, match="is the daemon still running"):
         Local("softfinger-none")
     (tmp_path / "softfinger-empty").touch()
     with pytest.raises(ConfigError, match="cannot be read"):

@@ -445,5 +445,5 @@ def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
     finally:
         process.kill()
     assert process.returncode == DeviceError.exit_code, said
-    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still display a force", said)
+    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still apply a force", said)
     assert "Traceback" not in said

@@ -43,4 +43,4 @@ def test_every_table_has_its_place_in_the_pages():
 def test_a_folder_without_pages_is_refused(tmp_path, capsys):
     """Nothing is measured for a folder that has nothing to put it in."""
     assert study.main([str(tmp_path)]) == ConfigError.exit_code
-    assert "no pages here" in capsys.readouterr().err
+    assert "contains no pages" in capsys.readouterr().err

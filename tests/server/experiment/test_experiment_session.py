@@ -280,11 +280,11 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
     listed = capsys.readouterr().out
     assert [line.split()[0] for line in listed.splitlines()] == list_shipped()
     for words, said in (
-        (["experiment", "friction-magnitude", "--no-daemon"], "give --dry-run too"),
+        (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
         (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
-        (["figure", str(tmp_path)], "is this a folder that `softfinger experiment` made"),
+        (["figure", str(tmp_path)], "was this folder written by `softfinger experiment`"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
         assert said in capsys.readouterr().err

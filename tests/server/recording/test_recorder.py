@@ -247,7 +247,7 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
 
 
 NOT_BELOW = {
-    "/tmp/x.mcap": "no absolute path",
+    "/tmp/x.mcap": "not absolute",
     "../x.mcap": "no ..",
     "in/../../x.mcap": "no ..",
     "link/x.mcap": "Not a directory|Too many levels",

@@ -204,7 +204,7 @@ def test_each_page_has_its_own_token() -> None:
 
 def test_an_unguarded_server_is_refused() -> None:
     """ConfigError is raised if viser starts its server in an unexpected way."""
-    with pytest.raises(ConfigError, match="cannot be guarded"), Access("127.0.0.1").guard_server():
+    with pytest.raises(ConfigError, match="cannot be protected"), Access("127.0.0.1").guard_server():
         pass
 
 

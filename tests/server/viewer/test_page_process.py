@@ -160,7 +160,7 @@ def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
     with caplog.at_level(logging.INFO):
         assert called("run", *ends, "--duration", "0.01").returncode == 0
-    assert "--view shows it in the browser" in caplog.messages[0]
+    assert "--view opens a browser page" in caplog.messages[0]
 
 
 @pytest.mark.system
