@@ -219,7 +219,7 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
         ({"a": 1.0}, "no timestamp"),
         (good | {"timestamp": 17}, "no timestamp"),
         (good | {"timestamp": 17.0}, "another clock"),
-        (good | {3: 1.0}, "no text"),
+        (good | {3: 1.0}, "not text"),
         (good | {"a/b[0]": 1.0}, "two values"),
         (good | {"c": float("nan")}, "empty series"),
         (good | {"c": None}, "NoneType"),
