@@ -122,6 +122,6 @@ def normalise_orientation(table: Table) -> None:
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
-    """Yield a fault for a direction of all zeros; a missing direction is no fault."""
+    """Yield a fault for a direction of all zeros; a missing direction is not a fault."""
     if is_usable(direction) and direction is not None and not any(direction):
-        yield key, direction, "all zero is no direction: [0, 0, 1] is the z axis"
+        yield key, direction, "all zero is not a direction: [0, 0, 1] is the z axis"

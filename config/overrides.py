@@ -97,7 +97,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
                 raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"{key} would be in {format_value(at)}, which is no table: give the complete table")
+            raise LookupError(f"{key} would be in {format_value(at)}, which is not a table: give the complete table")
         elif depth < len(way) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(way):

@@ -151,7 +151,7 @@ def parse_parameter(word: str) -> tuple[str, Any]:
     if not equals or not key:
         from softfinger.config.words import format_value
 
-        raise ConfigError(f"{format_value(word)} is no parameter: write key=value")
+        raise ConfigError(f"{format_value(word)} is not a parameter: write key=value")
     return key, _parse_value(text)
 
 

@@ -60,7 +60,7 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
         If the name is not allowed or one of the files exists.
     """
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"{format_value(name)} is no name of a key: up to 64 letters, digits, dots, - and _")
+        raise ConfigError(f"{format_value(name)} is not a name of a key: up to 64 letters, digits, dots, - and _")
     files = folder / f"{name}.key", folder / f"{name}.key_secret"
     public, secret = zmq.curve_keypair()
     texts = [f'curve\n    public-key = "{public.decode()}"\n', f'    secret-key = "{secret.decode()}"\n']

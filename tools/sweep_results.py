@@ -91,7 +91,7 @@ def _lock(file: IO[bytes], path: Path) -> None:
 
 
 def _in_use_error(path: Path) -> RecordingError:
-    return RecordingError(f"{path}: another run is writing to it: wait for its end or name another file")
+    return RecordingError(f"{path}: another run is writing to it: wait until it ends or choose another file")
 
 
 def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:

@@ -104,7 +104,7 @@ class Friction(Table, frozen=True, kw_only=True):
                     yield key, getattr(self, key), "needs direction_x, the direction that its first factor is for"
             return
         if not any(self.direction_x):
-            yield "direction_x", self.direction_x, "all zero is no direction: [1, 0, 0] is the object's x axis"
+            yield "direction_x", self.direction_x, "all zero is not a direction: [1, 0, 0] is the object's x axis"
         if is_usable(self.static, self.kinetic) and self.kinetic <= self.static:
             static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
             for way, before, after in zip(("along", "across"), static, kinetic, strict=True):

@@ -28,7 +28,11 @@ class Tool(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
-            yield "orientation_wxyz", self.orientation_wxyz, "all zero is no orientation: [1, 0, 0, 0] turns nothing"
+            yield (
+                "orientation_wxyz",
+                self.orientation_wxyz,
+                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
+            )
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):

@@ -73,7 +73,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
             zero = self.orientation_wxyz
-            yield "orientation_wxyz", zero, "all zero is no orientation: [1, 0, 0, 0] is the identity"
+            yield "orientation_wxyz", zero, "all zero is not an orientation: [1, 0, 0, 0] is the identity"
         if is_usable(self.name) and not (self.name.isprintable() and self.name.strip()):
             yield "name", self.name, "must have printable characters only, and not only blanks"
 
@@ -302,7 +302,7 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             if is_usable(given) and given is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"
         if is_usable(self.inside) and self.inside:
-            yield "inside", True, "is no side of an elastic body: leave it out"
+            yield "inside", True, "is not a side of an elastic body: leave it out"
         if self.mesh is not None:
             yield "mesh", self.mesh, "of a MuJoCo model cannot be elastic: export it to a file"
 

@@ -8,10 +8,10 @@ from typing import Annotated, Final
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 
-GAIN: Final = Range(100.0, 1e6, "4095 counts, the most there are, are then 41 N m and 4 mN m at a leg")
-SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; above, a force where it was long ago")
-GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; above this a lost device goes unnoticed")
-HOMING_S: Final = Range(0.0, 600.0, "a person pulls the knob out and pushes it in")
+GAIN: Final = Range(100.0, 1e6, "4095 counts, the maximum, are then 41 N m and 4 mN m at a leg")
+SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; after a longer silence the force is outdated")
+GIVE_UP_S: Final = Range(0.005, 2.0, "a reply takes 2 ms; a longer time hides a lost device")
+HOMING_S: Final = Range(0.0, 600.0, "time for a person to move the knob out and in")
 
 COUNTS_PER_NM: Final = 10000.0
 """Value of libnifalcon. There is no published measurement."""

@@ -13,8 +13,8 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Table, is_usable, said, within
 
 BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
-FIELDS: Final = Range(1, 32, "more than any haptic device has senses")
-SCALE: Final = Range(-1e9, 1e9, "past this a 32-bit field has no digit left")
+FIELDS: Final = Range(1, 32, "more than any haptic device has")
+SCALE: Final = Range(-1e9, 1e9, "beyond this a 32-bit field has no digits left")
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
 TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")

@@ -10,11 +10,11 @@ from softfinger.config.schema import Table, said, within
 WATCHDOG_UNIT_S: Final = 125e-6
 """Unit of the library's watchdog, which it stores in one byte."""
 
-WATCHDOG_S: Final = Range(0.0, 255 * WATCHDOG_UNIT_S, "the library counts it in one byte of 125 us; 0: none")
+WATCHDOG_S: Final = Range(0.0, 255 * WATCHDOG_UNIT_S, "the library has one byte in units of 125 us; 0: none")
 NUMBER: Final = Range(0, 126, "the library counts its devices in a char")
-SERIAL: Final = Range(0, 65535, "the library gives it in 16 bits")
-VELOCITY_THRESHOLD: Final = Range(0, 2**32 - 1, "the library takes 32 bits; the unit is the maker's")
-STATUS_S: Final = Range(0.001, 1.0, "polled at most every tick; a second is long for a force that is off")
+SERIAL: Final = Range(0, 65535, "the library returns 16 bits")
+VELOCITY_THRESHOLD: Final = Range(0, 2**32 - 1, "the library accepts 32 bits; the unit is the vendor's")
+STATUS_S: Final = Range(0.001, 1.0, "polled at most every tick; after a second a disabled force must be known")
 
 
 class Options(Table, frozen=True, kw_only=True):

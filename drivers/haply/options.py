@@ -15,14 +15,12 @@ from softfinger.drivers.mounting import Mounting
 PORT: Final = Range(1, 65535, "the ports of TCP")
 FORCE_MAX_N: Final = Range(0.0, 20.0, "twice the stated maximum of any of these devices")
 GAIN: Final = Range(0.0, 1.0, "0 disables the filter; past 1 nothing is published")
-DAMPING: Final = Range(0.0, 10.0, "no page of the maker gives a range")
-GRAVITY: Final = Range(0.0, 2.0, "1 compensates the weight of the device; 2 throws it up")
+DAMPING: Final = Range(0.0, 10.0, "the vendor states no range")
+GRAVITY: Final = Range(0.0, 2.0, "1 compensates the weight of the device; 2 accelerates it upwards")
 SILENCE_S: Final = Range(
-    0.005, 0.2, "below, a late answer is a silence; above, a force acts where the hand was long ago"
+    0.005, 0.2, "a shorter time counts late answers as silence; after a longer one the force is outdated"
 )
-GIVE_UP_S: Final = Range(
-    0.005, 2.0, "below this a late answer counts as silence; above it a lost service goes unnoticed"
-)
+GIVE_UP_S: Final = Range(0.005, 2.0, "a shorter time counts late answers as silence; a longer one hides a lost service")
 OLD_FORMAT_PORT: Final = 10000
 
 

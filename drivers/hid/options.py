@@ -27,11 +27,9 @@ from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.system.descriptor import ReportLengths
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
-REPORT_ID: Final = Range(0, 255, "one byte; 0 where the device does not number its reports")
-SILENCE_S: Final = Range(
-    0.01, 0.2, "below, one kick has no time to work; above, force acts where the device was long ago"
-)
-GIVE_UP_S: Final = Range(0.01, 2.0, "below this one restart has no time to work; above it a lost device goes unnoticed")
+REPORT_ID: Final = Range(0, 255, "one byte; 0 if the device does not number its reports")
+SILENCE_S: Final = Range(0.01, 0.2, "a kick needs at least this time; after a longer one the force is outdated")
+GIVE_UP_S: Final = Range(0.01, 2.0, "a restart needs at least this time; a longer time hides a lost device")
 
 Through = Literal["auto", "node", "thread"]
 """Carrier of the reports: the loop at a hidraw node, or threads at hidapi; auto: the loop if there is a node."""

@@ -11,15 +11,15 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
 from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
-RATIO_M: Final = Range(1e-4, 1.0, "a capstan thinner than 0.1 mm is a wire, a wheel of 1 m is not a desktop device")
+RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
 APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
 TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
-COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts a turn")
+COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts one full turn")
 PRESET_COUNTS: Final = Range(-32768, 32767, "range of a two-byte counter")
-CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices end at a few amperes")
+CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices have at most a few amperes")
 TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
-ANGLE_DEG: Final = Range(-360.0, 360.0, "a turn")
+ANGLE_DEG: Final = Range(-360.0, 360.0, "one full turn")
 
 Lengths = tuple[
     Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],

@@ -8,7 +8,7 @@ from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.config.schema import Table, said, sized, within
 
 CALIBRATION_S: Final = Range(0.0, 600.0, "time to put the stylus into the inkwell")
-FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a push of a tenth of a second is unwanted")
+FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a force older than 0.1 s is outdated")
 
 
 class Options(Table, frozen=True, kw_only=True):

@@ -23,17 +23,15 @@ from softfinger.drivers.kinematics.options import Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
-FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame gives mN as a number of two bytes, which ends at 32.767 N")
+FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame has two bytes for mN, up to 32.767 N")
 SILENCE_S: Final = Range(
-    0.005, 0.2, "below, a late answer is a silence; above, force acts where the device was long ago"
+    0.005, 0.2, "a shorter time counts late answers as silence; after a longer one the force is outdated"
 )
-GIVE_UP_S: Final = Range(
-    0.005, 2.0, "below this a late answer counts as silence; above it a lost device goes unnoticed"
-)
-WAKE_S: Final = Range(0.2, 60.0, "below this one restart has no time to work; above a minute the wait has no use")
+GIVE_UP_S: Final = Range(0.005, 2.0, "a shorter time counts late answers as silence; a longer one hides a lost device")
+WAKE_S: Final = Range(0.2, 60.0, "a restart needs at least this time; waiting more than a minute is useless")
 
 FRAME_BYTES: Final = Range(1, 256, "at 115200 Bd a frame of 256 bytes takes 22 ms")
-MARKS: Final = Range(0, 8, "more than anybody sends to mark a frame")
+MARKS: Final = Range(0, 8, "more bytes than any protocol marks frames with")
 RESYNC: Final = Range(1, 256, "the longest frame")
 
 Order = Literal["little", "big"]

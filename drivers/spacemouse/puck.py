@@ -20,7 +20,7 @@ FULL_SCALE: Final = 350.0
 """Counts of an axis at full deflection."""
 
 DEADBAND: Final = Range(0.0, 300.0, "an axis ends at 350 counts")
-GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection; at this speed a fingertip passes through every wall")
+GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection")
 GAIN_RAD_PER_S: Final = Range(0.0, 3e-2, "10 rad/s at full deflection")
 HOLD_S: Final = Range(0.05, 3600.0, "reports come every few hundredths of a second while the puck is moved")
 

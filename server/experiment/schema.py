@@ -15,8 +15,8 @@ from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
 
-SECONDS: Final = Range(0.0, 600.0, "ten minutes are longer than any touch")
-SHARE: Final = Range(0.0, 0.5, "half of the answers at random is not an observer")
+SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
+SHARE: Final = Range(0.0, 0.5, "an observer with half of the answers at random is useless")
 ONE: Final = "fingertip"
 """Name in an experiment for the finger of a scene with only one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")

@@ -66,7 +66,11 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("a.jpg", b"\xff\xd8", "must be one of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by"),
+        (
+            "a.jpg",
+            b"\xff\xd8",
+            "must be one of .npy, .npz, .csv, .pgm, .png: save a picture as grey .png, or any array by",
+        ),
         ("a.png", b"\x89PNG", "cannot identify image file"),
         ("a.csv", b"7\n", "has a single value: must have at least two"),
         ("a", b"", "must be one of .npy"),

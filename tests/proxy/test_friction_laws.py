@@ -318,7 +318,7 @@ def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -
     ("friction", "message"),
     [
         ({"static_scale": [1.0, 0.5]}, "needs direction_x"),
-        ({"direction_x": [0.0, 0.0, 0.0]}, "no direction"),
+        ({"direction_x": [0.0, 0.0, 0.0]}, "not a direction"),
         ({"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 0.5]}, "across, above the static 0.3"),
         ({"direction_x": [1.0, 0.0, 0.0], "kinetic_scale": [0.0, 0.5]}, "from 0.001"),
         ({"stribeck_speed_m_per_s": 0.0}, "from 1e-05 to 10 m/s"),

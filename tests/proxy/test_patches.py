@@ -427,7 +427,7 @@ def over_the_ball(angles, turned):
 
 def test_a_followed_roll_over_a_curve_winds_nothing():
     """The centre moves by (R + r) d(phi) while the fingertip turns by d(theta) = (R + r) / r d(phi); the deeper probe
-    moves by (R + r - d) d(phi), which is no slip. The tangential force is zero, out and back."""
+    moves by (R + r - d) d(phi), which is not a slip. The tangential force is zero, out and back."""
     angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
     records = over_the_ball(angles, (BALL + R) / R * angles)
     assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back

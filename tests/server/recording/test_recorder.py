@@ -248,8 +248,8 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
 
 NOT_BELOW = {
     "/tmp/x.mcap": "not absolute",
-    "../x.mcap": "no ..",
-    "in/../../x.mcap": "no ..",
+    "../x.mcap": r"without \.\.",
+    "in/../../x.mcap": r"without \.\.",
     "link/x.mcap": "Not a directory|Too many levels",
     "there.mcap": "already exists",
     "dangling.mcap": "already exists",
