@@ -87,7 +87,7 @@ def main() -> int:
         received += data
     if received != CLOSED:
         result = zero_force(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
-        print(f"softfinger watcher: the daemon has ended: {result}", file=sys.stderr, flush=True)
+        print(f"softfinger watcher: the daemon has died: {result}", file=sys.stderr, flush=True)
     return 0
 
 

@@ -244,7 +244,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     [
         ({STIFFNESS: -1.0}, r"set: object\[0\].material.stiffness_n_per_m = -1.0: must be a number from"),
         ({STIFFNESS: 800.0, "object.table.material.stifness": 1.0}, "did you mean 'stiffness_n_per_m'"),
-        ({STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "given twice"),
+        ({STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "set twice"),
         ({STIFFNESS: 800.0, "object.7.name": "x"}, "there is no object.7.: entries go from 0 to 0, or by name table"),
         ({STIFFNESS: 800.0, "rolling.method": "midpoint"}, "set: rolling.method: that is another model"),
     ],

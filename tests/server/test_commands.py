@@ -317,7 +317,7 @@ def test_several_fingers_are_commanded_together(rig):
             {"finger.0.name": "ring", "finger.0.device": "thumb"},
             "the name and the device of a finger are no parameters",
         ),
-        ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "given twice"),
+        ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "set twice"),
         ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
@@ -357,7 +357,7 @@ REFUSED = [
     ("set_params", {"object.0.material.stiffness_n_per_m": math.nan}, "bad_params", "must be a number"),
     ("set_params", {STIFFNESS: 800.0, "object.0.material.stifness": 1.0}, "bad_params", "did you mean 'stiffness"),
     ("set_params", {STIFFNESS: 800.0, "object.lid.colour": 1.0}, "bad_params", "object.lid"),
-    ("set_params", {STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "bad_params", "given twice"),
+    ("set_params", {STIFFNESS: 800.0, "object.0.material.stiffness_n_per_m": 700.0}, "bad_params", "set twice"),
     ("set_params", {STIFFNESS: 800.0, "object.0.material.friction": {"static": 0.6, "kinetic": 0.5}}, "bad_params",
      "another model"),
     ("set_params", {STIFFNESS: 800.0, PUSH: [0.0, 0.0, 1e9]}, "bad_params", "effect[0].force_n"),

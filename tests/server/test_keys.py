@@ -96,7 +96,7 @@ def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
         read_public(tmp_path / "pipe")
     for bits in (0o640, 0o604, 0o601):
         secret.chmod(bits)
-        with pytest.raises(ConfigError, match=r"other users may read .*chmod 600"):
+        with pytest.raises(ConfigError, match=r"other users can read .*chmod 600"):
             read_pair(secret)
 
 

@@ -246,7 +246,7 @@ SAID = "its driver said why"
 @pytest.mark.parametrize(
     ("ending", "status", "kind", "words"),
     [
-        (health.NO_POSE, 0, DeviceError, ["no usable pose for", "see to its sensors"]),
+        (health.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
         (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
         (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),

@@ -36,7 +36,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Path) -> None:
     """For each name of the file: exit code 2, one sentence, and an unchanged file."""
     done = called(*words, written)
-    assert done.returncode == 2 and "name another file" in done.stderr, done.stderr
+    assert done.returncode == 2 and "choose another output file" in done.stderr, done.stderr
     assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
 
 
@@ -49,7 +49,7 @@ def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) 
     done = called("record", "short.csv", "--duration", "0.0005", *to)
     assert done.returncode == 3 and "at least 2" in done.stderr and not (here / "short.csv").exists()
     done = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
-    assert done.returncode == 2 and "are one file" in done.stderr and not (here / "b.csv").exists()
+    assert done.returncode == 2 and "are the same file" in done.stderr and not (here / "b.csv").exists()
     assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (here / "b.csv").stat().st_size
 
 

@@ -161,7 +161,7 @@ def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> Non
         assert find_addresses(daemon.publisher.endpoint).commands is None
         with Client(daemon.publisher.endpoint) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-            with pytest.raises(ConfigError, match="takes no commands"):
+            with pytest.raises(ConfigError, match="accepts no commands"):
                 client.arm()
 
 
