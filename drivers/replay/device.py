@@ -94,7 +94,7 @@ class Replay(Device):
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         if options.forces is not None and is_same_file(options.recording, options.forces):
-            raise ConfigError(f"forces = {options.forces!r}: is the recording that is replayed: name another file")
+            raise ConfigError(f"forces = {options.forces!r}: is the replayed recording: choose another output file")
         samples = resample(load_poses(options.recording, options.finger), rate_hz)
         self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
         """Poses (M, 7) that reads return in order."""
