@@ -20,7 +20,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, multiplier, near, shrink
+from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, limit_distance, multiplier, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
@@ -51,8 +51,8 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     y: tuple[float, float, float], weight: tuple[float, float, float]
 ) -> None:
     """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
-    m = multiplier(near(y), weight)
-    p = shrink(near(y), weight, m)
+    m = multiplier(limit_distance(y), weight)
+    p = shrink(limit_distance(y), weight, m)
     if np.linalg.norm(y) <= 1.0:
         assert (m, p) == (0.0, y)
         return

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, Load, with_friction_result
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, NormalForce, with_friction_result
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
@@ -65,7 +65,7 @@ def outcome_of_one(
     approach: Approach,
     forces: ContactForces,
     landing: Landing,
-    load: Load,
+    load: NormalForce,
     effects: Effects,
 ) -> Outcome:
     """Compute the forces of the only contact under `load` at its new position, and its state."""

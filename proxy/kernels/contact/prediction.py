@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
-from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
+from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -177,7 +177,7 @@ def continue_several(
     last = move_contacts(shapes, state.contacts)
     center = move_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
-    active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
+    active, _ = solve_tangent_planes(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
     one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)

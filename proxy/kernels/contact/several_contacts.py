@@ -181,7 +181,7 @@ def follow_slip_on_mesh(
 
 
 @jit
-def land_in_company(
+def land_among_several(
     finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
