@@ -95,7 +95,7 @@ def filter_texture(grid: Grid, pitch: tuple[float, float], cutoff: float, repeat
     """Return the numbers (rows, columns) without wavelengths below `cutoff` (m).
 
     pitch    m  between columns and between rows
-    repeats     along the columns and the rows; otherwise the array is mirrored at its border, for zero slope there
+    repeats     along the columns and the rows; otherwise the array is mirrored, so that the slope at its border is zero
     """
     rows, columns = grid.shape
     pads = ((0, 0 if repeats[1] else rows), (0, 0 if repeats[0] else columns))

@@ -137,7 +137,7 @@ def interpolate_pose(state: FingerState, pose: Pose, share: float) -> Pose:
 def step_finger(
     finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
-    """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
+    """Compute the contact of one finger in the advanced world; `objects` is the result of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)

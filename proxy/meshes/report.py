@@ -71,7 +71,7 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     """Return a question about the unit of a mesh that no hand surrounds, or none can feel.
 
     size   m, scaled
-    scale  of the object; None for a mesh of a MuJoCo model, whose <mesh> has a scale of its own
+    scale  of the object; None for a mesh of a MuJoCo model, scaled by its <mesh>
     """
     if USUAL_M[0] <= size <= USUAL_M[1]:
         return ()

@@ -122,7 +122,7 @@ def ground_of(body: Any) -> Ground:
 def load_on(
     finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, touches: bool
 ) -> NormalForce:
-    """Return the normal force of a constraint; `touches` is True if nothing has moved the contact yet."""
+    """Return the normal force of a constraint; `touches` is True in the first tick of a contact."""
     probe, last, dt = motion
     speed = relative_velocity(ground.carried, probe.velocity, last.position, dt)
     speed = velocity_at(finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt)

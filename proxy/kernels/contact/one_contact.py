@@ -7,7 +7,7 @@ from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Gro
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
-from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
@@ -72,7 +72,7 @@ def outcome_of_one(
     friction, normal = forces.result, landing.active[0].normal
     tangential, moment, bending = vec3.reject(friction.force, normal), friction.moment, forces.bending
     if forces.load > load.size:
-        # The normal force is smaller there. This keeps both within their limits; the torsional one grows by up to
+        # The normal force is smaller there. Scaling leaves both within their limits; the torsional one grows by up to
         # f_N^(4/3).
         ease = load.size / forces.load
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment

@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
 
 @jit
 def make_state(probe: Probe, outcome: Outcome) -> FingerState:
-    """Return the state for the next tick."""
+    """Return the FingerState after a tick in contact."""
     return FingerState(
         started=1.0,
         probe=probe,
@@ -73,7 +73,7 @@ def make_state(probe: Probe, outcome: Outcome) -> FingerState:
 
 @jit
 def make_contact(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
-    """Return the result of this tick for telemetry, with the wrench on the hand."""
+    """Return the Contact of this tick, with the wrench on the hand."""
     # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
     # that of the rest position. It is 0 in the tick in which a slip moves the proxy to where the probe is outside.
     depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)

@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_cu
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import lag_of
-from softfinger.proxy.kernels.contact.rest.among import trailing_force
+from softfinger.proxy.kernels.contact.rest.several_objects import trailing_force
 from softfinger.proxy.kernels.contact.several_rest import Equilibrium
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import rotate_law
@@ -94,7 +94,7 @@ def add_part_of(
 
 @jit
 def friction_share_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> FrictionShare:
-    """Return the friction of a constraint: the remainder of its contact, and its part of what other contacts lose.
+    """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """

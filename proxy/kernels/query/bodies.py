@@ -94,7 +94,7 @@ def frame_in(x: Any, q: Any, body: int) -> Pose:
 
 @jit
 def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
-    """Apply the negative wrenches of all contacts to the bodies, instead of those of the last step.
+    """Replace the wrenches of the last step on the bodies by the negative wrenches of all contacts.
 
     contacts  a Contact for each finger
     fingers   a FingerState for each finger
@@ -109,7 +109,7 @@ def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
 
 @jit
 def push_by_finger(contact: Contact, finger: FingerState, bodies: Bodies) -> None:
-    """Take the wrenches of a finger's contacts from what acts on the bodies that they are on."""
+    """Subtract the wrenches of a finger's contacts from the wrenches applied to the touched bodies."""
     map_each(push_by_contact, (contact.contacts,), finger.probe.position, bodies)
 
 
@@ -175,7 +175,7 @@ def step_bodies(bodies: Any) -> int:
 
 @jit
 def store_poses(bodies: Bodies) -> None:
-    """Store the current frames as those before the last step."""
+    """Store the current frames as the frames before the last step."""
     block = bodies.block
     x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
     last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])

@@ -63,8 +63,8 @@ def nearest_over_sphere(shape: Sphere, grown: MinkowskiSum, x: Vec3) -> tuple[fl
 def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Use the ellipsoid's projection along z.
 
-    Its matrix is the first two rows and columns of E, a Gram matrix. By the Cauchy-Binet formula, the product of its
-    eigenvalues is a sum of squares, without a difference of close numbers.
+    Its matrix is the upper left 2 x 2 block of E, a Gram matrix. By the Cauchy-Binet formula, the product of its
+    eigenvalues is a sum of squares, so no close numbers are subtracted.
     """
     a, back = grown.semi_axes, rotations.conjugate(grown.orientation)
     u, v = (

@@ -19,8 +19,8 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     one_constraint,
     sort_by_load,
 )
-from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
+from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
