@@ -173,9 +173,9 @@ class RigidBodies:
         return int(number)
 
     def begin(self, period_s: float) -> None:
-        """Reset all bodies to their initial poses, or those of the keyframe, for ticks of `period_s`.
+        """Reset all bodies to their initial poses, or to the keyframe, for ticks of `period_s`.
 
-        Raises ConfigError if the model keeps another time step, or if its initial state has no finite acceleration.
+        Raises ConfigError if the model has another fixed time step, or if its initial state has no finite acceleration.
         """
         package = mujoco_module()
         step = self.model.opt.timestep * self.world.substeps

@@ -1,6 +1,6 @@
 """Contact model for Python: load a scene, step single poses or an array of poses, and get typed results.
 
-What reads and builds a scene is imported with the first scene: it takes as long as the kernels.
+The modules that read and build a scene are imported with the first scene: that takes as long as the kernels.
 """
 
 from __future__ import annotations

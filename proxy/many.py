@@ -9,7 +9,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact import rolling as _rolling  # noqa: F401  # registers kernels of shapes
-from softfinger.proxy.kernels.contact.rest import alone as _alone  # noqa: F401
+from softfinger.proxy.kernels.contact.rest import one_object as _one_object  # noqa: F401
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.query.container import ENTRIES
@@ -25,7 +25,7 @@ AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO
 def many_objects(
     objects: list[model.Object], effects: tuple[model.Carrier, ...], fingers: tuple[model.Finger, ...], rolling: Any
 ) -> model.Many:
-    """Return the objects as arrays; `effects` are those of some objects.
+    """Return the objects as arrays; `effects` are the carriers of effects.
 
     Raises ConfigError for more than ENTRIES objects.
     """

@@ -59,7 +59,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
             fixed = motion is None and texture is None
             shape, pose = _place_shape(shape, thing, position, orientation, fixed)
-            if effects and part == 0:  # several walls of one object do together what the object does once
+            if effects and part == 0:  # an object of several walls has its effects once
                 carriers.append(model.Carrier(float(len(bodies)), effects))
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
             bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
@@ -103,7 +103,7 @@ def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
 
 
 def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
-    """Return whether a scene is the same model with changes; False if they are not usable without others."""
+    """Return True if a scene is the same model with changes; False if they cannot be applied separately."""
     try:
         return same_model(build_scene(overridden(scene, changes, "")), built)
     except ConfigError:

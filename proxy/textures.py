@@ -28,7 +28,7 @@ REST: Final = 0.01
 """Fraction of an amplitude that remains at the cutoff."""
 
 
-class Made(NamedTuple):
+class RenderedTexture(NamedTuple):
     """Texture as rendered.
 
     values   (rows, columns)  in [0, 1], filtered: coefficients of the spline
@@ -46,7 +46,7 @@ def cutoff_m(texture: schema.Texture) -> float:
     return texture.speed_m_per_s / FREQUENCY_MAX_HZ
 
 
-def make(thing: schema.Textured) -> Made:
+def make(thing: schema.Textured) -> RenderedTexture:
     """Return the texture of an object from its file. Raises ConfigError if the file cannot be used."""
     texture = thing.texture
     assert texture is not None
@@ -63,8 +63,8 @@ def make(thing: schema.Textured) -> Made:
     repeats = texture.border == "period"
     rows, columns = grid.shape
     pitch = width / columns, depth / rows
-    return Made(filter_texture((grid - low) / (high - low), pitch, cutoff_m(texture), (around or repeats, repeats)),
-                (width, depth), around)  # fmt: skip
+    values = filter_texture((grid - low) / (high - low), pitch, cutoff_m(texture), (around or repeats, repeats))
+    return RenderedTexture(values, (width, depth), around)
 
 
 def bounds(thing: schema.Textured) -> tuple[float, float, float]:
@@ -95,7 +95,7 @@ def filter_texture(grid: Grid, pitch: tuple[float, float], cutoff: float, repeat
     """Return the numbers (rows, columns) without wavelengths below `cutoff` (m).
 
     pitch    m  between columns and between rows
-    repeats     along the columns and the rows; otherwise the array is mirrored at its border, for zero slope there
+    repeats     along the columns and the rows; otherwise the array is mirrored, so that the slope at its border is zero
     """
     rows, columns = grid.shape
     pads = ((0, 0 if repeats[1] else rows), (0, 0 if repeats[0] else columns))

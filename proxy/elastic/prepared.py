@@ -20,7 +20,7 @@ from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, rea
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
-from softfinger.proxy.meshes import kept
+from softfinger.proxy.meshes import array_cache
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 
@@ -43,7 +43,7 @@ BODIES: Final = 4
 _bodies: Final[dict[str, Body]] = {}
 
 
-def body_of(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body:
+def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body:
     """Return the body of an elastic mesh object, and store it on disk for later runs.
 
     Raises
@@ -66,7 +66,7 @@ def body_of(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body:
         raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
 
 
-def stored_body(thing: schema.Mesh, folder: Folder = kept.KEPT) -> Body | None:
+def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body | None:
     """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
     assert thing.elastic is not None
     try:
@@ -85,7 +85,7 @@ def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Bod
         except (OSError, ValueError) as error:
             reason = error.strerror or error if isinstance(error, OSError) else error
             refusal = f"solution {elastic.solution} is not used: {reason}"
-    found = kept.load(_key(identity), folder)
+    found = array_cache.load(_key(identity), folder)
     return None if found is None else _from_disk(found), refusal
 
 
@@ -104,7 +104,7 @@ def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: 
         raise ValueError(f"{error}; {refusal}" if refusal else str(error)) from error
     if refusal:
         log.warning("object '%s': %s; the body was solved", thing.name, refusal)
-    kept.save(_key(identity), _to_disk(body), folder)
+    array_cache.save(_key(identity), _to_disk(body), folder)
     return body
 
 
@@ -202,12 +202,12 @@ def _error(
     return float(np.abs(coarse - own).max() / own.max() / (COARSER**ORDER - 1.0))
 
 
-def _to_disk(body: Body) -> kept.Kept:
+def _to_disk(body: Body) -> array_cache.CachedArrays:
     tables = {"nodes": body.nodes, "compliance": body.compliance.array, "bending": body.bending.array}
-    return kept.Kept({**body.surface._asdict(), **tables}, {"report": body.report._asdict()})
+    return array_cache.CachedArrays({**body.surface._asdict(), **tables}, {"report": body.report._asdict()})
 
 
-def _from_disk(found: kept.Kept) -> Body:
+def _from_disk(found: array_cache.CachedArrays) -> Body:
     arrays: dict[str, Any] = dict(found.arrays)
     return Body(
         surface=Arrays(arrays["vertices"], arrays["triangles"]),

@@ -17,12 +17,12 @@ from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
-from softfinger.proxy.kernels.contact.outcome import remember, remember_free, report, report_free
+from softfinger.proxy.kernels.contact.outcome import make_contact, make_free_contact, make_free_state, make_state
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
     friction_of_contacts,
-    land_in_company,
+    land_among_several,
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
@@ -44,7 +44,7 @@ from softfinger.proxy.kernels.model import (
     World,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, faulty, push_bodies, step_bodies
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, has_fault, push_bodies, step_bodies
 from softfinger.proxy.kernels.query.kinds import ONE_PATCH, SEVERAL_PATCHES, by_patches, moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -87,18 +87,18 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     While the bodies have a fault, nothing is touched: their poses are unknown.
     """
     bodies = scene.bodies
-    if faulty(bodies):
+    if has_fault(bodies):
         return release_all(scene, state.world, state.fingers, poses, dt)
     count = bodies.block[SUBSTEPS]
     start = state.fingers
-    state, contacts = step_once(scene, state, map_each(on_the_way, (start, poses), 1.0 / count), dt / count)
+    state, contacts = step_once(scene, state, map_each(interpolate_pose, (start, poses), 1.0 / count), dt / count)
     push_bodies(bodies, contacts, state.fingers)
     for i in range(1, count):
         if step_bodies(bodies) == NO_FAULT:
-            substep_poses = map_each(on_the_way, (start, poses), (i + 1.0) / count)
+            substep_poses = map_each(interpolate_pose, (start, poses), (i + 1.0) / count)
             state, contacts = step_once(scene, state, substep_poses, dt / count)
             push_bodies(bodies, contacts, state.fingers)
-    if faulty(bodies):
+    if has_fault(bodies):
         return release_all(scene, state.world, start, poses, dt)
     return state, contacts
 
@@ -115,11 +115,11 @@ def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) ->
     """Return FingerState and Contact of a finger without contact and without effects."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    return remember_free(state, probe, state.effects, True), report_free(state, probe, (0.0, 0.0, 0.0), 0.0)
+    return make_free_state(state, probe, state.effects, True), make_free_contact(state, probe, (0.0, 0.0, 0.0), 0.0)
 
 
 @jit
-def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
+def interpolate_pose(state: FingerState, pose: Pose, share: float) -> Pose:
     """Return the pose at the fraction `share` of the path from the last pose to the given one.
 
     Before its first pose, a finger is at the given pose.
@@ -137,7 +137,7 @@ def on_the_way(state: FingerState, pose: Pose, share: float) -> Pose:
 def step_finger(
     finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
-    """Compute the contact of one finger in the advanced world; `objects` are those of `place_all`."""
+    """Compute the contact of one finger in the advanced world; `objects` is the result of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
@@ -169,14 +169,14 @@ def contact_with_one_object(
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
+        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
     ground = textured_ground_at(objects, 0.0, approach.active, approach.center)
     forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
     effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
     outcome = outcome_of_one(finger, ground, probe, approach, forces, landing, load, effects)
-    return remember(probe, outcome), report(finger, probe, outcome)
+    return make_state(probe, outcome), make_contact(finger, probe, outcome)
 
 
 @update_contact.of(SEVERAL_PATCHES)
@@ -185,26 +185,26 @@ def contact_with_several_objects(
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
-        return out_of_contact(scene, finger, objects, state, probe, dt, BUDGET)
+        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
     state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].body < 0.0:
-        return out_of_contact(scene, finger, objects, state, probe, dt, approach.budget)
+        return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
     forces = friction_of_contacts(finger, objects, approach, motion)
-    landing, is_alone = land_in_company(finger, shapes, approach, forces[0], probe.position)
+    landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
     if is_alone:
         ground = ground_at(objects, landing.active[0].body)
         load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
         effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
         outcome = outcome_of_one(finger, ground, probe, approach, forces[0], landing, load, effects)
-        return remember(probe, outcome), report(finger, probe, outcome)
+        return make_state(probe, outcome), make_contact(finger, probe, outcome)
     settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
     effects = effects_of_tick(scene, finger, objects, state, settled.active, probe, dt)
     outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
-    return remember(probe, outcome), report(finger, probe, outcome)
+    return make_state(probe, outcome), make_contact(finger, probe, outcome)
 
 
 @jit
-def out_of_contact(
+def step_without_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
     """Return state and Contact in free space, or at a first pose with an incomplete search (`budget` below 0)."""
@@ -212,6 +212,6 @@ def out_of_contact(
     effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown
     return (
-        remember_free(state, probe, effects.states, budget >= 0),
-        report_free(state, probe, effects.force, unsearched),
+        make_free_state(state, probe, effects.states, budget >= 0),
+        make_free_contact(state, probe, effects.force, unsearched),
     )

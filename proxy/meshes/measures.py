@@ -16,7 +16,7 @@ Indices = NDArray[np.int32]
 
 @entry
 def mark_flat(vertices: Numbers, triangles: Indices, flatness: float, flat: NDArray[np.bool_]) -> None:
-    """Mark the triangles (m, 3) whose height is at most `flatness` times their longest edge."""
+    """Mark the triangles (m, 3) with a height of at most `flatness` times their longest edge."""
     for i in range(len(triangles)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
         p = (vertices[a, 0], vertices[a, 1], vertices[a, 2])

@@ -15,7 +15,7 @@ from softfinger.config import limits
 from softfinger.proxy.meshes.measures import mark_flat
 from softfinger.proxy.meshes.pieces import edges_of, first_alike
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
-from softfinger.proxy.meshes.winding import Wound, wind
+from softfinger.proxy.meshes.winding import Winding, wind
 
 MERGED_WITHIN: Final = 1e-9
 """Merging distance as a fraction of the mesh's size. The repeated vertices of an STL file are within it."""
@@ -23,13 +23,13 @@ FLATNESS: Final = 1e-12
 """Height over the longest edge below which a triangle has no area: float64 cannot resolve its normal."""
 
 
-class Mended(NamedTuple):
+class RepairedMesh(NamedTuple):
     """Repaired mesh, m, and counts of repairs and of remaining faults.
 
     merged, unused              vertices
     degenerate, duplicate       removed triangles
     open_edges, crowded_edges   edges of one triangle, and of more than two
-    wound                       pieces, and how they were turned
+    winding                     pieces, and how they were turned
     """
 
     arrays: Arrays
@@ -39,15 +39,15 @@ class Mended(NamedTuple):
     duplicate: int
     open_edges: int
     crowded_edges: int
-    wound: Wound
+    winding: Winding
 
     @property
     def watertight(self) -> bool:
         """True if the mesh has an inside: each edge has two triangles with consistent winding."""
-        return self.open_edges == self.crowded_edges == self.wound.one_sided == 0
+        return self.open_edges == self.crowded_edges == self.winding.one_sided == 0
 
 
-def mend(given: Arrays, loose: bool) -> Mended:
+def mend(given: Arrays, loose: bool) -> RepairedMesh:
     """Repair a mesh, and wind its triangles.
 
     Parameters
@@ -73,9 +73,9 @@ def mend(given: Arrays, loose: bool) -> Mended:
     vertices = vertices[used]
     _check_size(vertices)
 
-    kept, number = _merge_vertices(vertices, loose)
-    merged = len(vertices) - len(kept)
-    vertices, triangles = vertices[kept], number[triangles]
+    unique, renumbered = _merge_vertices(vertices, loose)
+    merged = len(vertices) - len(unique)
+    vertices, triangles = vertices[unique], renumbered[triangles]
 
     flat = np.empty(len(triangles), np.bool_)
     mark_flat(vertices, triangles, FLATNESS, flat)
@@ -89,16 +89,16 @@ def mend(given: Arrays, loose: bool) -> Mended:
     left, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
     vertices = vertices[left]
     edges = edges_of(triangles)
-    wound = wind(Arrays(vertices, triangles), edges)
-    return Mended(
-        Arrays(np.ascontiguousarray(vertices), wound.triangles),
+    winding = wind(Arrays(vertices, triangles), edges)
+    return RepairedMesh(
+        Arrays(np.ascontiguousarray(vertices), winding.triangles),
         merged=merged,
         unused=unused,
         degenerate=int(flat.sum()),
         duplicate=int((~single).sum()),
         open_edges=int((edges.many == 1).sum()),
         crowded_edges=int((edges.many > 2).sum()),
-        wound=wound,
+        winding=winding,
     )
 
 
@@ -138,13 +138,13 @@ def _drop_unused_vertices(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return the indices of the vertices to keep, and the new index of each vertex."""
     first = first_alike((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
-    kept, place = _places(first)
+    unique, place = _places(first)
     if not loose:
-        return kept, place
+        return unique, place
     tolerance = MERGED_WITHIN * _size(vertices)
-    steps = np.stack([_steps(vertices[kept, axis], tolerance) for axis in range(3)], axis=1)
-    again, number = _places(first_alike(steps))
-    return kept[again], number[place]
+    steps = np.stack([_steps(vertices[unique, axis], tolerance) for axis in range(3)], axis=1)
+    clustered, number = _places(first_alike(steps))
+    return unique[clustered], number[place]
 
 
 def _places(first: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -24,10 +24,10 @@ from softfinger.config.mjcf import read_mesh
 from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
-from softfinger.proxy.meshes import kept
+from softfinger.proxy.meshes import array_cache
 from softfinger.proxy.meshes.mending import mend
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes
-from softfinger.proxy.meshes.report import Report, report_of
+from softfinger.proxy.meshes.report import MeshReport, report_of
 from softfinger.proxy.meshes.thinning import thin_mesh
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Builder(NamedTuple, Generic[Tree]):
 class About(NamedTuple):
     """Report on a mesh, and the triangles of its picture, m."""
 
-    report: Report
+    report: MeshReport
     picture: Arrays
 
 
@@ -109,7 +109,7 @@ STAGES: Final = 4
 """Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
 
 
-def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KEPT) -> Tree:
+def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = array_cache.FOLDER) -> Tree:
     """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
     state = _state(thing)
     tree: Tree | None = _trees.get((state, builder))
@@ -127,7 +127,7 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = kept.KE
             done(3)
             found = _about(mended)
             done(STAGES)
-        kept.save(key, _to_disk(tree, found), folder)
+        array_cache.save(key, _to_disk(tree, found), folder)
     _remember(thing, state, found)
     _trees.put((state, builder), tree)
     return tree
@@ -161,7 +161,7 @@ def _body(thing: schema.Mesh) -> Body:
 
 def _read_and_mend(
     thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambda stage: None
-) -> tuple[Arrays, Report]:
+) -> tuple[Arrays, MeshReport]:
     if thing.elastic is not None:
         mended = mend(_body(thing).surface, loose=False)
         return mended.arrays, report_of(mended, loose=False, scale=None)
@@ -183,7 +183,7 @@ def _read_and_mend(
     return mended.arrays, report_of(mended, loose, thing.scale if thing.mesh is None else None)
 
 
-def _about(mended: tuple[Arrays, Report]) -> About:
+def _about(mended: tuple[Arrays, MeshReport]) -> About:
     return About(mended[1], thin_mesh(mended[0]))
 
 
@@ -210,19 +210,19 @@ def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
     return digest.hexdigest()
 
 
-def _to_disk(tree: Any, found: About) -> kept.Kept:
+def _to_disk(tree: Any, found: About) -> array_cache.CachedArrays:
     fields = tree._asdict()
     arrays = {name: each for name, each in fields.items() if isinstance(each, np.ndarray)}
     numbers = {name: np.asarray(each).item() for name, each in fields.items() if name not in arrays}
     pictures = {f"picture.{name}": each for name, each in found.picture._asdict().items()}
-    return kept.Kept(arrays | pictures, {"numbers": numbers, "report": asdict(found.report)})
+    return array_cache.CachedArrays(arrays | pictures, {"numbers": numbers, "report": asdict(found.report)})
 
 
 def _from_disk(key: str, builder: Builder[Tree], folder: Folder) -> tuple[Tree, About] | None:
-    there = kept.load(key, folder)
+    there = array_cache.load(key, folder)
     if there is None:
         return None
     arrays, values = dict(there.arrays), there.values
     picture = Arrays(arrays.pop("picture.vertices"), arrays.pop("picture.triangles"))
-    report = msgspec.convert(values["report"], Report)
+    report = msgspec.convert(values["report"], MeshReport)
     return builder.kind(**arrays, **values["numbers"]), About(report, picture)

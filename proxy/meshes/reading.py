@@ -59,7 +59,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def arrays_of(path: str | Path, data: bytes) -> Arrays:
-    """Return the triangles in the bytes of a mesh file, whose ending selects the format.
+    """Return the triangles in the bytes of a mesh file; its ending selects the format.
 
     Raises ConfigError with file and fault, also if the file has another number of faces than it states.
     """

@@ -7,14 +7,14 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.proxy.meshes.mending import MERGED_WITHIN, Mended
+from softfinger.proxy.meshes.mending import MERGED_WITHIN, RepairedMesh
 
 USUAL_M: Final = (1e-3, 1.0)
 """Sizes of things that a hand explores; others may come from a file in another unit."""
 
 
 @dataclass(frozen=True)
-class Report:
+class MeshReport:
     """Properties of a mesh as it is rendered: counts, m, m^3.
 
     size_m      extent along its axes, scaled
@@ -71,7 +71,7 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     """Return a question about the unit of a mesh that no hand surrounds, or none can feel.
 
     size   m, scaled
-    scale  of the object; None for a mesh of a MuJoCo model, whose <mesh> has a scale of its own
+    scale  of the object; None for a mesh of a MuJoCo model, scaled by its <mesh>
     """
     if USUAL_M[0] <= size <= USUAL_M[1]:
         return ()
@@ -90,43 +90,43 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     return (f"it is {size:.3g} m in size: if that is not meant, {asked}",)
 
 
-def report_of(mended: Mended, loose: bool, scale: float | None) -> Report:
+def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshReport:
     """Return the report on a mesh that `mend` gave; `scale` as for `unit_note`."""
-    wound, (vertices, triangles) = mended.wound, mended.arrays
+    winding, (vertices, triangles) = mended.winding, mended.arrays
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
-    within = f" within {MERGED_WITHIN:g} of its size" if loose else ""
-    done = [
-        (mended.merged, f"vertices merged that coincide{within}"),
+    tolerance = f" within {MERGED_WITHIN:g} of its size" if loose else ""
+    repairs = [
+        (mended.merged, f"vertices merged that coincide{tolerance}"),
         (mended.unused, "vertices dropped that no triangle has"),
         (mended.degenerate, "triangles dropped that have no area"),
         (mended.duplicate, "triangles dropped that were there already"),
-        (wound.alike, "triangles flipped because they were wound opposite to their neighbours"),
-        (wound.outward, "triangles flipped because their body was wound inward"),
+        (winding.alike, "triangles flipped because they were wound opposite to their neighbours"),
+        (winding.outward, "triangles flipped because their body was wound inward"),
     ]
-    left = [
+    faults = [
         (mended.open_edges, "edges of one triangle, at holes or the border of a sheet"),
         (mended.crowded_edges, "edges of more than two triangles"),
-        (wound.one_sided, "bodies with one side only, as a Moebius strip, where no winding is right"),
-        (wound.hollows, "bodies wound inward within another, taken for the walls of hollows"),
+        (winding.one_sided, "bodies with one side only, as a Moebius strip, where no winding is right"),
+        (winding.hollows, "bodies wound inward within another, taken for the walls of hollows"),
     ]
-    return Report(
+    return MeshReport(
         triangles=len(triangles),
         vertices=len(vertices),
         size_m=(x, y, z),
         watertight=mended.watertight,
-        volume_m3=wound.volume if mended.watertight else None,
-        bodies=wound.bodies,
+        volume_m3=winding.volume if mended.watertight else None,
+        bodies=winding.bodies,
         open_edges=mended.open_edges,
         non_manifold_edges=mended.crowded_edges,
         merged_vertices=mended.merged,
         unused_vertices=mended.unused,
         degenerate_triangles=mended.degenerate,
         duplicate_triangles=mended.duplicate,
-        turned_triangles=wound.alike + wound.outward,
-        mended=tuple(f"{text}: {count:,}" for count, text in done if count),
+        turned_triangles=winding.alike + winding.outward,
+        mended=tuple(f"{text}: {count:,}" for count, text in repairs if count),
         noted=(
             *unit_note(max(x, y, z), scale),
-            *(f"{text}: {count:,}" for count, text in left if count),
+            *(f"{text}: {count:,}" for count, text in faults if count),
             "not checked: triangles that intersect each other",
         ),
     )

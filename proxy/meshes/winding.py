@@ -15,7 +15,7 @@ HOLDERS: Final = 16
 """Number of largest pieces that are tested for containing a hollow."""
 
 
-class Wound(NamedTuple):
+class Winding(NamedTuple):
     """Triangles (m, 3) int32 with corrected winding.
 
     bodies     pieces connected over edges of two triangles
@@ -35,7 +35,7 @@ class Wound(NamedTuple):
     volume: float
 
 
-def wind(mesh: Arrays, edges: Edges) -> Wound:
+def wind(mesh: Arrays, edges: Edges) -> Winding:
     """Wind the triangles of a mesh (m) consistently within each piece, with the front outside."""
     pieces = pieces_of(edges)
     bodies = len(pieces.one_sided)
@@ -53,7 +53,7 @@ def wind(mesh: Arrays, edges: Edges) -> Wound:
     inward = (volumes < 0.0) & ~hollow
     volumes[inward] *= -1.0
     outward = inward[pieces.body]
-    return Wound(
+    return Winding(
         _reverse(triangles, outward),
         bodies=bodies,
         alike=int(turned.sum()),
@@ -75,9 +75,9 @@ def _majority(pieces: Pieces) -> NDArray[np.bool_]:
 def _reverse(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
     if not which.any():
         return triangles
-    wound = triangles.copy()
-    wound[which, 1], wound[which, 2] = triangles[which, 2], triangles[which, 1]
-    return wound
+    reversed_triangles = triangles.copy()
+    reversed_triangles[which, 1], reversed_triangles[which, 2] = triangles[which, 2], triangles[which, 1]
+    return reversed_triangles
 
 
 def _find_hollows(

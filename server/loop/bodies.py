@@ -5,13 +5,13 @@ from typing import Any
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Bodies
-from softfinger.proxy.kernels.query.bodies import NO_FAULT, keep_to_budget, publish_motion, step_bodies
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, publish_motion, step_bodies
 from softfinger.server.loop.clock import now_ns
 
 
 @by_type
 def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
-    """Call `step_bodies`, `keep_to_budget` and `publish_motion`; on a fault, the last published motion remains.
+    """Call `step_bodies`, `check_budget` and `publish_motion`; on a fault, the last published motion remains.
 
     start_ns  start of the step
     scratch   array of `publish_motion`
@@ -26,5 +26,5 @@ def move_nothing(bodies: None, tick: int, start_ns: int, motion: Slot, scratch: 
 @move_bodies.of(Bodies)
 def move_all_bodies(bodies: Bodies, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
     if step_bodies(bodies) == NO_FAULT:
-        keep_to_budget(bodies, now_ns(timespec) - start_ns)
+        check_budget(bodies, now_ns(timespec) - start_ns)
         publish_motion(bodies, tick, motion, scratch)

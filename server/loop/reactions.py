@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
-from softfinger.proxy.kernels.query.bodies import faulty, pose_of_body
+from softfinger.proxy.kernels.query.bodies import has_fault, pose_of_body
 from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import Energy, Passivity
 
@@ -130,7 +130,7 @@ def work_of_none(bodies: None, last_reactions: Any) -> float:
 @work_of_bodies.of(Bodies)
 def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
     work = 0.0
-    if not faulty(bodies):
+    if not has_fault(bodies):
         for each in last_reactions:
             now, before = pose_of_body(bodies.block, each.body), each.pose
             turned = relative(now.orientation, before.orientation)

@@ -6,7 +6,7 @@ The servo loop and `simulate` both call it; for equal poses the results are equa
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
-from softfinger.proxy.kernels.contact.outcome import report_free
+from softfinger.proxy.kernels.contact.outcome import make_free_contact
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each, replace, unzip
 from softfinger.proxy.kernels.model import Contact, FingerState, Pose, Probe, Scene, State, World
@@ -213,7 +213,7 @@ def command(
         guard_state, limit_state = output_state.guard_state, output_state.limit_state
     else:
         position, orientation = before.probe.position, before.probe.orientation
-        contact = report_free(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
+        contact = make_free_contact(before, Probe(position, orientation, (0.0, 0.0, 0.0)), (0.0, 0.0, 0.0), 0.0)
         state, guard_state, energy, bits = start.contact, start.guard_state, start.energy, POSE_REFUSED
         limit_state = cool_limits(guard, hand.limit_state, instant.dt)
     torque = about_tip(tool, orientation, guard_state.force, guard_state.torque)

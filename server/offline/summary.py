@@ -27,7 +27,7 @@ from softfinger.server.offline.library_texts import entry_rows
 from softfinger.server.offline.worlds import world_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
-    from softfinger.proxy.meshes.report import Report
+    from softfinger.proxy.meshes.report import MeshReport
 
 
 OVERSHOOT: Final = 0.02
@@ -117,7 +117,7 @@ def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
     return rows
 
 
-def mesh_report(item: Mesh) -> Report:
+def mesh_report(item: Mesh) -> MeshReport:
     from softfinger.proxy.meshes.prepared import about
     from softfinger.server.progress import progress
 

@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import curvature
 from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from
 from softfinger.proxy.kernels.shapes.heightmap.surface import foot_at, height_at
-from softfinger.proxy.kernels.shapes.heightmap.tiles import is_beyond, tile_at, wide
+from softfinger.proxy.kernels.shapes.heightmap.tiles import is_farther, tile_at, tiles_across
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
@@ -244,7 +244,7 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
     for _ in range(1000):
         level = int(rng.integers(0, 3))
         half = 0.5 * (1 << level)
-        i, j = (int(rng.integers(0, wide(count, level))) for count in (shape.columns, shape.rows))
+        i, j = (int(rng.integers(0, tiles_across(count, level))) for count in (shape.columns, shape.rows))
         middle = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
         p = (middle[0] + rng.normal(0.0, 4.0), middle[1] + rng.normal(0.0, 4.0), rng.uniform(0.0, 8.0))
         tile = tile_at(shape, p, level, i, j)
@@ -253,7 +253,7 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
         convex += 1
         begun = foot_at(shape, p, *(at + rng.uniform(-half, half) for at in middle))
         square = begun.square * rng.uniform(0.3, 1.0)
-        if is_beyond(p, tile, begun, square):
+        if is_farther(p, tile, begun, square):
             ruled_out += 1
             along = np.linspace(-half, half, 7)
             least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)

@@ -20,7 +20,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, multiplier, near, shrink
+from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, limit_distance, multiplier, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
@@ -47,10 +47,12 @@ components = st.floats(-1e3, 1e3)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 @example((0.999999, 2.0, 0.0), (10.0**2.6875, 10.0**11.9375, 1.0))
 @example((0.9999999999988552, 0.09066218073012366, 0.0), (2.3e-7, 1.3e11, 1.0))
-def test_projection_onto_the_limit_surface(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
-    """A point outside is projected onto the surface along its normal, for all axes; a point inside is unchanged."""
-    m = multiplier(near(y), weight)
-    p = shrink(near(y), weight, m)
+def test_nearest_point_is_on_the_surface_and_straight_below(
+    y: tuple[float, float, float], weight: tuple[float, float, float]
+) -> None:
+    """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
+    m = multiplier(limit_distance(y), weight)
+    p = shrink(limit_distance(y), weight, m)
     if np.linalg.norm(y) <= 1.0:
         assert (m, p) == (0.0, y)
         return

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from softfinger.config import schema
 from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.meshes import kept, prepared
+from softfinger.proxy.meshes import array_cache, prepared
 from softfinger.proxy.meshes.prepared import Builder, about, tree_of
 
 pytestmark = pytest.mark.plain
@@ -145,24 +145,24 @@ ARRAYS = {"a": np.arange(100.0), "b": np.arange(30, dtype=np.int32).reshape(-1, 
 KEY = "ab" * 32
 
 
-def test_arrays_are_saved_and_loaded_unchanged(folder: Folder) -> None:
-    """Types, shapes and bits are equal, also of an empty array; each array is aligned for vector registers."""
-    kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1, "count": 3}), folder)
-    found = kept.load(KEY, folder)
+def test_arrays_come_back_as_they_were(folder: Folder) -> None:
+    """Their kinds, shapes and bits, an empty one too; each begins where a vector register may."""
+    array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1, "count": 3}), folder)
+    found = array_cache.load(KEY, folder)
     assert found is not None and found.values == {"size": 0.1, "count": 3}
     for name, array in ARRAYS.items():
         again = found.arrays[name]
         assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
         assert again.ctypes.data % 64 == 0
-    assert kept.load("cd" * 32, folder) is None
+    assert array_cache.load("cd" * 32, folder) is None
     assert one(folder).stat().st_mode & 0o777 == 0o600
 
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
-    """A flipped bit, a truncated file or appended bytes: nothing is loaded, or the data are unaffected."""
-    kept.save(KEY, kept.Kept(ARRAYS, {"size": 0.1}), folder)
+def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
+    """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""
+    array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
     file = one(folder)
     whole = file.read_bytes()
     at = data.draw(st.integers(0, len(whole) - 1), "at")
@@ -173,8 +173,8 @@ def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
         "more": whole + bytes(bit + 1),
     }[data.draw(st.sampled_from(["bit", "cut", "more"]), "kind")]
     file.write_bytes(damaged)
-    found = kept.load(KEY, folder)
-    if found is not None:  # padding between two arrays has no meaning
+    found = array_cache.load(KEY, folder)
+    if found is not None:  # between two arrays lie bytes that mean nothing
         assert all(found.arrays[name].tobytes() == array.tobytes() for name, array in ARRAYS.items())
         assert found.values == {"size": 0.1}
 
@@ -209,17 +209,17 @@ def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: py
     assert list((tmp_path / "open").iterdir()) == []
 
 
-def test_least_recently_used_trees_are_deleted(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The newest tree is never deleted, however large it is."""
-    some = kept.Kept({"a": np.zeros(1000)}, {})
+def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The newest stays, however large it is."""
+    some = array_cache.CachedArrays({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):
-        kept.save(name, some, folder)
-        os.utime(folder.path / f"{name}{kept.ENDING}", (age, age))
-    assert kept.load(names[0], folder) is not None  # now the most recently used
-    monkeypatch.setattr(kept, "BYTES_MAX", 3 * 9000)
-    kept.save(names[3], some, folder)
-    assert [kept.load(name, folder) is not None for name in names] == [True, False, True, True]
-    monkeypatch.setattr(kept, "BYTES_MAX", 1)
-    kept.save(names[1], some, folder)
-    assert [kept.load(name, folder) is not None for name in names] == [False, True, False, False]
+        array_cache.save(name, some, folder)
+        os.utime(folder.path / f"{name}{array_cache.ENDING}", (age, age))
+    assert array_cache.load(names[0], folder) is not None  # now the newest
+    monkeypatch.setattr(array_cache, "BYTES_MAX", 3 * 9000)
+    array_cache.save(names[3], some, folder)
+    assert [array_cache.load(name, folder) is not None for name in names] == [True, False, True, True]
+    monkeypatch.setattr(array_cache, "BYTES_MAX", 1)
+    array_cache.save(names[1], some, folder)
+    assert [array_cache.load(name, folder) is not None for name in names] == [False, True, False, False]

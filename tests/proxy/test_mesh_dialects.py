@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.reading import OTHER_FILES, Arrays, arrays_of
-from softfinger.proxy.meshes.report import Report
+from softfinger.proxy.meshes.report import MeshReport
 
 pytestmark = pytest.mark.plain
 CORNERS = np.array([(x, y, z) for z in (-0.01, 0.01) for y in (-0.02, 0.02) for x in (-0.02, 0.02)])
@@ -33,8 +33,8 @@ FLOAT32 = 1e-6
 """Relative rounding: three float32 coordinates of 6e-8 each, and 0.01 is not exact in float32."""
 
 
-def report(path: Path) -> Report:
-    """Return the program's report on a mesh file."""
+def report(path: Path) -> MeshReport:
+    """Return what the program makes of a file."""
     return about(schema.Mesh(name="m", file=str(path), material=schema.Material(stiffness_n_per_m=500.0))).report
 
 

@@ -12,15 +12,15 @@ from helpers.meshes import Mesh
 from softfinger.proxy.meshes.mending import MERGED_WITHIN, mend
 from softfinger.proxy.meshes.pieces import edges_of, first_alike, pieces_of
 from softfinger.proxy.meshes.reading import Arrays
-from softfinger.proxy.meshes.report import Report, report_of
+from softfinger.proxy.meshes.report import MeshReport, report_of
 from softfinger.proxy.meshes.thinning import thin_mesh
 
 BALL = meshes.icosphere(2)
 TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
 
 
-def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, Report]:
-    """Return the repaired mesh and its report."""
+def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, MeshReport]:
+    """The mesh as it is rendered, and what is said of it."""
     result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
     return result.arrays, report_of(result, loose, None)
 

@@ -74,7 +74,7 @@ class ProbeMotion(NamedTuple):
     dt: float
 
 
-class Load(NamedTuple):
+class NormalForce(NamedTuple):
     """Normal force, N, and the unit vector (3,) of its direction on the hand."""
 
     size: float
@@ -121,13 +121,13 @@ def ground_of(body: Any) -> Ground:
 @jit
 def load_on(
     finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, touches: bool
-) -> Load:
-    """Return the normal force of a constraint; `touches` is True if nothing has moved the contact yet."""
+) -> NormalForce:
+    """Return the normal force of a constraint; `touches` is True in the first tick of a contact."""
     probe, last, dt = motion
     speed = relative_velocity(ground.carried, probe.velocity, last.position, dt)
     speed = velocity_at(finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt)
     depth, direction = texture_depth_on(objects, constraint.body, constraint.depth, constraint.normal, probe.position)
-    return Load(normal_force_of(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
+    return NormalForce(normal_force_of(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
 
 
 @jit

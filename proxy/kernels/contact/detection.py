@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.first_pose import first_touch, raise_outside
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
-from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -83,11 +83,11 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 
 @by_multipoint
 def refine_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
-    """Return the position (3,) m on the path where object `index` alone would be touched, and a flag.
+    """Return the position (3,) m on the path where object `index`, without the others, would be touched, and a flag.
 
     met  (3,) m  touch found by the search of all objects
 
-    The flag is False if other objects are in the way, or if this is unknown.
+    The flag is False if another object obstructs the path, or if this is unknown.
     """
 
 

@@ -3,11 +3,11 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
-from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, Load, with_friction_result
+from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, NormalForce, with_friction_result
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
 from softfinger.proxy.kernels.contact.outcome import Outcome
-from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
+from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
@@ -65,14 +65,14 @@ def outcome_of_one(
     approach: Approach,
     forces: ContactForces,
     landing: Landing,
-    load: Load,
+    load: NormalForce,
     effects: Effects,
 ) -> Outcome:
     """Compute the forces of the only contact under `load` at its new position, and its state."""
     friction, normal = forces.result, landing.active[0].normal
     tangential, moment, bending = vec3.reject(friction.force, normal), friction.moment, forces.bending
     if forces.load > load.size:
-        # The normal force is smaller there. This keeps both within their limits; the torsional one grows by up to
+        # The normal force is smaller there. Scaling leaves both within their limits; the torsional one grows by up to
         # f_N^(4/3).
         ease = load.size / forces.load
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment

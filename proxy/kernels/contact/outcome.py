@@ -57,8 +57,8 @@ class Outcome(NamedTuple):
 
 
 @jit
-def remember(probe: Probe, outcome: Outcome) -> FingerState:
-    """Return the state for the next tick."""
+def make_state(probe: Probe, outcome: Outcome) -> FingerState:
+    """Return the FingerState after a tick in contact."""
     return FingerState(
         started=1.0,
         probe=probe,
@@ -72,8 +72,8 @@ def remember(probe: Probe, outcome: Outcome) -> FingerState:
 
 
 @jit
-def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
-    """Return the result of this tick for telemetry, with the wrench on the hand."""
+def make_contact(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
+    """Return the Contact of this tick, with the wrench on the hand."""
     # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
     # that of the rest position. It is 0 in the tick in which a slip moves the proxy to where the probe is outside.
     depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)
@@ -105,7 +105,7 @@ def report(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
 
 
 @jit
-def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: bool) -> FingerState:
+def make_free_state(state: FingerState, probe: Probe, effect_states: Any, known: bool) -> FingerState:
     """Return the state in free space; if a touch of the first pose is not `known`, the next pose is the first again."""
     return FingerState(
         started=1.0 if known else state.started,
@@ -120,7 +120,7 @@ def remember_free(state: FingerState, probe: Probe, effect_states: Any, known: b
 
 
 @jit
-def report_free(state: FingerState, probe: Probe, force: Vec3, budget: float) -> Contact:
+def make_free_contact(state: FingerState, probe: Probe, force: Vec3, budget: float) -> Contact:
     """Return the result in free space; the end of a contact is a release, or a restart if the proxy was stuck."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:

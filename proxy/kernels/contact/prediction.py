@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
-from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
+from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -25,7 +25,7 @@ class Shear(NamedTuple):
 
     turn              rotation of the fingertip
     free     (3,)  m  motion of the probe, plus the change of its displacement by the pushes
-    blocked  (3,)  m  motion of the probe that the pushes kept the proxy from following
+    blocked  (3,)  m  motion of the probe that the proxy could not follow because of the pushes
     center   (3,)  m  the proxy at the last tick
     """
 
@@ -101,7 +101,7 @@ def displacement_by_rotation(before: ContactState, carried: ContactState) -> Vec
 
 @jit
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
-    """Return the motion of the contacts; `last` are those of the last tick, moved with their objects."""
+    """Return the motion of the contacts; `last` are the contacts of the last tick, moved with their objects."""
     probe, last_probe, _ = motion
     by_push = vec3.add(displacement_by_push(last, contacts[0]), displacement_by_push(last, contacts[1]))
     by_push = vec3.add(by_push, displacement_by_push(last, contacts[2]))
@@ -149,7 +149,7 @@ def predict(
     e <- e - (dx - do) + (1 - d W) r theta (a x n), all in the tangent plane: x the probe, including the change of its
     displacement by the pushes, o the object at the probe, d the depth, W = dn/dp of the surface on which the proxy
     moves. If the proxy rolls by u and the probe moves by (1 - d W) u, nothing is wound up.
-    The part of the probe's motion that the proxy was kept from following counts only if it unwinds e. So the contact
+    The part of the probe's motion that the proxy could not follow counts only if it unwinds e. So the contact
     returns no more work to the hand than its spring stores, independent of the other contacts.
     """
     if contact.body < 0.0:
@@ -177,7 +177,7 @@ def continue_several(
     last = move_contacts(shapes, state.contacts)
     center = move_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
-    active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
+    active, _ = solve_tangent_planes(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
     one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)

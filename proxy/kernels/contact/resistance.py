@@ -61,7 +61,7 @@ def resist_by_loss(
     A spring acts against the roll; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
 
     Source of the moment: Greenwood, Minshall, Tabor (1961); Johnson (1985), section 9.1. The spring is not from these
-    sources. It holds a finger at rest, and reaches the limit after rolling by the patch's radius.
+    sources. It stops a finger at rest, and reaches the limit after rolling by the patch's radius.
     """
     if rolling is None:
         return NO_RESISTANCE
@@ -75,7 +75,7 @@ def resist_by_loss(
 
 @jit
 def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, roll: Vec3) -> Resistance:
-    """Add a roll to the wind-up, whose energy is constant while load and share change: see `winding_unit`."""
+    """Add a roll to the wind-up; its energy is constant while load and share change, see `winding_unit`."""
     stiffness = max(loss * area.bending, MIN_STIFFNESS)
     unit = sqrt(stiffness / max(share, LEAST_SHARE))
     angle = vec3.add(vec3.scale(1.0 / unit, bend), roll)

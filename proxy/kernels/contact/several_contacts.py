@@ -1,7 +1,7 @@
 """Contacts of a finger in a scene of several objects: continuation, friction, and contact with a single object.
 
-Friction is computed first, separately for each contact. Then the proxy moves to its rest position among the objects,
-and deflections are transferred from the contacts that lose load to those that gain it (`several_rest`). A finger that
+Friction is computed first, separately for each contact. Then the proxy moves to its rest position on all objects,
+and deflections are transferred from contacts that lose load to contacts that gain it (`several_rest`). A finger that
 touches one object, and is clear of all other objects, is treated as in a scene of that object only.
 """
 
@@ -20,9 +20,9 @@ from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
-from softfinger.proxy.kernels.contact.rest.alone import settle_on_one
-from softfinger.proxy.kernels.contact.rest.among import is_safe_step, slide_over_facets
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
+from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
+from softfinger.proxy.kernels.contact.rest.several_objects import is_safe_step, slide_over_facets
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3
@@ -88,14 +88,14 @@ def is_clear_of_others(
         if hit >= 0.0:
             return False
     gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), skip, budget)
-    # The proxy may cut into the triangle it is on, and into a height map whose search did not finish.
+    # The proxy may cut into the triangle it is on, and into a height map if its search did not finish.
     is_support = at == index and kind_at(objects, index) == 0.0
     return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or is_support)
 
 
 @jit
 def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bool:
-    """Return True if the only contact rolls on no other object than its own: past a seam it rolls on the next one."""
+    """Return True if the only contact rolls on no other object: past a seam it rolls on the next one."""
     if approach.center == approach.outside:
         return True
     index = approach.active[0].body
@@ -181,7 +181,7 @@ def follow_slip_on_mesh(
 
 
 @jit
-def land_in_company(
+def land_among_several(
     finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""

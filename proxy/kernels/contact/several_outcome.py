@@ -18,8 +18,8 @@ from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_cu
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.prediction import lag_of
-from softfinger.proxy.kernels.contact.rest.among import trailing_force
-from softfinger.proxy.kernels.contact.several_rest import Settled
+from softfinger.proxy.kernels.contact.rest.several_objects import trailing_force
+from softfinger.proxy.kernels.contact.several_rest import Equilibrium
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
@@ -71,13 +71,7 @@ def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeM
 
 
 @jit
-def sum_of_loads(forces: Any) -> float:
-    """Return the sum of the normal forces during friction, N."""
-    return forces[0].load + forces[1].load + forces[2].load
-
-
-@jit
-def kept_share(giver: ContactState, after: Contacts) -> float:
+def remaining_share(giver: ContactState, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
@@ -85,7 +79,7 @@ def kept_share(giver: ContactState, after: Contacts) -> float:
 
 
 @jit
-def with_part_of(
+def add_part_of(
     friction: FrictionShare, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float
 ) -> FrictionShare:
     """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
@@ -100,12 +94,12 @@ def with_part_of(
 
 @jit
 def friction_share_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> FrictionShare:
-    """Return the friction of a constraint: the remainder of its contact, and its part of what other contacts lose.
+    """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    remainders = (kept_share(one, after), kept_share(two, after), kept_share(three, after))
+    remainders = (remaining_share(one, after), remaining_share(two, after), remaining_share(three, after))
     total_loss = (
         (1.0 - remainders[0]) * one.share + (1.0 - remainders[1]) * two.share + (1.0 - remainders[2]) * three.share
     )
@@ -114,19 +108,19 @@ def friction_share_on(approach: Approach, forces: Any, after: Contacts, constrai
         previous = contact_on((one, two, three), body)
         gain = max(contact_on(after, body).share - previous.share, 0.0) / total_loss
     result = FrictionShare(ZERO, 0.0, ZERO)
-    result = with_part_of(
+    result = add_part_of(
         result, one, forces[0], normal, remainders[0] if one.body == body else (1.0 - remainders[0]) * gain
     )
-    result = with_part_of(
+    result = add_part_of(
         result, two, forces[1], normal, remainders[1] if two.body == body else (1.0 - remainders[1]) * gain
     )
     weight = remainders[2] if three.body == body else (1.0 - remainders[2]) * gain
-    return with_part_of(result, three, forces[2], normal, weight)
+    return add_part_of(result, three, forces[2], normal, weight)
 
 
 @jit
 def share_of_wrench(
-    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
+    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Equilibrium,
     constraint: Constraint, scale: float,
 ) -> Share:  # fmt: skip
     """Compute the wrench of one constraint; `scale` is the remaining part of the normal force during friction."""
@@ -166,14 +160,15 @@ def share_of_wrench(
 
 @jit
 def outcome_of_several(
-    finger: Finger, objects: Any, shapes: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
-    effects: Effects,
+    finger: Finger, objects: Any, shapes: Any, motion: ProbeMotion, approach: Approach, forces: Any,
+    settled: Equilibrium, effects: Effects,
 ) -> Outcome:  # fmt: skip
     """Sum the wrenches of the contacts, and collect their states."""
     probe, active, began = motion.probe, settled.active, approach.began
     load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
-    load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
-    scale = load / before if before > load else 1.0
+    load += load_of(finger, objects, active[2], motion, began)
+    friction_load = forces[0].load + forces[1].load + forces[2].load
+    scale = load / friction_load if friction_load > load else 1.0
     one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], scale)
     two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], scale)
     three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], scale)

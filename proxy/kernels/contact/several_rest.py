@@ -7,8 +7,8 @@ from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Pre
 from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
-from softfinger.proxy.kernels.contact.rest.among import constraints_over_edges, settle_among_several
-from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
+from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
+from softfinger.proxy.kernels.contact.rest.several_objects import constraints_over_edges, settle_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Finger, Vec3
@@ -21,7 +21,7 @@ DEEP = 0.5
 half the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
 
 
-class Settled(NamedTuple):
+class Equilibrium(NamedTuple):
     """Proxy at the end of a tick.
 
     center    (3,) m
@@ -94,7 +94,7 @@ def shift_deflection(contact: ContactState, displacement: Vec3) -> ContactState:
 @jit
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
-) -> Settled:
+) -> Equilibrium:
     """Move the proxy to the permitted point nearest to the displaced probe, and update the contacts to its constraints.
 
     If the probe is below the centre of curvature of the surface on which the proxy moves, that point is not stable: a
@@ -123,10 +123,10 @@ def settle_after_friction(
         contacts = update_pushes(hand_over(objects, after, active), active)
     displaced = vec3.add(position, lag_of(contacts))
     if displaced != goal:
-        active, place = pushed_at(shapes, radius, displaced, rest.center, active)
+        active, place = solve_tangent_planes(shapes, radius, displaced, rest.center, active)
         contacts = update_pushes(contacts, active)
         if ease < 1.0 and not rest.late and not leaves_no_room(active):
             one, two, three = contacts
             shift = vec3.sub(rest.center, place)
             contacts = shift_deflection(one, shift), shift_deflection(two, shift), shift_deflection(three, shift)
-    return Settled(rest.center, active, contacts, rest.late, rest.budget)
+    return Equilibrium(rest.center, active, contacts, rest.late, rest.budget)

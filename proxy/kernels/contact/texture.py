@@ -9,7 +9,7 @@ Friction. The coefficients of the law and the torsional limit are multiplied by 
 point.
 
     texture_depth_on(objects, index, depth, normal, position)      -> d, m
-    texture_friction(texture, body, index, active, center)         -> body  whose material has the friction there
+    texture_friction(texture, body, index, active, center)         -> body with the friction of its material there
 """
 
 from math import floor

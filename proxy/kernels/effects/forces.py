@@ -117,7 +117,7 @@ def reach_of_sphere(region: SphereRegion, situation: Situation) -> float:
 
 
 @jit
-def times(s: float, v: Vec3) -> Vec3:
+def scale_clamped(s: float, v: Vec3) -> Vec3:
     """Return s v, each component clamped to FORCE_CEILING_N."""
     return (
         clamp(s * v[0], FORCE_CEILING_N),
@@ -132,12 +132,12 @@ def times(s: float, v: Vec3) -> Vec3:
 @effect_force.of(Viscosity)
 def viscous_force(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
     """Return -B v, scaled by the region's share: it dissipates energy everywhere, also at the edge of the region."""
-    return times(-reach(effect.region, situation) * effect.damping, situation.velocity), None
+    return scale_clamped(-reach(effect.region, situation) * effect.damping, situation.velocity), None
 
 
 @effect_force.of(ConstantForce)
 def constant_force(effect: ConstantForce, state: None, situation: Situation) -> tuple[Vec3, None]:
-    return times(reach(effect.region, situation), effect.force), None
+    return scale_clamped(reach(effect.region, situation), effect.force), None
 
 
 @effect_force.of(Spring)
@@ -148,7 +148,7 @@ def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec
     if length < NO_LENGTH_M:
         return (0.0, 0.0, 0.0), None
     pull = clamp(effect.stiffness * (length - effect.rest_length), effect.force_max)
-    return times(reach(effect.region, situation) * pull / length, towards), None
+    return scale_clamped(reach(effect.region, situation) * pull / length, towards), None
 
 
 @jit
@@ -167,7 +167,7 @@ def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
     elastic = min(effect.stiffness * depth, effect.force_max)
     total = elastic - clamp(effect.damping * vec3.dot(situation.velocity, inward), FORCE_CEILING_N)
     push = min(max(total, 0.0), 2.0 * elastic, effect.force_max)
-    return times(push, inward)
+    return scale_clamped(push, inward)
 
 
 @effect_force.of(BoxBoundary)
@@ -214,13 +214,13 @@ def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt
 def vibration_force(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
     share = reach(effect.region, situation)
     force, after = oscillate(effect.amplitude, effect.frequency, share, state, situation.dt)
-    return times(force, effect.direction), after
+    return scale_clamped(force, effect.direction), after
 
 
 @effect_force.of(NormalVibration)
 def normal_vibration_force(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
     force, after = oscillate(effect.amplitude, effect.frequency, situation.touched, state, situation.dt)
-    return times(force, situation.normal), after
+    return scale_clamped(force, situation.normal), after
 
 
 # --- objects -------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec
     gap = 0.0 if situation.touched != 0.0 else max(situation.gap, 0.0)
     if gap >= effect.range:
         return (0.0, 0.0, 0.0), None
-    return times(-effect.force * (1.0 - gap / effect.range) ** effect.exponent, situation.normal), None
+    return scale_clamped(-effect.force * (1.0 - gap / effect.range) ** effect.exponent, situation.normal), None
 
 
 @effect_force.of(StickSlip)

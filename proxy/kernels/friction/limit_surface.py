@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, near, shrink
+from softfinger.proxy.kernels.numerics.ellipsoid import limit_distance, multiplier, shrink
 
 WEIGHT_MAX = 1e24
 """Largest ratio of the energies of the two springs at their limits; beyond it one of them is rigid."""
@@ -96,7 +96,7 @@ def slide_on_limit_surface(
 
     d1, d2, s1, s2 = scales(law, given.normal, given.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest
-    y = near((vec3.dot(given.deflection, d1) / a1, vec3.dot(given.deflection, d2) / a2, spin / widest))
+    y = limit_distance((vec3.dot(given.deflection, d1) / a1, vec3.dot(given.deflection, d2) / a2, spin / widest))
     deflection, slip = given.deflection, 0.0
     if vec3.dot(y, y) > 1.0:
         energies = longest / widest

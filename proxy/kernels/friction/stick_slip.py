@@ -50,7 +50,7 @@ def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: flo
 def slide_freely(
     law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
 ) -> FrictionResult:
-    """Resolve torsion only: without friction, the proxy has no deflection from the probe, and there is no sticking."""
+    """Resolve only torsion: without friction the proxy has no deflection from the probe and does not stick."""
     zero = (0.0, 0.0, 0.0)
     wind = wind_up(
         torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt

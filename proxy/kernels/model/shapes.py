@@ -108,7 +108,7 @@ class Triangles(NamedTuple):
     nodes      (nodes * 12 * 8,) float32: x, y, z of the box centres relative to `center`, m, of the normals, of the
                                      axes along the first sides, and half sides, the one along the normal last, m; each
                                      for the eight lanes in turn
-    first      (nodes,)          int32: index of the first child, followed by the others; ~ index of the first triangle
+    first      (nodes,)          int32: index of the first child, then its siblings; ~ index of the first triangle
                                      if the lanes are triangles
     vertices   (vertices * 3,)   m, float64
     corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise seen from outside
@@ -142,7 +142,7 @@ class Mesh(NamedTuple):
 
 
 class AnyShape(NamedTuple):
-    """A shape whose kind is data: one of many objects.
+    """A shape with its kind as data: one of many objects.
 
     sizes     a row with the named tuple of its kind
     kernels   addresses of the kernels of its kind (`shapes.any_shape`)

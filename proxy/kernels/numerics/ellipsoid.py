@@ -35,7 +35,7 @@ def shrink(y: Vec3, weight: Vec3, m: float) -> Vec3:
 
 
 @jit
-def near(y: Vec3) -> Vec3:
+def limit_distance(y: Vec3) -> Vec3:
     """Return `y`, scaled down to FARTHEST if a component exceeds it, so that its square is finite."""
     largest = max(abs(y[0]), abs(y[1]), abs(y[2]))
     if largest > FARTHEST:
@@ -47,7 +47,7 @@ def near(y: Vec3) -> Vec3:
 def multiplier(y: Vec3, weight: Vec3) -> float:
     """Return the multiplier m >= 0 of the nearest point; 0 if `y` is not outside.
 
-    y        (3,)  components over the semi-axes, magnitude at most about FARTHEST (see `near`)
+    y        (3,)  components over the semi-axes, magnitude at most about FARTHEST (see `limit_distance`)
     weight   (3,)  positive
 
     Newton's method on 1 / |p(m)| = 1, which is concave in m and almost straight: from m = 0 it never oversteps, and a

@@ -49,7 +49,7 @@ def cosines(n1: Vec3, n2: Vec3, n3: Vec3) -> Cosines:
 
 
 @jit
-def _misses(push: Depths, c: Cosines, b1: float, b2: float, b3: float, slack: float) -> bool:
+def _violates(push: Depths, c: Cosines, b1: float, b2: float, b3: float, slack: float) -> bool:
     one, two, three = push
     if not (one >= 0.0 and two >= 0.0 and three >= 0.0):
         return True
@@ -72,7 +72,7 @@ def _pair(c: float, b1: float, b2: float) -> tuple[float, float]:
 
 
 @jit
-def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Depths, bool]:
+def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Depths, bool]:
     """Return the weights of the first active set that has no negative weight and satisfies all demands, and True.
 
     The problem is convex, so that set is the solution. False if no set satisfies them. With `count` 2, the third
@@ -96,18 +96,18 @@ def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Dept
     if 1.0 - c12 * c12 > PARALLEL:
         one, two = _pair(c12, b1, b2)
         push = Depths(one, two, 0.0)
-        if not _misses(push, c, b1, b2, b3, slack):
+        if not _violates(push, c, b1, b2, b3, slack):
             return push, True
     if count == 3:
         if 1.0 - c13 * c13 > PARALLEL:
             one, three = _pair(c13, b1, b3)
             push = Depths(one, 0.0, three)
-            if not _misses(push, c, b1, b2, b3, slack):
+            if not _violates(push, c, b1, b2, b3, slack):
                 return push, True
         if 1.0 - c23 * c23 > PARALLEL:
             two, three = _pair(c23, b2, b3)
             push = Depths(0.0, two, three)
-            if not _misses(push, c, b1, b2, b3, slack):
+            if not _violates(push, c, b1, b2, b3, slack):
                 return push, True
     # A single normal is enough only if its demand is the largest. With nearly parallel normals, another one would be
     # within rounding, too, but its push would be tilted.
@@ -116,10 +116,10 @@ def _meet(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Dept
         push = Depths(0.0, max(b2, 0.0), 0.0)
     if count == 3 and b3 > max(b1, b2):
         push = Depths(0.0, 0.0, max(b3, 0.0))
-    return push, not _misses(push, c, b1, b2, b3, slack)
+    return push, not _violates(push, c, b1, b2, b3, slack)
 
 
-class Solution(NamedTuple):
+class HalfSpaceSolution(NamedTuple):
     """Loads of the constraints, and the displacement of the proxy.
 
     push     m     depth that the spring of each constraint bears
@@ -132,7 +132,7 @@ class Solution(NamedTuple):
 
 
 @jit
-def _apart(c: float) -> float:
+def _drop_facing(c: float) -> float:
     """Return the cosine, or 0 if the walls face each other: neither bears any of the other's load."""
     return 0.0 if c < FACING else c
 
@@ -146,7 +146,7 @@ def _weights_between(c: float, first: float, second: float, b1: float, b2: float
 
 
 @jit
-def _ease(c: float, b1: float, b2: float) -> tuple[float, float]:
+def _ease_demands(c: float, b1: float, b2: float) -> tuple[float, float]:
     """Return two demands, the smaller reduced until the larger also satisfies it if their normals are nearly parallel.
 
     `c` is the cosine between the normals.
@@ -159,7 +159,7 @@ def _ease(c: float, b1: float, b2: float) -> tuple[float, float]:
 
 
 @jit
-def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float, b3: float) -> Solution:
+def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float, b3: float) -> HalfSpaceSolution:
     """Return the weights of the smallest displacement d with n_i . d >= b_i (m), for 1 to 3 unit normals.
 
     count  number of constraints; further normals and demands are ignored
@@ -171,26 +171,26 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
     """
     single = Depths(max(b1, 0.0), 0.0, 0.0)
     if count == 1:
-        return Solution(single, single)
+        return HalfSpaceSolution(single, single)
     if count == 2:
         n3, b3 = n2, b2
     true = cosines(n1, n2, n3)
-    c = Cosines(_apart(true.c12), _apart(true.c13), _apart(true.c23))
-    push, met = _meet(count, c, b1, b2, b3)
+    c = Cosines(_drop_facing(true.c12), _drop_facing(true.c13), _drop_facing(true.c23))
+    push, met = _solve(count, c, b1, b2, b3)
     if not met:  # the larger demand of two nearly parallel normals satisfies both
-        one, two = _ease(c.c12, b1, b2)
-        one, three = _ease(c.c13, one, b3)
-        two, three = _ease(c.c23, two, three)
-        push, met = _meet(count, c, one, two, three)
+        one, two = _ease_demands(c.c12, b1, b2)
+        one, three = _ease_demands(c.c13, one, b3)
+        two, three = _ease_demands(c.c23, two, three)
+        push, met = _solve(count, c, one, two, three)
     if not met:
         # The normals are coplanar, sum nu_i n_i = 0; the demands b_i - t can be satisfied if sum nu_i (b_i - t) = 0.
         v1, v2, v3 = sqrt(1.0 - c.c23 * c.c23), sqrt(1.0 - c.c13 * c.c13), sqrt(1.0 - c.c12 * c.c12)
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)
-        place, _ = _meet(count, c, b1 - t, b2 - t, b3 - t)
-        return Solution(Depths(place.first + t, place.second + t, place.third + t), place)
+        place, _ = _solve(count, c, b1 - t, b2 - t, b3 - t)
+        return HalfSpaceSolution(Depths(place.first + t, place.second + t, place.third + t), place)
     one, two = _weights_between(true.c12, push.first, push.second, b1, b2)
     three = push.third
     if count == 3:
         one, three = _weights_between(true.c13, one, three, b1, b3)
         two, three = _weights_between(true.c23, two, three, b2, b3)
-    return Solution(push, Depths(one, two, three))
+    return HalfSpaceSolution(push, Depths(one, two, three))

@@ -94,7 +94,7 @@ def frame_in(x: Any, q: Any, body: int) -> Pose:
 
 @jit
 def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
-    """Apply the negative wrenches of all contacts to the bodies, instead of those of the last step.
+    """Replace the wrenches of the last step on the bodies by the negative wrenches of all contacts.
 
     contacts  a Contact for each finger
     fingers   a FingerState for each finger
@@ -109,7 +109,7 @@ def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
 
 @jit
 def push_by_finger(contact: Contact, finger: FingerState, bodies: Bodies) -> None:
-    """Take the wrenches of a finger's contacts from what acts on the bodies that they are on."""
+    """Subtract the wrenches of a finger's contacts from the wrenches applied to the touched bodies."""
     map_each(push_by_contact, (contact.contacts,), finger.probe.position, bodies)
 
 
@@ -166,7 +166,7 @@ def step_bodies(bodies: Any) -> int:
     block = bodies.block
     fault = int64_at(block[FAULT])
     if fault[0] == NO_FAULT:
-        keep_poses(bodies)
+        store_poses(bodies)
         fault[0] = step_half(block, SECOND_HALF)
     if fault[0] == NO_FAULT:
         fault[0] = step_half(block, FIRST_HALF)
@@ -174,8 +174,8 @@ def step_bodies(bodies: Any) -> int:
 
 
 @jit
-def keep_poses(bodies: Bodies) -> None:
-    """Store the current frames as those before the last step."""
+def store_poses(bodies: Bodies) -> None:
+    """Store the current frames as the frames before the last step."""
     block = bodies.block
     x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
     last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
@@ -212,13 +212,13 @@ call_half: Any = _call_by_binding if PLAIN else jit(_call_by_address)
 
 
 @jit
-def faulty(bodies: Bodies) -> bool:
+def has_fault(bodies: Bodies) -> bool:
     """Return True if the bodies have a fault: they do not move until the simulation is reset."""
     return bool(int64_at(bodies.block[FAULT])[0] != NO_FAULT)
 
 
 @jit
-def keep_to_budget(bodies: Bodies, took_ns: int) -> None:
+def check_budget(bodies: Bodies, took_ns: int) -> None:
     """Set the fault SLOW if slow steps, longer than BUDGET_NS, exceed fast ones by SLOW_STEPS.
 
     took_ns  duration of one step

@@ -2,8 +2,8 @@
 
     body = object_at(objects, index)
 
-Everything that asks one object of a scene starts so. An index is that of the triangle in a scene of a single mesh, and
-0 for another single object. Of many it is the row, plus ENTRIES times the index of the triangle of a mesh.
+All queries of one object start with this call. The index is that of the triangle in a scene of a single mesh, and 0 for
+another single object. Of many it is the row, plus ENTRIES times the index of the triangle of a mesh.
 """
 
 from typing import Any, Final

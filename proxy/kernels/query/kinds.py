@@ -1,6 +1,7 @@
 """Selection of code by the kinds of objects in a scene, at compile time.
 
-Only meshes and height maps can touch a fingertip at several points. A scene without them is compiled without that code.
+Only meshes and height maps can touch a fingertip at several points. Other scenes are compiled without the code for
+that.
 """
 
 from collections.abc import Callable
@@ -98,7 +99,7 @@ def may_have_mesh(objects: Any) -> bool:
 
 @by_type
 def has_meshes(objects: Any) -> Any:
-    """Return whether there is a mesh among objects one of which is a height map."""
+    """Return True if there is a mesh, in a scene with a height map."""
 
 
 @has_meshes.of(Single)

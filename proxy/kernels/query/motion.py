@@ -118,7 +118,7 @@ def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
 
 @moving_pose.of(Motion)
 def moving_pose_of_any(motion: Motion, pose: Pose) -> Pose:
-    """Return the identity for a fixed object, whose base pose is applied elsewhere, as for a single object."""
+    """Return the identity for a fixed object: its base pose is applied elsewhere, as for a single object."""
     return Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)) if motion.kind == STILL else pose
 
 

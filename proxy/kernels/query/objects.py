@@ -182,7 +182,7 @@ def deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, budget: 
 
 @by_type
 def facets_of(search: Any, row: int, known: Vec3) -> Any:
-    """Return the indices of triangles of one of many objects from those of up to three objects, -1 for others."""
+    """Return the triangles of object `row` in up to three object indices, -1 for each index of another object."""
 
 
 @facets_of.of(Smooth)

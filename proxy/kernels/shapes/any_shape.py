@@ -1,8 +1,8 @@
-"""A shape whose kind is data: its kernels are called by the addresses in its table (`kernel_table`).
+"""A shape with its kind as data: its kernels are called by the addresses in its table (`kernel_table`).
 
-For what a kind does not define the default runs, which calls `closest` and `curvature` of the table. So the code for
-many objects is compiled once for all kinds, and of the kinds only those in use are compiled. A shape of another package
-needs no additions.
+A missing kernel is replaced by the default, which calls `closest` and `curvature` of the table. So the code for many
+objects is compiled once for all kinds, and only the kinds in use are compiled. A shape of another package needs no
+additions.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ SLOTS.update(
 
 
 def any_shape(shape: Any, pose: Any, needs: frozenset[int]) -> AnyShape:
-    """Return a shape as one whose kind is data; its pose is None in the world frame."""
+    """Return a shape as AnyShape; its pose is None in the world frame."""
     kind = type(shape)
     plane = WORLD_PLANE if pose is None else FLAT
     surface = {Mesh: FACETED, Heightmap: CREASED, Plane: plane}.get(kind, SMOOTH)

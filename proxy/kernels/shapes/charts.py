@@ -3,7 +3,7 @@
     chart(shape, fade, x, normal) -> Chart    at the surface point under x
 
 The coordinates of a flat face are two of the shape's frame, in the order x, y, z: x and y on the plane and on the ends
-of a cylinder; x and y, x and z, or y and z on the faces of a box. Those of the side of a cylinder are the arc length
+of a cylinder; x and y, x and z, or y and z on the faces of a box. On the side of a cylinder they are the arc length
 round its axis, zero towards x, and z. `normal` selects the face.
 """
 

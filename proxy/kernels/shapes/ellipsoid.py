@@ -39,7 +39,7 @@ def inverse(weight: float, s: float) -> float:
 
 
 @jit
-def times(a: Vec3, b: Vec3) -> Vec3:
+def multiply_components(a: Vec3, b: Vec3) -> Vec3:
     """Return the componentwise product."""
     return (a[0] * b[0], a[1] * b[1], a[2] * b[2])
 
@@ -67,8 +67,8 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
     s = max(least, 1.0)
     for count in range(_STEPS):
         inverted = inverses(weights, s, e)
-        q = times(weights, inverted)
-        squares = times(q, q)
+        q = multiply_components(weights, inverted)
+        squares = multiply_components(q, q)
         slope = vec3.dot(squares, inverted)
         if slope <= 0.0:
             s = least
@@ -79,7 +79,7 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
         # Only the first step may be negative; a later one is rounding, which deep inside may exceed the tolerance.
         if abs(advance) <= _CONVERGED * s or (count > 0 and advance <= 0.0):
             break
-    q = times(weights, inverses(weights, s, e))
+    q = multiply_components(weights, inverses(weights, s, e))
     if s > 0.0:
         return vec3.scale(1.0 / vec3.norm(q), q)
     # x is in the plane of symmetry normal to the shortest axis, so deep that the other two components are inside.

@@ -1,8 +1,8 @@
-"""Tables of addresses: how a kernel for many objects calls the kernels of a shape whose kind is data.
+"""Tables of addresses, by which a kernel for many objects calls the kernels of any kind of shape.
 
 Each kind of shape has a table with the addresses of the kernels that it implements itself. A kernel is compiled when
 the first scene needs it, once for all scenes, and cached. It takes the row of a shape, the index of a triangle, and its
-other arguments (`called`). `any_shape`, `rest/alone` and `rolling` register the slots of the table in SLOTS.
+other arguments (`called`). `any_shape`, `rest/one_object` and `rolling` register the slots of the table in SLOTS.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _TABLES: Final[dict[Any, KernelTable]] = {}
 
 
 def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
-    """Return the table of a shape's kind, with those of the OPTIONAL kernels that the scene `needs`."""
+    """Return the table of a shape's kind, including the OPTIONAL kernels that the scene `needs`."""
     kind = type(shape)
     slots = frozenset(
         slot

@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, MinkowskiSum, Plane, Quaternion, Sphere, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.shapes.ellipsoid import closest_on_ellipsoid, times
+from softfinger.proxy.kernels.shapes.ellipsoid import closest_on_ellipsoid, multiply_components
 from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, curvature, direction
 
 
@@ -39,8 +39,8 @@ def support_vector(semi_axes: Vec3, orientation: Quaternion, normal: Vec3) -> Ve
     orientation  (4,)     of its axes, in the frame of `normal`
     normal       (3,)     unit normal of the object
     """
-    scaled = times(semi_axes, rotations.rotate(rotations.conjugate(orientation), normal))
-    return rotations.rotate(orientation, vec3.scale(1.0 / vec3.norm(scaled), times(semi_axes, scaled)))
+    scaled = multiply_components(semi_axes, rotations.rotate(rotations.conjugate(orientation), normal))
+    return rotations.rotate(orientation, vec3.scale(1.0 / vec3.norm(scaled), multiply_components(semi_axes, scaled)))
 
 
 @nearest_on_minkowski_sum.of(Plane)
@@ -63,16 +63,19 @@ def nearest_over_sphere(shape: Sphere, grown: MinkowskiSum, x: Vec3) -> tuple[fl
 def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Use the ellipsoid's projection along z.
 
-    Its matrix is the first two rows and columns of E, a Gram matrix. By the Cauchy-Binet formula, the product of its
-    eigenvalues is a sum of squares, without a difference of close numbers.
+    Its matrix is the upper left 2 x 2 block of E, a Gram matrix. By the Cauchy-Binet formula, the product of its
+    eigenvalues is a sum of squares, so no close numbers are subtracted.
     """
     a, back = grown.semi_axes, rotations.conjugate(grown.orientation)
-    u, v = times(a, rotations.rotate(back, X_AXIS)), times(a, rotations.rotate(back, Y_AXIS))
+    u, v = (
+        multiply_components(a, rotations.rotate(back, X_AXIS)),
+        multiply_components(a, rotations.rotate(back, Y_AXIS)),
+    )
     uu, vv, uv = vec3.dot(u, u), vec3.dot(v, v), vec3.dot(u, v)
     half = 0.5 * (uu - vv)
     spread = sqrt(half * half + uv * uv)
     longest = sqrt(0.5 * (uu + vv) + spread)
-    area = vec3.norm(times((a[1] * a[2], a[2] * a[0], a[0] * a[1]), rotations.rotate(back, Z_AXIS)))
+    area = vec3.norm(multiply_components((a[1] * a[2], a[2] * a[0], a[0] * a[1]), rotations.rotate(back, Z_AXIS)))
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
     _, turned = direction(along, X_AXIS)
     c, s = turned[0], turned[1]
@@ -102,8 +105,8 @@ def curvature_of_minkowski_sum(
     ku, kv, u = curvature(shape.shape, 0.0, point, normal)
     v = vec3.cross(normal, u)
     back, a = rotations.conjugate(shape.orientation), shape.semi_axes
-    n = times(a, rotations.rotate(back, normal))
-    p, q = times(a, rotations.rotate(back, u)), times(a, rotations.rotate(back, v))
+    n = multiply_components(a, rotations.rotate(back, normal))
+    p, q = multiply_components(a, rotations.rotate(back, u)), multiply_components(a, rotations.rotate(back, v))
     h = vec3.norm(n)
     along, across = vec3.dot(n, p) / h, vec3.dot(n, q) / h
     uu, vv = (vec3.dot(p, p) - along * along) / h, (vec3.dot(q, q) - across * across) / h

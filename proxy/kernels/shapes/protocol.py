@@ -23,7 +23,7 @@ default if it has a better method, as the plane does.
 Expensive functions take a `budget` and return the remaining one, below 0 if it was exhausted. Only queries of meshes
 and height maps are counted. These two do not implement `closest`: their queries also return if the search finished.
 
-Some defaults are elsewhere, next to the code that they use: rest_on in contact/rest/alone, ahead and unroll in
+Some defaults are elsewhere, next to the code that they use: rest_on in contact/rest/one_object, ahead and unroll in
 contact/rolling. A shape that can be touched from inside has `side`, +1 or -1, and calls `may_be_hollow`.
 
 Everything is in the frame of the shape, for any x within 1e100 m. `gap` is the signed distance, m, positive on the side

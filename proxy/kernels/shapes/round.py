@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.shapes.protocol import (
 
 
 @jit
-def bent(radius: float, side: float, fingertip: float) -> float:
+def offset_curvature(radius: float, side: float, fingertip: float) -> float:
     """Return the curvature, 1/m, at the distance `fingertip` from a surface of `radius`: 1 / (fingertip +- radius)."""
     away = fingertip + side * radius
     if side < 0.0:
@@ -39,7 +39,7 @@ def closest_on_sphere(shape: Sphere, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Sphere)
 def curvature_of_sphere(shape: Sphere, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    k = bent(shape.radius, shape.side, radius)
+    k = offset_curvature(shape.radius, shape.side, radius)
     return k, k, any_tangent(normal)
 
 
@@ -57,7 +57,7 @@ def closest_on_cylinder(shape: Cylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
 @curvature.of(Cylinder)
 def curvature_of_cylinder(shape: Cylinder, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Curved round the axis, straight along it."""
-    return bent(shape.radius, shape.side, radius), 0.0, around_z(normal)
+    return offset_curvature(shape.radius, shape.side, radius), 0.0, around_z(normal)
 
 
 may_be_hollow(Capsule)
@@ -75,7 +75,7 @@ def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
 @curvature.of(Capsule)
 def curvature_of_capsule(shape: Capsule, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of a cylinder if the normal is perpendicular to the axis, otherwise of a sphere."""
-    k = bent(shape.radius, shape.side, radius)
+    k = offset_curvature(shape.radius, shape.side, radius)
     if abs(normal[2]) <= NORMAL_EPSILON:
         return k, 0.0, around_z(normal)
     return k, k, around_z(normal)

@@ -85,7 +85,7 @@ def read(data: bytes) -> Faces:
 
 
 def _head(data: bytes) -> tuple[str, list[Element], bytes]:
-    """Return the byte order, empty for text, the elements, and what follows the head."""
+    """Return the byte order, empty for text, the elements, and the bytes after the head."""
     if not data.startswith(b"ply"):
         raise ValueError(f"is not a PLY file: it starts with {data[:8]!r}")
     end = _END.search(data, 0, HEAD_MAX)
@@ -122,7 +122,7 @@ def _rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, in
 
 
 def _alike(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int] | None:
-    """Read rows whose lists are as long as those of the first row; None if one differs or the file is too short."""
+    """Read rows with lists as long as in the first row; None if one differs or the file is too short."""
     place, fields, lengths = at, list[Any](), list[int]()
     for number, each in enumerate(element.properties):
         length = 1 if each.length is None else _count(body, place, order + each.length)
@@ -146,7 +146,7 @@ def _alike(element: Element, body: bytes, at: int, order: str) -> tuple[Table, i
 
 
 def _row_by_row(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
-    """Read rows whose lists have different lengths. Raises ValueError if the file ends in one of them."""
+    """Read rows with lists of different lengths. Raises ValueError if the file ends in one of them."""
     properties = [(each, int(each.kind[1]), int((each.length or "_0")[1])) for each in element.properties]
     least = sum(count_size or size for _, size, count_size in properties)
     starts, counts = np.empty((2, len(properties), min(element.rows, (len(body) - at) // least + 1)), np.int64)

@@ -40,7 +40,7 @@ def triangles_only(points: Points, triangles: Indices, promised: int) -> Faces:
 
 
 def strip(corners: Indices) -> Indices:
-    """Return the triangles (k - 2, 3) of a strip of k corners; every second one is turned, so that all face one way."""
+    """Return the triangles (k - 2, 3) of a strip of k corners; every second one is turned: all face one side."""
     triangles = np.lib.stride_tricks.sliding_window_view(corners, 3) if len(corners) > 2 else np.empty((0, 3), np.int64)
     triangles = triangles.copy()
     triangles[1::2] = triangles[1::2, ::-1]
@@ -71,7 +71,7 @@ def triangulate(faces: Faces) -> Indices:
 
 
 def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices) -> list[int]:
-    """Return the faces whose fan has a triangle wound against the face."""
+    """Return the faces with a triangle in their fan that is wound against the face."""
     many = counts[face] > 3
     owner, (a, b, c) = face[many], (points[triangles[many, corner]] for corner in range(3))
     with np.errstate(all="ignore"):  # coordinates that are not finite are refused by the caller
@@ -87,7 +87,7 @@ def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices)
 def _ears(points: Points, corners: Indices) -> Indices:
     """Return the triangles (k - 2, 3) of a concave face of k corners, by cutting ears off.
 
-    A face that crosses itself has no right division: what remains without an ear becomes a fan.
+    A face that crosses itself has no right division: a remainder without ears becomes a fan.
     """
     outline = points[corners]
     normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
@@ -102,7 +102,7 @@ def _ears(points: Points, corners: Indices) -> Indices:
 
 
 def _is_ear(flat: Points, left: list[int], at: int) -> bool:
-    """Return whether the corner `at` of the polygon `left` can be cut off: convex, with no other corner inside."""
+    """Return True if the corner `at` of the polygon `left` can be cut off: convex, with no other corner inside."""
     before, here, after = left[at - 1], left[at], left[(at + 1) % len(left)]
     a, b, c = flat[before], flat[here], flat[after]
     if _turn(a, b, c) <= 0.0:

@@ -1,7 +1,7 @@
 """Rest position of the proxy, and the constraints that support it there.
 
 The rest position is the point nearest to the probe that satisfies every constraint. The common case of one object has
-a separate solver, which includes the deflection by friction: `alone`. With several objects (`among`), the search starts
+a separate solver, which includes the deflection by friction: `one_object`. With `several_objects`, the search starts
 from the last active set, adds every obstacle, and computes the smallest displacement that satisfies all constraints
 (`half_spaces`), until nothing changes. On a mesh, if the last active set no longer supports the proxy, it moves by
 supporting planes: `cutting_planes`.

@@ -51,7 +51,7 @@ def active_set_of_one(index: float, normal: Vec3, to_proxy: Vec3) -> ActiveSet:
 
 
 @jit
-def with_another(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
+def add_constraint(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
     one, two, three = active
     if two.body < 0.0:
         return one, Constraint(index, normal, two.depth), Constraint(NONE, normal, three.depth)
@@ -59,7 +59,7 @@ def with_another(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
 
 
 @jit
-def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, near: Deepest) -> tuple[ActiveSet, int]:
+def add_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, near: Deepest) -> tuple[ActiveSet, int]:
     """Add the nearest object if it touches the proxy and fewer than three are active; return the remaining budget, too.
 
     near  result of `deepest` at `center`
@@ -69,7 +69,7 @@ def with_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, n
     if gap > radius * (1.0 + INSIDE) or three.body >= 0.0 or at == one.body or at == two.body:
         return active, left
     _, _, normal, left = closest_to_within(objects, at, center, left)
-    return with_another(active, at, normal), left
+    return add_constraint(active, at, normal), left
 
 
 @jit
@@ -155,18 +155,18 @@ def merge_support_points(active: ActiveSet) -> ActiveSet:
     one, two, three = active
     if three.body >= 0.0 and (three.body == one.body or three.body == two.body):
         if three.body == one.body:
-            one = together(one, three)
+            one = merge_constraints(one, three)
         else:
-            two = together(two, three)
+            two = merge_constraints(two, three)
         three = Constraint(NONE, two.normal, 0.0)
     if two.body >= 0.0 and two.body == one.body:
-        one, two = together(one, two), three
+        one, two = merge_constraints(one, two), three
         three = Constraint(NONE, two.normal, 0.0)
     return one, two, three
 
 
 @jit
-def together(one: Constraint, two: Constraint) -> Constraint:
+def merge_constraints(one: Constraint, two: Constraint) -> Constraint:
     push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
     depth, normal = direction(push, one.normal)
     return Constraint(one.body, normal, depth)

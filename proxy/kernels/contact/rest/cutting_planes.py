@@ -93,15 +93,15 @@ def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x:
     triangle or has a shape without a search, so no budget is counted.
     """
     _, point, normal, _ = closest_to_within(objects, index, x, BUDGET)
-    normal = towards(objects, index, normal, vec3.sub(anchor, point))
+    normal = orient_normal(objects, index, normal, vec3.sub(anchor, point))
     if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
         _, point, normal, _ = closest_to_within(objects, index, anchor, BUDGET)
-        normal = towards(objects, index, normal, vec3.sub(anchor, point))
+        normal = orient_normal(objects, index, normal, vec3.sub(anchor, point))
     return CuttingPlane(index, normal, vec3.dot(normal, point) + radius)
 
 
 @jit
-def towards(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
+def orient_normal(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3:
     """Return the normal of a facet towards `apart` (3,): the two sides of a facet are independent walls."""
     if vec3.dot(normal, apart) < 0.0 and is_mesh_at(objects, index):
         return vec3.scale(-1.0, normal)
@@ -135,7 +135,7 @@ def distance_behind(plane: CuttingPlane, x: Vec3) -> float:
 
 
 @outlined
-def with_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: Vec3, lift: float) -> CuttingPlanes:
+def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: Vec3, lift: float) -> CuttingPlanes:
     """Add a plane and solve.
 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
@@ -268,7 +268,7 @@ def step_towards(
         elif at == three.body:
             three = plane
         else:
-            planes = with_plane(planes, plane, radius, probe, lift)
+            planes = add_plane(planes, plane, radius, probe, lift)
             continue
         planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
     active, late = constraints_of(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
@@ -319,7 +319,9 @@ def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) 
 
 
 @jit
-def pushed_at(objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet) -> tuple[ActiveSet, Vec3]:
+def solve_tangent_planes(
+    objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet
+) -> tuple[ActiveSet, Vec3]:
     """Solve for a probe the tangent planes that the active objects have at a proxy at `center` (3,) m.
 
     Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.

@@ -74,7 +74,7 @@ def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3,
 
 
 @by_type_with_default
-def earlier(shape: Any, w: Vec3, left: float) -> Any:
+def shape_before(shape: Any, w: Vec3, left: float) -> Any:
     """Return the shape at the time when the fraction `left` of the tick's rotation vector `w` (3,) rad remains."""
     return shape
 
@@ -100,7 +100,7 @@ def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
     return vec3.norm(motion) / radius
 
 
-@earlier.of(MinkowskiSum)
+@shape_before.of(MinkowskiSum)
 def reduce_turn(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
     back = rotations.exp(vec3.scale(-left, w))
     return MinkowskiSum(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)

@@ -8,7 +8,14 @@ from typing import Any
 
 import numba
 
-from softfinger.proxy.kernels.contact.rolling.base import Roll, center_velocity, earlier, roll, roll_angle, surface_part
+from softfinger.proxy.kernels.contact.rolling.base import (
+    Roll,
+    center_velocity,
+    roll,
+    roll_angle,
+    shape_before,
+    surface_part,
+)
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, jit
 from softfinger.proxy.kernels.model import Midpoint, MontanaRk4, MontanaRk45, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
@@ -36,9 +43,9 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
     length, tilted = 0.0, 0.0
     for stage in range(2):
         part = 0.5 if stage == 0 else 1.0
-        slope, spin = center_velocity(earlier(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
+        slope, spin = center_velocity(shape_before(shape, w, 1.5 - part), radius, w, n), vec3.dot(w, n)
         length, tilted = surface_part(shape, slope, n), vec3.norm(vec3.cross(w, n))
-        moving_shape = earlier(shape, w, 1.0 - part)
+        moving_shape = shape_before(shape, w, 1.0 - part)
         _, point, n, _ = closest_from(moving_shape, vec3.add_scaled(center, part, slope), start_point, BUDGET_OF_A_ROLL)
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(slope, n, length)
@@ -57,14 +64,16 @@ def roll_montana_rk4(
     # A loop instead of four explicit stages: the query of the closest point is compiled only once.
     for stage in range(4):
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
-        slope = center_velocity(earlier(shape, w, left), radius, w, n)
+        slope = center_velocity(shape_before(shape, w, left), radius, w, n)
         moved = vec3.add_scaled(moved, weight, slope)
         spin += weight * vec3.dot(w, n)
         length += weight * surface_part(shape, slope, n)
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
         left = 0.5 if stage < 2 else 0.0
-        _, point, n, _ = closest_from(earlier(shape, w, left), vec3.add(center, ahead), start_point, BUDGET_OF_A_ROLL)
+        _, point, n, _ = closest_from(
+            shape_before(shape, w, left), vec3.add(center, ahead), start_point, BUDGET_OF_A_ROLL
+        )
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(moved, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
@@ -120,31 +129,31 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     """
     n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
     allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL
-    k1 = center_velocity(earlier(shape, w, 1.0), radius, w, n)
+    k1 = center_velocity(shape_before(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
         begun = vec3.add_scaled(center, -radius, n)
         shortest = left / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
         h = min(max(h, shortest), left)
-        then = earlier(shape, w, left - 1 / 5 * h)
+        then = shape_before(shape, w, left - 1 / 5 * h)
         _, n2, budget = foot(then, vec3.add_scaled(center, h / 5, k1), begun, budget)
         k2 = center_velocity(then, radius, w, n2)
         slope = combine(3 / 40, k1, 9 / 40, k2)
-        then = earlier(shape, w, left - 3 / 10 * h)
+        then = shape_before(shape, w, left - 3 / 10 * h)
         _, n3, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k3 = center_velocity(then, radius, w, n3)
         slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
-        then = earlier(shape, w, left - 4 / 5 * h)
+        then = shape_before(shape, w, left - 4 / 5 * h)
         _, n4, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k4 = center_velocity(then, radius, w, n4)
         slope = vec3.add(
             combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
         )  # fmt: skip
-        then = earlier(shape, w, left - 8 / 9 * h)
+        then = shape_before(shape, w, left - 8 / 9 * h)
         _, n5, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k5 = center_velocity(then, radius, w, n5)
         slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
         slope = vec3.add_scaled(slope, -5103 / 18656, k5)
-        then = earlier(shape, w, left - h)
+        then = shape_before(shape, w, left - h)
         _, n6, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k6 = center_velocity(then, radius, w, n6)
         slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))

@@ -23,7 +23,13 @@ from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, tu
 from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces
 from softfinger.proxy.kernels.shapes.budget import INSIDE, SETTLED, STRIDE
 from softfinger.proxy.kernels.shapes.composite import has_creases, raised_clear
-from softfinger.proxy.kernels.shapes.heightmap.nearest import above, downhill, gap_within, left_of, nearest_from
+from softfinger.proxy.kernels.shapes.heightmap.nearest import (
+    foot_from,
+    gap_within,
+    nearest_from,
+    point_above,
+    remaining_budget,
+)
 from softfinger.proxy.kernels.shapes.protocol import (
     ADVANCES,
     NO_HIT,
@@ -82,7 +88,7 @@ def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
 
 
 @jit
-def along_one(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -> Vec3:
+def step_on_one_point(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -> Vec3:
     """Return the centre (3,) m closest to `goal` on one support point, by a Newton step on the offset surface."""
     center = vec3.add_scaled(foot, radius, normal)
     way = vec3.sub(goal, center)
@@ -95,13 +101,15 @@ def along_one(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -
 
 
 @jit
-def at_most(way: Vec3, longest: float) -> Vec3:
+def clamp_length(way: Vec3, longest: float) -> Vec3:
     length = vec3.norm(way)
     return vec3.scale(longest / length, way) if length > longest else way
 
 
 @jit
-def among_several(feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: Vec3, n3: Vec3) -> tuple[Vec3, Vec3]:
+def solve_support_points(
+    feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: Vec3, n3: Vec3
+) -> tuple[Vec3, Vec3]:
     """Return push (3,) m and centre (3,) m closest to `goal` on the tangent planes of two or three support points."""
     b1 = vec3.dot(n1, vec3.sub(feet.one, goal)) + radius
     b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
@@ -123,15 +131,15 @@ def rest_on_support_points(
     budget, bounded = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
     for turn in range(CREASE_ROUNDS):
-        _, p1, n1, _, spent = downhill(shape, center, feet.one)
+        _, p1, n1, _, spent = foot_from(shape, center, feet.one)
         budget -= spent
         p2, n2, p3, n3 = p1, n1, p1, n1
         if feet.many > 1:
-            _, p2, n2, _, spent = downhill(shape, center, feet.two)
+            _, p2, n2, _, spent = foot_from(shape, center, feet.two)
             budget -= spent
             p3, n3 = p2, n2
         if feet.many > 2:
-            _, p3, n3, _, spent = downhill(shape, center, feet.three)
+            _, p3, n3, _, spent = foot_from(shape, center, feet.three)
             budget -= spent
         feet = SupportPoints(feet.many, p1, p2, p3)
         clear = True
@@ -144,7 +152,7 @@ def rest_on_support_points(
                 if vec3.norm(vec3.sub(rest, other)) < radius * (
                     1.0 - SAME_POINT
                 ):  # the start was inside: move up and out
-                    rest = above(shape, rest, radius)
+                    rest = point_above(shape, rest, radius)
                 break
             if not clear and not is_support_point(feet, other, SAME_POINT * radius):
                 feet = with_support_point(feet, other)
@@ -153,15 +161,15 @@ def rest_on_support_points(
                     n2 = other_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
         if feet.many == 1:
-            push, then = n1, along_one(shape, radius, goal, p1, n1)
+            push, then = n1, step_on_one_point(shape, radius, goal, p1, n1)
         else:
-            push, then = among_several(feet, radius, goal, n1, n2, n3)
+            push, then = solve_support_points(feet, radius, goal, n1, n2, n3)
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
-        then = vec3.add(rest, at_most(vec3.sub(then, rest), STRIDE * radius))
+        then = vec3.add(rest, clamp_length(vec3.sub(then, rest), STRIDE * radius))
         if feet.many == 1:
-            _, p1, n1, _, spent = downhill(shape, then, p1)
+            _, p1, n1, _, spent = foot_from(shape, then, p1)
             budget -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
@@ -177,7 +185,7 @@ def rest_on_support_points(
 def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
     """Allow a roll from a single support point, at most a stride long, to a position with room for the fingertip."""
     foot = vec3.add_scaled(start, -radius, normal)
-    _, point, up, _, _ = downhill(shape, start, foot)
+    _, point, up, _, _ = foot_from(shape, start, foot)
     if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
         return False
     way = vec3.norm(vec3.sub(end, start))
@@ -189,7 +197,7 @@ def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal:
 
 @raised_clear.of(Heightmap)
 def raised_clear_of_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
-    return above(shape, x, radius)
+    return point_above(shape, x, radius)
 
 
 @meets.of(Heightmap)
@@ -207,7 +215,7 @@ def meets_heightmap(
     if leaves and length <= short:
         return NO_HIT, 0.0, budget
     near = gap_within(shape, start, radius + length, budget // 2)
-    left, rest = left_of(budget // 2, near.whole, near.spent), left_of(budget, True, near.spent)
+    left, rest = remaining_budget(budget // 2, near.whole, near.spent), remaining_budget(budget, True, near.spent)
     clearance, touching, share = near.gap - radius, TOUCHING * radius, 0.0
     if clearance >= length:
         return NO_HIT, 0.0, rest
@@ -219,7 +227,7 @@ def meets_heightmap(
         if share >= 1.0:
             return NO_HIT, 0.0, rest
         near = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
-        left, rest = left_of(left, near.whole, near.spent), left_of(rest, True, near.spent)
+        left, rest = remaining_budget(left, near.whole, near.spent), remaining_budget(rest, True, near.spent)
         clearance = near.gap - radius
         if left >= 0 and clearance <= touching:
             return share, 0.0, rest
@@ -227,7 +235,7 @@ def meets_heightmap(
         return share, 0.0, rest
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < begun else NO_HIT), 0.0, left_of(rest, True, near.spent)
+    return (share if near.gap - radius < begun else NO_HIT), 0.0, remaining_budget(rest, True, near.spent)
 
 
 @has_creases.of(Heightmap)

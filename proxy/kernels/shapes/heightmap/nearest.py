@@ -32,15 +32,15 @@ from softfinger.proxy.kernels.shapes.heightmap.tiles import (
     AS_NEAR,
     FAR,
     LEVELS,
+    contains_foot,
     convex_around,
-    has,
-    is_beyond,
+    is_farther,
     nearer_half,
     square_to_box,
     tile_at,
+    tiles_across,
     tiles_around,
     to_facet,
-    wide,
 )
 from softfinger.proxy.kernels.shapes.protocol import (
     closest_from,
@@ -106,7 +106,7 @@ class Gap(NamedTuple):
 
 
 @jit
-def left_of(budget: int, whole: bool, spent: int) -> int:
+def remaining_budget(budget: int, whole: bool, spent: int) -> int:
     """Return the remaining budget after a query, below 0 if this query or an earlier one exhausted it."""
     return SPENT if budget < 0 or not whole else max(budget - spent, 0)
 
@@ -129,10 +129,10 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
     spent, left, reach = 0, FAR, sqrt(best.square)
     for _ in range(max(budget, 0) + 4 * LEVELS):
         spent += 1
-        if i < wide(shape.columns, level) and j < wide(shape.rows, level):
+        if i < tiles_across(shape.columns, level) and j < tiles_across(shape.rows, level):
             tile = tile_at(shape, p, level, i, j)
             square, way = square_to_box(tile), MapPoint(0.0, 0.0)
-            asks = square < AS_NEAR * best.square and not (tile.convex and has(tile, best))
+            asks = square < AS_NEAR * best.square and not (tile.convex and contains_foot(tile, best))
             if asks:
                 square, way = to_facet(tile)
             if asks and square < (reach + tile.thick) * (reach + tile.thick) * AS_NEAR:
@@ -146,7 +146,7 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
                 else:
                     start = foot_at(shape, p, p[0] + way.s, p[1] + way.t)
                     spent += LOOK
-                    if not is_beyond(p, tile, start, best.square):
+                    if not is_farther(p, tile, start, best.square):
                         if not tile.convex:
                             start = best_of_quarters(shape, p, start, i, j)
                             spent += 4 * LOOK
@@ -180,7 +180,7 @@ def touch_at(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
 
 
 @outlined
-def downhill(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
+def foot_from(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
     at = to_pitches(shape, start)
     foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), FAR)
@@ -227,7 +227,7 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
 
 
 @outlined
-def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
+def point_above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
     """Return the point (3,) m above `x` (3,) m at which a fingertip of `radius` (m) is clear of the surface.
 
     It is above the upper bounds of all tiles within `radius` along the grid.
@@ -243,7 +243,7 @@ def above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 
 
 @jit
-def as_asked(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
+def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
     """Return consistent gap, point and normal: if the gap is a bound, the point is moved to that distance."""
     if near.whole or near.gap < 0.0:
         return near.gap, near.point, near.normal
@@ -260,12 +260,12 @@ def closest_known_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, 
 @closest_within.of(Heightmap)
 def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     near = nearest_from(shape, x, x, max(budget, 0))
-    gap, point, normal = as_asked(x, near)
-    return gap, point, normal, left_of(budget, near.whole, near.spent)
+    gap, point, normal = make_consistent(x, near)
+    return gap, point, normal, remaining_budget(budget, near.whole, near.spent)
 
 
 @outlined
-def downhill_from_two(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
+def closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_from`; without budget, for the surface point below `x`."""
     p, at = to_pitches(shape, x), to_pitches(shape, start)
     if budget < 0:
@@ -288,7 +288,7 @@ def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, budget: in
 
     `follows` checks at the end of the roll whether there is room for the fingertip.
     """
-    return downhill_from_two(shape, x, start, budget)
+    return closer_foot_from(shape, x, start, budget)
 
 
 @constraint_at.of(Heightmap)
@@ -299,11 +299,11 @@ def constraint_at_support_point(
     start = vec3.add_scaled(center, -radius, normal)
     if budget < 0:
         return start, normal, budget
-    near = downhill(shape, center, start)
+    near = foot_from(shape, center, start)
     return near.point, near.normal, budget - near.spent
 
 
 @nearest_of_shape.of(Heightmap)
 def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     near = gap_within(shape, x, within, budget)
-    return Deepest(near.gap, 0.0, left_of(budget, near.whole, near.spent))
+    return Deepest(near.gap, 0.0, remaining_budget(budget, near.whole, near.spent))

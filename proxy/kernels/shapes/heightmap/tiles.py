@@ -26,7 +26,7 @@ FAR: Final = 1e300
 
 
 @jit
-def wide(count: float, level: int) -> int:
+def tiles_across(count: float, level: int) -> int:
     """Return the number of tiles of a level in a row of `count` cells."""
     return (int(count) + (1 << level) - 1) >> level
 
@@ -83,7 +83,7 @@ class Tile(NamedTuple):
 
 @jit
 def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
-    across, down = wide(shape.columns, level), wide(shape.rows, level)
+    across, down = tiles_across(shape.columns, level), tiles_across(shape.rows, level)
     at = (int(shape.starts[level]) + j * across + i) * NUMBERS
     b1, b2, thick = shape.facets[at + 1], shape.facets[at + 2], shape.facets[at + 3]
     half = 0.5 * (1 << level)
@@ -135,7 +135,7 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
 @jit
 def place_of(place: float, level: int, count: float) -> int:
     """Return the index, in its row of tiles, of the tile that contains the coordinate or is closest to it."""
-    return min(int(clamp_to_cells(place, count)) >> level, wide(count, level) - 1)
+    return min(int(clamp_to_cells(place, count)) >> level, tiles_across(count, level) - 1)
 
 
 class Around(NamedTuple):
@@ -178,7 +178,7 @@ def convex_around(shape: Heightmap, p: Vec3, foot: MapFoot) -> bool:
 
 
 @jit
-def has(tile: Tile, foot: MapFoot) -> bool:
+def contains_foot(tile: Tile, foot: MapFoot) -> bool:
     return abs(foot.s - tile.middle_s) <= tile.half and abs(foot.t - tile.middle_t) <= tile.half
 
 
@@ -195,12 +195,12 @@ def least_along(slope: float, place: float, half: float) -> float:
 
 
 @jit
-def is_beyond(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
+def is_farther(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
     """Return True if no point of the tile is closer than the squared distance `square`.
 
     A convex function is nowhere below its tangent plane, here that at `place`.
     """
-    if not (tile.convex and has(tile, place)):
+    if not (tile.convex and contains_foot(tile, place)):
         return False
     gs, gt = gradient(p, place)
     falls = least_along(gs, place.s - tile.middle_s, tile.half) + least_along(gt, place.t - tile.middle_t, tile.half)

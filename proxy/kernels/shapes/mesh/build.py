@@ -154,7 +154,7 @@ def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
     )
 
 
-class Box(NamedTuple):
+class OrientedBox(NamedTuple):
     """Oriented box: middle (3,) m, unit axes (3,) along its sides, and half sides (3,) m."""
 
     middle: Vec3
@@ -165,7 +165,7 @@ class Box(NamedTuple):
 
 
 @jit
-def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> Box:
+def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> OrientedBox:
     """Return the box round some triangles with sides along `up` and along the projection of `side` normal to it.
 
     some   triangles: first, one after the last, step
@@ -183,7 +183,7 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
             most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
     mid, half = vec3.scale(0.5, vec3.add(least, most)), vec3.scale(0.5, vec3.sub(most, least))
     middle = vec3.add(vec3.add(vec3.scale(mid[0], one), vec3.scale(mid[1], two)), vec3.scale(mid[2], up))
-    return Box(middle, one, two, up, half)
+    return OrientedBox(middle, one, two, up, half)
 
 
 @jit

@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.shapes.composite import (
     shade_normal,
 )
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
-from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, closest_on_triangle, shaded_normal
+from softfinger.proxy.kernels.shapes.mesh.triangle import closest_on_triangle, nearer_neighbour, shaded_normal
 from softfinger.proxy.kernels.shapes.protocol import (
     NO_HIT,
     X_AXIS,
@@ -158,7 +158,7 @@ def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budge
 
 @neighbour_of.of(Facet)
 def neighbour_of_facet(shape: Facet, x: Vec3) -> float:
-    return beyond_edge(shape.mesh, shape.number, x) - shape.number
+    return nearer_neighbour(shape.mesh, shape.number, x) - shape.number
 
 
 @element_of_shape.of(Mesh)

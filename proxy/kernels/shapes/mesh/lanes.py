@@ -112,7 +112,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
 
 
 @intrinsic
-def from_there(typing_context, lanes, at):  # type: ignore[no-untyped-def]
+def slice_from(typing_context, lanes, at):  # type: ignore[no-untyped-def]
     """Return the address of element `at`."""
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -151,5 +151,5 @@ if PLAIN:
         waiting[: len(nearer)] = nearer + np.int32(begin)
         return len(nearer)
 
-    def from_there(lanes: Any, at: int) -> Any:
+    def slice_from(lanes: Any, at: int) -> Any:
         return lanes[at:]

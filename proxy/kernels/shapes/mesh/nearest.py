@@ -23,13 +23,13 @@ from softfinger.proxy.kernels.shapes.budget import ROOM
 from softfinger.proxy.kernels.shapes.mesh.lanes import (
     LANES,
     NODE,
-    from_there,
     room_for_bounds,
     room_for_lanes,
     room_for_nodes,
     sift,
+    slice_from,
 )
-from softfinger.proxy.kernels.shapes.mesh.triangle import beyond_edge, corners_of, foot_on
+from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on, nearer_neighbour
 
 FAR = 1e4
 """Distance from the middle of the mesh, in sizes of the mesh, to which points farther away are moved for the search:
@@ -45,7 +45,7 @@ SAME = 1e-11
 equally near."""
 
 
-class Found(NamedTuple):
+class NearestTriangle(NamedTuple):
     """Nearest triangle.
 
     number        of the triangle, -1 if none is within the limit; the nearest known one if the budget was exhausted
@@ -61,7 +61,7 @@ class Found(NamedTuple):
 
 
 @jit
-def brought_near(mesh: Triangles, x: Vec3) -> Vec3:
+def to_search_frame(mesh: Triangles, x: Vec3) -> Vec3:
     """Return `x` relative to the middle of the mesh, moved towards it to at most FAR sizes along each axis."""
     d = vec3.sub(x, mesh.center)
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
@@ -72,7 +72,7 @@ def brought_near(mesh: Triangles, x: Vec3) -> Vec3:
 
 
 @jit
-def upward(square: float) -> np.float32:
+def round_up(square: float) -> np.float32:
     """Convert to float32, rounded up; at most 1e35."""
     return np.float32(min(square * (1.0 + 1e-6), 1e35))
 
@@ -84,7 +84,7 @@ def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
     return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
 
 
-class Guess(NamedTuple):
+class Candidate(NamedTuple):
     """Candidate for the nearest triangle.
 
     number        of the triangle, -1 if none was found below a limit
@@ -98,10 +98,12 @@ class Guess(NamedTuple):
 
 
 @jit
-def way_down(whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any, begin: int) -> Guess:
+def descend_tree(
+    whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any, begin: int
+) -> Candidate:
     """Descend greedily from a node of the tree to a triangle, and from there over edges to closer ones.
 
-    near            (3,)  m    x in the frame of the tree (`brought_near`)
+    near            (3,)  m    x in the frame of the tree (`to_search_frame`)
     limit                 m^2  boxes farther away are ignored
     bounds, waiting            scratch for `sift`; of `bounds` from `begin`
     """
@@ -109,9 +111,9 @@ def way_down(whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: 
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     while True:
         spent += 1
-        many = sift(mesh.nodes, node, point, upward(limit), bounds, waiting, begin)
+        many = sift(mesh.nodes, node, point, round_up(limit), bounds, waiting, begin)
         if many == 0:
-            return Guess(-1, limit, spent)
+            return Candidate(-1, limit, spent)
         lane, closest = 0, 1e300
         for i in range(many):
             apart = vec3.sub(near, middle_of(mesh, node, int(waiting[i]) - begin))
@@ -125,12 +127,12 @@ def way_down(whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: 
     square = foot_on(corners_of(mesh, number), x).square
     for _ in range(CLIMB):
         spent += 1
-        beyond = int(beyond_edge(whole, float(number), x))
+        beyond = int(nearer_neighbour(whole, float(number), x))
         if beyond == number:
             break
         number = beyond
         square = foot_on(corners_of(mesh, number), x).square
-    return Guess(number, square, spent)
+    return Candidate(number, square, spent)
 
 
 @jit
@@ -144,7 +146,7 @@ def lowest_of(bounds: Any, waiting: Any, at: int, end: int) -> int:
 
 
 @jit
-def down_slope(mesh: Triangles, begun: Guess, x: Vec3) -> Guess:
+def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
     """Move to the closest of the three neighbours as long as one is closer.
 
     In a hollow the nearest point of a triangle is in its interior, and does not show which edge to cross.
@@ -162,16 +164,16 @@ def down_slope(mesh: Triangles, begun: Guess, x: Vec3) -> Guess:
         if nearer < 0:
             break
         number = nearer
-    return Guess(number, square, spent)
+    return Candidate(number, square, spent)
 
 
 @jit
-def first_guess(
+def first_candidate(
     whole: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
-) -> tuple[Guess, int]:
+) -> tuple[Candidate, int]:
     """Return the closest of the `known` triangles within `limit` (m), and the last triangle tested, -1 for none.
 
-    Without known triangles, both are the result of `way_down`.
+    Without known triangles, both are the result of `descend_tree`.
     """
     mesh, number, square, spent, last = whole.row[0], -1, limit * limit, 0, -1
     for k in known:
@@ -182,14 +184,14 @@ def first_guess(
             if foot.square < square:
                 number, square = last, foot.square
     if last < 0:
-        last, apart, spent = way_down(whole, 0, near, x, square, bounds, waiting, 0)
+        last, apart, spent = descend_tree(whole, 0, near, x, square, bounds, waiting, 0)
         if apart < square:
             number, square = last, apart
-    return Guess(number, square, spent), last
+    return Candidate(number, square, spent), last
 
 
 @outlined
-def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> Found:
+def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> NearestTriangle:
     """Return the triangle nearest to `x` (3,) m within `limit` (m).
 
     known   (3,)  numbers of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
@@ -197,15 +199,15 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     enough  m     distance below which a triangle is accepted if the search takes long; 0 for the exact nearest
     """
     mesh = whole.row[0]
-    near = brought_near(mesh, x)
+    near = to_search_frame(mesh, x)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
     most = min(budget, ROOM)
-    (number, square, spent), guess = first_guess(whole, near, x, limit, known, bounds, waiting)
+    (number, square, spent), guess = first_candidate(whole, near, x, limit, known, bounds, waiting)
     if guess < 0 and spent == 1:
-        return Found(-1, square, square, spent)
+        return NearestTriangle(-1, square, square, spent)
     best = square if number < 0 else square * (1.0 - SAME)
-    top = upward(best)
+    top = round_up(best)
     firsts[0] = mesh.first[0]
     end = sift(mesh.nodes, 0, point, top, bounds, waiting, 0)
     nodes, at, level = 1, 0, 0
@@ -215,19 +217,19 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
             if spent + end >= MANY and spent + end < most:
                 place = lowest_of(bounds, waiting, at, end)
                 first, lane = int(firsts[place // LANES]), place % LANES
-                down = Guess(~first + lane, square, 0)
+                down = Candidate(~first + lane, square, 0)
                 if first >= 0:
-                    there, begin = from_there(waiting, end), nodes * LANES
-                    down = way_down(whole, first + lane, near, x, best, bounds, there, begin)
+                    there, begin = slice_from(waiting, end), nodes * LANES
+                    down = descend_tree(whole, first + lane, near, x, best, bounds, there, begin)
                 if down.number < 0:
-                    down = Guess(number if number >= 0 else guess, best, down.spent)
-                down = down_slope(mesh, down, x)
+                    down = Candidate(number if number >= 0 else guess, best, down.spent)
+                down = walk_downhill(mesh, down, x)
                 spent += down.spent
                 if down.square < best:
                     number, square, best = down.number, down.square, down.square
-                    top = upward(best)
+                    top = round_up(best)
                 if square < enough * enough:
-                    return Found(number, square, square, spent + end)
+                    return NearestTriangle(number, square, square, spent + end)
         place = int(waiting[at])
         if bounds[place] < top:
             first, lane = int(firsts[place // LANES]), place % LANES
@@ -235,16 +237,16 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
                 foot = foot_on(corners_of(mesh, ~first + lane), x)
                 if foot.square < best:
                     number, square, best = ~first + lane, foot.square, foot.square
-                    top = upward(best)
+                    top = round_up(best)
             elif spent + end >= most:
                 lowest = min(square, float(bounds[lowest_of(bounds, waiting, at, end)]))
                 if guess < 0:
-                    guess, _, _ = way_down(whole, 0, near, x, 1e300, bounds, waiting, 0)
-                return Found(guess if number < 0 else number, square, lowest, spent + end)
+                    guess, _, _ = descend_tree(whole, 0, near, x, 1e300, bounds, waiting, 0)
+                return NearestTriangle(guess if number < 0 else number, square, lowest, spent + end)
             else:
                 firsts[nodes] = mesh.first[first + lane]
                 begin = nodes * LANES
-                end += sift(mesh.nodes, first + lane, point, top, bounds, from_there(waiting, end), begin)
+                end += sift(mesh.nodes, first + lane, point, top, bounds, slice_from(waiting, end), begin)
                 nodes += 1
         at += 1
-    return Found(number, square, square, spent + end)
+    return NearestTriangle(number, square, square, spent + end)

@@ -121,7 +121,7 @@ def face_normal(corners: Corners) -> Vec3:
 
 
 @jit
-def outward_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
+def pseudonormal_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
     """Return the pseudonormal (3,), not of unit length, of the feature that the nearest point is on.
 
     It distinguishes outside from inside: at an edge the sum of the normals of both faces, at a corner that of all,
@@ -149,7 +149,7 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
 
 @jit
-def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float) -> int:
+def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: float) -> int:
     """Return the closest of the triangles round a corner if it is closer to `x` than the corner, otherwise -1.
 
     at      corner of the triangle `number`
@@ -177,7 +177,7 @@ def nearer_around(mesh: Triangles, number: int, at: int, x: Vec3, square: float)
 
 
 @jit
-def corner_beside(corners: Corners, foot: Foot) -> int:
+def corner_near(corners: Corners, foot: Foot) -> int:
     """Return the corner at a foot point or, on an edge, closer to it than BESIDE; -1 for none."""
     if foot.feature >= 3:
         return foot.feature - 3
@@ -189,7 +189,7 @@ def corner_beside(corners: Corners, foot: Foot) -> int:
 
 
 @outlined
-def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
+def nearer_neighbour(whole: Mesh, number: float, x: Vec3) -> float:
     """Return the triangle across the edge or round the corner nearest to `x`, if it is closer; otherwise this one."""
     mesh, k = whole.row[0], int(number)
     corners = corners_of(mesh, k)
@@ -200,8 +200,8 @@ def beyond_edge(whole: Mesh, number: float, x: Vec3) -> float:
         across = int(mesh.across[3 * k + foot.feature])
         if across >= 0 and is_nearer(foot_on(corners_of(mesh, across), x), foot.square):
             return float(across)
-    corner = corner_beside(corners, foot)
-    nearer = nearer_around(mesh, k, corner, x, foot.square) if corner >= 0 else -1
+    corner = corner_near(corners, foot)
+    nearer = nearer_round_corner(mesh, k, corner, x, foot.square) if corner >= 0 else -1
     return number if nearer < 0 else float(nearer)
 
 
@@ -240,7 +240,7 @@ def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec
     distance, outward = direction(apart, normal)
     if mesh.side == 0.0:
         return distance, foot.point, outward
-    pseudo = outward_at(mesh, k, corners, foot.feature)
+    pseudo = pseudonormal_at(mesh, k, corners, foot.feature)
     if distance <= ON_IT * mesh.size:
         _, outward = direction(pseudo, normal)
     elif vec3.dot(outward, pseudo) < 0.0:

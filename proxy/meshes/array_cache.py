@@ -31,7 +31,7 @@ BYTES_MAX: Final = 4 << 30
 """Size limit of the cache; beyond it, the least recently used files are removed. The largest mesh takes 2.5 GB."""
 ENDING: Final = ".mesh"
 
-KEPT: Final = Folder(
+FOLDER: Final = Folder(
     None if CACHE_DIR is None else CACHE_DIR.parent / "meshes", "meshes are not cached, so every start builds them"
 )
 
@@ -41,25 +41,25 @@ _FIXED: Final = len(MAGIC) + hashlib.sha256().digest_size + 8
 log: Final = logging.getLogger(__name__)
 
 
-class Kept(NamedTuple):
+class CachedArrays(NamedTuple):
     """Arrays and plain values by name. Arrays loaded from disk are read-only."""
 
     arrays: Mapping[str, NDArray[Any]]
     values: Mapping[str, Any]
 
 
-def load(key: str, folder: Folder = KEPT) -> Kept | None:
+def load(key: str, folder: Folder = FOLDER) -> CachedArrays | None:
     """Return the entry of a key, or None if it is missing or damaged."""
     name = f"{key}{ENDING}"
     try:
         with folder.opened(name) as file:
             # Read, not mapped: later changes of the file must not affect a process that renders.
-            seen = _room(os.fstat(file.fileno()).st_size)
-            if file.readinto(seen) != len(seen):  # type: ignore[attr-defined]
+            memory = _allocate(os.fstat(file.fileno()).st_size)
+            if file.readinto(memory) != len(memory):  # type: ignore[attr-defined]
                 raise Unsound("it was cut off")
             with contextlib.suppress(OSError):  # in another user's folder; only the time of last use is lost
                 os.utime(file.fileno())
-        return _read(key, seen)
+        return _read(key, memory)
     except FileNotFoundError:
         return None
     except (Unsound, OSError, ValueError, TypeError, KeyError) as error:
@@ -68,36 +68,36 @@ def load(key: str, folder: Folder = KEPT) -> Kept | None:
         return None
 
 
-def _room(size: int) -> mmap.mmap:
+def _allocate(size: int) -> mmap.mmap:
     """Return anonymous memory in huge pages, if the system has them.
 
     The kernel clears each page on its first write; with small pages that takes three quarters of the reading time.
     """
-    room = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     with contextlib.suppress(OSError):  # a kernel without huge pages
-        room.madvise(mmap.MADV_HUGEPAGE)
-    return room
+        memory.madvise(mmap.MADV_HUGEPAGE)
+    return memory
 
 
-def save(key: str, kept: Kept, folder: Folder = KEPT) -> None:
+def save(key: str, cached: CachedArrays, folder: Folder = FOLDER) -> None:
     """Store arrays, and values of JSON types, under a key, and remove the least recently used files over the limit.
 
     If the folder cannot be used, nothing is stored and the folder logs a warning, once.
     """
-    folder.put(f"{key}{ENDING}", _parts(key, kept))
+    folder.put(f"{key}{ENDING}", _parts(key, cached))
     if folder.path is not None and folder.problem() is None:
         with contextlib.suppress(OSError):
             _make_room(folder, f"{key}{ENDING}")
 
 
-def _parts(key: str, kept: Kept) -> Iterator[Any]:
+def _parts(key: str, cached: CachedArrays) -> Iterator[Any]:
     """Yield the contents of the file in pieces."""
-    arrays = {name: np.ascontiguousarray(array) for name, array in kept.arrays.items()}
+    arrays = {name: np.ascontiguousarray(array) for name, array in cached.arrays.items()}
     at, table = 0, {}
     for name, array in arrays.items():
         table[name] = {"dtype": array.dtype.str, "shape": array.shape, "at": at, "sum": _sum(array)}
         at += -(-array.nbytes // ALIGNED) * ALIGNED
-    head = json.dumps({"key": key, "bytes": at, "arrays": table, "values": dict(kept.values)}).encode()
+    head = json.dumps({"key": key, "bytes": at, "arrays": table, "values": dict(cached.values)}).encode()
     head += b" " * (-(_FIXED + len(head)) % ALIGNED)
     yield MAGIC + hashlib.sha256(head).digest() + len(head).to_bytes(8, "little") + head
     for array in arrays.values():
@@ -105,26 +105,28 @@ def _parts(key: str, kept: Kept) -> Iterator[Any]:
         yield bytes(-array.nbytes % ALIGNED)
 
 
-def _read(key: str, seen: mmap.mmap) -> Kept:
-    length = int.from_bytes(seen[_FIXED - 8 : _FIXED], "little")
-    head = seen[_FIXED : _FIXED + min(length, HEAD_MAX)]
-    if seen[: _FIXED - 8] != MAGIC + hashlib.sha256(head).digest():
+def _read(key: str, memory: mmap.mmap) -> CachedArrays:
+    length = int.from_bytes(memory[_FIXED - 8 : _FIXED], "little")
+    head = memory[_FIXED : _FIXED + min(length, HEAD_MAX)]
+    if memory[: _FIXED - 8] != MAGIC + hashlib.sha256(head).digest():
         raise Unsound("its head is damaged")
-    said = json.loads(head)
-    if said["key"] != key or len(seen) != _FIXED + length + said["bytes"]:
+    header = json.loads(head)
+    if header["key"] != key or len(memory) != _FIXED + length + header["bytes"]:
         raise Unsound("it is another's, or was cut off")
-    return Kept({name: _array(seen, _FIXED + length, each) for name, each in said["arrays"].items()}, said["values"])
+    return CachedArrays(
+        {name: _array(memory, _FIXED + length, each) for name, each in header["arrays"].items()}, header["values"]
+    )
 
 
-def _array(seen: mmap.mmap, start: int, said: Mapping[str, Any]) -> NDArray[Any]:
-    if not _DTYPE.fullmatch(said["dtype"]):
-        raise Unsound(f"it has an array of {said['dtype']}")
-    count = math.prod(said["shape"])
-    array = np.frombuffer(seen, said["dtype"], count, start + said["at"])
-    if _sum(array) != said["sum"]:
+def _array(memory: mmap.mmap, start: int, entry: Mapping[str, Any]) -> NDArray[Any]:
+    if not _DTYPE.fullmatch(entry["dtype"]):
+        raise Unsound(f"it has an array of {entry['dtype']}")
+    count = math.prod(entry["shape"])
+    array = np.frombuffer(memory, entry["dtype"], count, start + entry["at"])
+    if _sum(array) != entry["sum"]:
         raise Unsound("its numbers are damaged")
     array.setflags(write=False)
-    return array.reshape(said["shape"])
+    return array.reshape(entry["shape"])
 
 
 def _sum(array: NDArray[Any]) -> int:

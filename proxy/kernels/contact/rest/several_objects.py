@@ -7,6 +7,8 @@ from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
     active_objects,
     active_set_of_one,
+    add_constraint,
+    add_touched,
     count_of,
     displacement_of,
     drop_weakest,
@@ -16,11 +18,9 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     merge_support_points,
     one_constraint,
     sort_by_load,
-    with_another,
-    with_touched,
 )
-from softfinger.proxy.kernels.contact.rest.alone import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
+from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
@@ -233,13 +233,13 @@ def settle_for(
             # Already three constraints: stop at the fourth, and continue in the next tick.
             goal = stop
             break
-        active = with_another(active, hit, normal)
+        active = add_constraint(active, hit, normal)
         goal, active, left = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
     center = goal
     if not is_multipoint:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
-        active, left = with_touched(objects, radius, goal, active, near)
+        active, left = add_touched(objects, radius, goal, active, near)
     found, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
         center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
@@ -259,7 +259,7 @@ def settle_for(
             if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_of(active) == 3:
                     active = drop_weakest(active)
-                active = with_another(active, at, normal)
+                active = add_constraint(active, at, normal)
     late = not found
     if not found:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
