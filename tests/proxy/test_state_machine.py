@@ -144,11 +144,11 @@ def test_release_clears_everything(plane_scene: SceneFactory) -> None:
     hand.go_to(1, [0.01, 0, R - 0.001]).go(5)
     trace = drive(Engine(plane_scene()), hand)
     assert trace.events[-2:] == [(out, "release"), (out + 1, "touch")]
-    gone = trace.steps[out]
-    assert (gone.mode, gone.object, gone.penetration) == (FREE, -1, 0.0)
-    assert (gone.spin, gone.rolled, gone.normal_force, gone.tangential_force) == (0.0, 0.0, 0.0, 0.0)
-    assert not gone.force.any()
-    assert not gone.torque.any()
+    released = trace.steps[out]
+    assert (released.mode, released.object, released.penetration) == (FREE, -1, 0.0)
+    assert (released.spin, released.rolled, released.normal_force, released.tangential_force) == (0.0, 0.0, 0.0, 0.0)
+    assert not released.force.any()
+    assert not released.torque.any()
     assert trace.force[out + 1 :] == pytest.approx(np.tile([0, 0, 1], (6, 1)), abs=EXACT)
     assert trace.torque[out + 1 :] == pytest.approx(np.zeros((6, 3)), abs=EXACT)
 
