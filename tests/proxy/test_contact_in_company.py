@@ -276,7 +276,7 @@ def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("company", COMPANY)
 def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> None:
-    """A sphere of mass m between two sticking fingertips, 1 mm deep each, swings sideways with sqrt(2 K_t / m)."""
+    """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
     fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]

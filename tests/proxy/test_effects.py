@@ -277,7 +277,7 @@ def test_stick_slip_ignores_depth_and_resets_on_release() -> None:
 
 
 def test_stick_slip_moves_with_its_object() -> None:
-    """A finger that moves with a translating, rotating object feels no force; one that lags does."""
+    """A finger that moves with a translating, rotating object gets no force; one that lags does."""
     effect = model.StickSlip(1000.0, 0.5)
     half = math.sqrt(0.5)
     before = model.Pose(ZERO, (1.0, 0.0, 0.0, 0.0))

@@ -164,7 +164,7 @@ def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, case
         poses = deep_handling(seed, reach_of(name), turn)
         records = engine(name, 0.6, 0.5).run(poses)
         at_rest = is_stuck(records) if turn == 0.0 else np.zeros(len(poses), bool)
-        at_rest[:2] = False  # a first pose below an edge comes to rest in the second tick
+        at_rest[:2] = False  # a first pose below an edge is at rest from the second tick on
         check_statics(name, records, poses[:, :3], 0.6, at_rest)
 
 

@@ -1,4 +1,4 @@
-"""A body between two soft fingertips rolls on them, comes to rest as in its closed form, and does not creep."""
+"""A body between two soft fingertips rolls on them, decays as in its closed form, and does not creep."""
 
 from __future__ import annotations
 
