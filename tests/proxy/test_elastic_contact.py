@@ -167,18 +167,18 @@ def test_a_sliding_contact_is_solved_in_three_rounds(folder: Path, monkeypatch: 
 
 def test_two_fingers_are_coupled_by_the_body(folder: Path) -> None:
     engine = Engine(scene(folder / "pad.obj", fingers=2))
-    held, aside, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
-    records = engine.run({"a": np.tile(held, (10, 1)), "b": np.array([away] * 5 + [aside] * 5)})
+    held, beside, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
+    records = engine.run({"a": np.tile(held, (10, 1)), "b": np.array([away] * 5 + [beside] * 5)})
     alone, together = records["a"]["force"][4], records["a"]["force"][9]
     single = Engine(scene(folder / "pad.obj")).run(np.tile(held, (5, 1)))["force"][4]
     assert alone == pytest.approx(single, abs=2e-8)  # each is solved to 1e-11 m, and the spring has 1000 N/m
     assert together[2] < alone[2] - 0.005
-    single = Engine(scene(folder / "pad.obj")).run(np.tile(aside, (5, 1)))["force"][4]
+    single = Engine(scene(folder / "pad.obj")).run(np.tile(beside, (5, 1)))["force"][4]
     assert records["b"]["force"][9][2] < single[2] - 0.005
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     one, two = (
         spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
-        for point in (held, aside)
+        for point in (held, beside)
     )
     there, back = (np.array(response.compliance) for response in respond_to_other(elastic, one, two))
     assert there == pytest.approx(back.T, abs=1e-10 * abs(there).max())
