@@ -86,7 +86,7 @@ def held_by_two(
     return Engine(tables | {"world": {"model": path, "material": material, **world}})
 
 
-def pinch(ticks: int, force: float, beside: float = 0.0, height: float = 0.0, press: int = 100) -> dict[str, Array]:
+def pinch(ticks: int, force: float, offset: float = 0.0, height: float = 0.0, press: int = 100) -> dict[str, Array]:
     """Poses of two fingers that press the box along x, each with `force` N after `press` ticks, and then stop."""
     u = np.clip(np.arange(ticks) / press, 0.0, 1.0)
     depth = force / STIFFNESS * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -94,7 +94,7 @@ def pinch(ticks: int, force: float, beside: float = 0.0, height: float = 0.0, pr
     for name, side in (("thumb", -1.0), ("index", 1.0)):
         poses[name] = np.zeros((ticks, 7))
         poses[name][:, 0] = side * (HALF + R - depth)
-        poses[name][:, 1], poses[name][:, 2], poses[name][:, 3] = beside, height, 1.0
+        poses[name][:, 1], poses[name][:, 2], poses[name][:, 3] = offset, height, 1.0
     return poses
 
 
@@ -107,7 +107,7 @@ def tilt(engine: Engine) -> float:
 def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path) -> None:
     """Lifted 8 mm off its centre of mass it turns by theta = m g d cos(theta) / (2 k_z), at most 5 degrees."""
     engine, rise = held_by_two(box(tmp_path, floor=FLOOR, height=HALF)), 1200
-    way = pinch(200 + rise + 400, 3.0, beside=0.008, height=HALF)
+    way = pinch(200 + rise + 400, 3.0, offset=0.008, height=HALF)
     u = np.clip((np.arange(len(way["thumb"])) - 200) / rise, 0.0, 1.0)
     for poses in way.values():
         poses[:, 2] += 0.1 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -129,7 +129,7 @@ def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
     reference is the elliptic integral."""
     material = {name: part for name, part in RUBBER.items() if name != "torsion"}
     engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
-    way = pinch(2000, 3.0, beside=arm)
+    way = pinch(2000, 3.0, offset=arm)
     engine.run({name: poses[:200] for name, poses in way.items()})
     engine.model.opt.gravity[2] = -G
     turning = []
@@ -183,7 +183,7 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
 def test_body_gets_the_opposite_wrench_of_the_fingers(tmp_path: Path) -> None:
     """Each tick the wrench on the box is minus the sum of the wrenches on the fingers, about any point, to 1e-12."""
     engine = held_by_two(box(tmp_path, floor=FLOOR, height=HALF))
-    way = pinch(160, 3.0, beside=0.006, height=HALF - 0.003)
+    way = pinch(160, 3.0, offset=0.006, height=HALF - 0.003)
     pressed = 0
     for tick in range(160):
         center = engine.data.xipos[1].copy()
@@ -215,7 +215,7 @@ def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float,
     if mass < 0.1:
         coupling["torsional_damping_nms_per_rad"] = 1e-4
     engine = held_by_two(path, RUBBER | {"stiffness_n_per_m": stiffness}, coupling, substeps=substeps)
-    way = pinch(200, 3.0 * STIFFNESS / stiffness, beside=0.004)
+    way = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
     engine.run({name: poses[:150] for name, poses in way.items()})
     engine.data.qvel[:] = [0.01, 0.02, -0.03, 0.5, -0.3, 0.4]
     hold = {name: np.repeat(poses[-1:], 50, axis=0) for name, poses in way.items()}
@@ -239,7 +239,7 @@ def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tm
     coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
     material = RUBBER | {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping}
     engine = held_by_two(box(tmp_path, mass, gravity=0.0), material, coupling)
-    way = pinch(200, 3.0 * STIFFNESS / stiffness, beside=0.004)
+    way = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
     engine.run({name: poses[:150] for name, poses in way.items()})
     blow = np.array([0.01, 0.02, -0.03, 0.5, -0.3, 0.4])
     engine.data.qvel[:] = blow
@@ -249,7 +249,7 @@ def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tm
 
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     """Runs after a reset and in another engine are identical; setting a parameter does not move the bodies."""
-    way = pinch(150, 3.0, beside=0.008, height=HALF)
+    way = pinch(150, 3.0, offset=0.008, height=HALF)
     engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
     first = engine.run(way)["thumb"].copy()
     place = engine.data.qpos.copy()
@@ -482,7 +482,7 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> None:
     """The error is raised before the first tick, names the file and the cause, and is one line."""
-    text, said = HOSTILE[name]
+    text, expected = HOSTILE[name]
     path = tmp_path / "hostile.xml"
     path.write_text(text)
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
@@ -500,7 +500,7 @@ def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> 
     )
     with pytest.raises(ConfigError) as error:
         Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
-    assert said in str(error.value) and "hostile.xml" in str(error.value)
+    assert expected in str(error.value) and "hostile.xml" in str(error.value)
     assert "\n" not in str(error.value) and len(str(error.value)) < 500
 
 

@@ -86,10 +86,13 @@ def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, case
         pressed = False
         for pose in visit(random, kind == "hfield"):
             at, axes = engine.data.geom("one").xpos.copy(), engine.data.geom("one").xmat.reshape(3, 3).copy()
-            felt = engine.run([pose])[0]
+            record = engine.run([pose])[0]
             away = pose[:3] - at
             clear = (axes.T @ away)[2] > 0.004 + R if kind == "hfield" else np.linalg.norm(away) > 1.001 * SIZE + R
-            pressed = pressed or felt["contact.normal_force"] > 0.0
+            pressed = pressed or record["contact.normal_force"] > 0.0
             if clear:
-                assert not felt["force"].any() and not felt["torque"].any() and felt["contact.mode"] == 0, (kind, away)
+                assert not record["force"].any() and not record["torque"].any() and record["contact.mode"] == 0, (
+                    kind,
+                    away,
+                )
         assert clear and pressed

@@ -209,10 +209,10 @@ CURVED = {
 def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: float, company: bool) -> None:
     """Dragged by e = 0.4 mm, the force is K (c - x): K d upwards and -K e sideways, at any depth and curvature."""
     keys, height = CURVED[shape]
-    beside = 0.03 if shape == "torus" else 0.0
+    offset = 0.03 if shape == "torus" else 0.0
     it = {"name": "it", **keys, "material": STICKY}
     top = height + R
-    poses = line((beside, 0.0, top + 1e-3), (beside, 0.0, top - deep), (beside, 4e-4, top - deep))
+    poses = line((offset, 0.0, top + 1e-3), (offset, 0.0, top - deep), (offset, 4e-4, top - deep))
     last = engine(with_company(it, company)).run(poses)[-1]
     np.testing.assert_allclose(last[NAMED["force"].at :][:3], [0.0, -0.4, K * deep], atol=1e-9)
     np.testing.assert_allclose(last[NAMED["contact.normal"].at :][:3], [0.0, 0.0, 1.0], atol=1e-12)
@@ -276,7 +276,7 @@ def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("company", COMPANY)
 def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> None:
-    """A sphere of mass m between two sticking fingertips, 1 mm deep each, swings sideways with sqrt(2 K_t / m)."""
+    """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
     fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
@@ -318,11 +318,11 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
     """The force is K (c - x) with constant c, so the trapezoidal rule is exact, except in the tick of the touch."""
     keys = SHAPES[shape] if shape != "cylinder" else CURVED["cylinder"][0]
     tops = {"plane": 0.0, "box": 0.015, "torus": 0.012, "ellipsoid": 0.015}
-    top, beside = tops.get(shape, BALL) + R, 0.03 if shape == "torus" else 0.0
+    top, offset = tops.get(shape, BALL) + R, 0.03 if shape == "torus" else 0.0
     running = engine(with_company({"name": "it", **keys, "material": STICKY}, company))
     for seed in range(3):
         running.reset()
-        places = closed_path(seed, top, 25) + np.array([beside, 0.0, 0.0])
+        places = closed_path(seed, top, 25) + np.array([offset, 0.0, 0.0])
         records = running.run(np.hstack([places, np.tile(UPRIGHT, (len(places), 1))]))
         force = records["force"]
         touching = (records["contact.mode"] > 0) & np.roll(records["contact.mode"] > 0, 1)

@@ -277,7 +277,7 @@ def test_stick_slip_ignores_depth_and_resets_on_release() -> None:
 
 
 def test_stick_slip_moves_with_its_object() -> None:
-    """A finger that moves with a translating, rotating object feels no force; one that lags does."""
+    """A finger that moves with a translating, rotating object gets no force; one that lags does."""
     effect = model.StickSlip(1000.0, 0.5)
     half = math.sqrt(0.5)
     before = model.Pose(ZERO, (1.0, 0.0, 0.0, 0.0))
@@ -435,7 +435,7 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
 
 
 @pytest.mark.parametrize(
-    ("effect", "said"),
+    ("effect", "message"),
     [
         ({"kind": "viscocity", "damping_ns_per_m": 1}, "did you mean 'viscosity'?"),
         ({"kind": "boundary", "stiffness_n_per_m": 300, "force_max_n": 5}, "give either size_m"),
@@ -447,12 +447,12 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         (OBJECT[4], "must be one of"),
     ],
 )
-def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], said: str) -> None:
+def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], message: str) -> None:
     """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
     the workspace are faults."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(effect=[effect])
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 def page() -> str:

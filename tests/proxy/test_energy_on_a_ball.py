@@ -46,13 +46,13 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
 
     def gained(ticks: int) -> float:
         corners = [(-1e-3, 0, 0), (depth, 0, 0), (depth, aside, 0), (depth, aside, 1), (depth, 0, 1), (depth, 0, 0)]
-        deep, beside, rolled = along([*corners, (-1e-3, 0, 0)], ticks).T
+        deep, sideways, rolled = along([*corners, (-1e-3, 0, 0)], ticks).T
         angle = rolled * psi
         out = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
         aslant = np.stack([np.cos(angle), 0.0 * angle, -np.sin(angle)], axis=1)
         half = 0.5 * rolled * turn
         turned = np.stack([np.cos(half), 0.0 * half, np.sin(half), 0.0 * half], axis=1)
-        places = (MIDDLE - deep)[:, None] * out + beside[:, None] * aslant
+        places = (MIDDLE - deep)[:, None] * out + sideways[:, None] * aslant
         running.reset()
         records = running.run(np.hstack([places, turned]))
         work = np.sum(records["force"][1:] * np.diff(places, axis=0))

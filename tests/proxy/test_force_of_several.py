@@ -164,7 +164,7 @@ def test_friction_of_each_contact_stays_in_its_cone(name: str, turn: float, case
         poses = deep_handling(seed, reach_of(name), turn)
         records = engine(name, 0.6, 0.5).run(poses)
         at_rest = is_stuck(records) if turn == 0.0 else np.zeros(len(poses), bool)
-        at_rest[:2] = False  # a first pose below an edge comes to rest in the second tick
+        at_rest[:2] = False  # a first pose below an edge is at rest from the second tick on
         check_statics(name, records, poses[:, :3], 0.6, at_rest)
 
 
@@ -176,8 +176,8 @@ def test_sticking_contacts_fix_the_proxy_at_any_depth(name: str, cases: Cases) -
     for seed in range(1, cases(2, 3)):
         poses = deep_handling(seed, 0.012, 0.0)
         records = engine(name, 50.0, 50.0).run(poses)
-        begun = 2 + int(np.flatnonzero(records["contact.mode"] > 0)[0])
-        change = np.diff(records["force"][begun:], axis=0) + K * np.diff(poses[begun:, :3], axis=0)
+        first = 2 + int(np.flatnonzero(records["contact.mode"] > 0)[0])
+        change = np.diff(records["force"][first:], axis=0) + K * np.diff(poses[first:, :3], axis=0)
         assert np.abs(change).max() < 1e-9
 
 

@@ -152,14 +152,14 @@ def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) 
             method = "montana_rk45" if situation == "alone" else "midpoint"
             scenes.append((method, things, way(heights, pitch, 150)[:: cases(27, 9)].tolist()))
             most.append(counted_asks.ALONE if situation == "alone" else counted_asks.IN_COMPANY)
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-m", "helpers.counted_asks"],
         cwd=Path(counted_asks.__file__).parents[1],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
         input=json.dumps(scenes),
         capture_output=True, text=True, check=True, timeout=1200,
     ).stdout  # fmt: skip
-    for bound, (method, things, points), (asked, centers) in zip(most, scenes, json.loads(told), strict=True):
-        assert 0 < max(asked) <= bound
+    for bound, (method, things, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
+        assert 0 < max(lookups) <= bound
         records = engine(*things, rolling={"method": method}).run(counted_asks.poses_at(points))
         np.testing.assert_allclose(records["proxy.position"], centers, rtol=0, atol=1e-9)

@@ -69,8 +69,8 @@ def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
         running = engine(part(tmp_path, heights, pitch, **keys))
         for points in hands(heights, pitch).values():
             running.reset()
-            begun = np.vstack([[0.0, 0.0, heights.max() + 3.0 * R + np.ptp(heights)], points])
-            met |= bool(is_safe(running, shape, begun, smooth).any())
+            path = np.vstack([[0.0, 0.0, heights.max() + 3.0 * R + np.ptp(heights)], points])
+            met |= bool(is_safe(running, shape, path, smooth).any())
     assert met
 
 

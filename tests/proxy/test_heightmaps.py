@@ -251,9 +251,9 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
         if not tile.convex:
             continue
         convex += 1
-        begun = foot_at(shape, p, *(at + rng.uniform(-half, half) for at in middle))
-        square = begun.square * rng.uniform(0.3, 1.0)
-        if is_farther(p, tile, begun, square):
+        foot = foot_at(shape, p, *(at + rng.uniform(-half, half) for at in middle))
+        square = foot.square * rng.uniform(0.3, 1.0)
+        if is_beyond(p, tile, foot, square):
             ruled_out += 1
             along = np.linspace(-half, half, 7)
             least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)

@@ -1,4 +1,4 @@
-"""A body between two soft fingertips rolls on them, comes to rest as in its closed form, and does not creep."""
+"""A body between two soft fingertips rolls on them, decays as in its closed form, and does not creep."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_held_and_rolled_body_does_not_creep(tmp_path: Path, cases: Cases) -> 
     m to 1e-17 m, ten thousand ticks to 1e-13 m. After 3 s, 1e-11 m is a safe bound; an encoder's step is 1e-6 m.
     """
     engine = held_by_two(box(tmp_path))
-    way = pinch(100, 3.0, beside=0.008)
+    way = pinch(100, 3.0, offset=0.008)
     engine.run(way)
     angle = 0.5 * 0.03
     hold = {name: np.repeat(poses[-1:], 500, axis=0) for name, poses in way.items()}

@@ -165,8 +165,8 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
         'pitch_m = 0.004\nlevel_m = 1.0\nmaterial = "wood"\n'
     )
     assert cli.main(["check", str(tmp_path / "step.toml")]) == 0
-    said = capsys.readouterr().out
-    assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in said
+    output = capsys.readouterr().out
+    assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in output
 
 
 def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:

@@ -172,9 +172,9 @@ def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> No
     compiles the kernel and caches it again."""
     cache, script = tmp_path / "cache", scripts / "many.py"
     made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
-    told = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
+    calls = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
     head = "from inner import scaled\nfrom softfinger.proxy.kernels.jit.decorators import entry\n"
-    script.write_text("\n".join([head, *made, *told]))
+    script.write_text("\n".join([head, *made, *calls]))
     assert start(script, cache) == ("\n".join(["4.0 0"] * len(DAMAGED)), "")
     kept = {path.name.partition("-")[0]: path for path in kernels(cache)}
     assert kept.keys() == DAMAGED.keys()
@@ -183,19 +183,19 @@ def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> No
         if not name.endswith("_bit"):
             kept[name].unlink()
         damage(kept[name], whole)
-    printed, said = start(script, cache)
+    printed, log = start(script, cache)
     assert printed.splitlines() == ["4.0 0"] * len(DAMAGED)
     for name in DAMAGED:
-        (line,) = (line for line in said.splitlines() if kept[name].name in line)
+        (line,) = (line for line in log.splitlines() if kept[name].name in line)
         assert "compiled again" in line and ("damaged" in line or not name.endswith("_bit"))
     assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
 
 def test_no_files_are_written_outside_the_cache(scripts: Path) -> None:
     """Without a writable folder, kernels are compiled in memory and no file is written next to their source."""
-    printed, said = start(scripts / "outer.py", "/dev/null/none")
+    printed, log = start(scripts / "outer.py", "/dev/null/none")
     assert printed == "4.0 0"
-    assert said.count("not cached") == 1 and "SOFTFINGER_CACHE_DIR" in said
+    assert log.count("not cached") == 1 and "SOFTFINGER_CACHE_DIR" in log
     assert sorted(path.name for path in scripts.rglob("*")) == ["inner.py", "outer.py"]
 
 
@@ -205,8 +205,8 @@ def test_a_program_runs_on_a_full_disk(tmp_path: Path) -> None:
     def no_room() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
-    printed, said = start(PACKAGE_KERNELS, tmp_path / "cache", no_room)
-    assert printed == "runs True" and said.count("not cached") == 1 and "make room" in said
+    printed, log = start(PACKAGE_KERNELS, tmp_path / "cache", no_room)
+    assert printed == "runs True" and log.count("not cached") == 1 and "make room" in log
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
@@ -219,8 +219,8 @@ def test_a_disk_without_room(tmp_path: Path) -> None:
     if subprocess.run(mount, check=False, capture_output=True).returncode:
         pytest.skip("this sandbox may not mount")
     try:
-        printed, said = start(PACKAGE_KERNELS, disk / "cache")
-        assert printed == "runs True" and said.count("not cached") == 1 and "No space left" in said
+        printed, log = start(PACKAGE_KERNELS, disk / "cache")
+        assert printed == "runs True" and log.count("not cached") == 1 and "No space left" in log
         assert start(PACKAGE_KERNELS, disk / "cache")[0] == "runs True"
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -251,8 +251,8 @@ def test_a_program_runs_without_a_home(monkeypatch: pytest.MonkeyPatch, caplog: 
     unasked = Folder(None)
     for _ in range(2):
         unasked.write("a.kernel", b"")
-    (said,) = caplog.messages
-    assert "not cached" in said and problem in said
+    (log,) = caplog.messages
+    assert "not cached" in log and problem in log
 
 
 @as_root
@@ -269,8 +269,8 @@ def test_a_user_without_a_name_still_starts() -> None:
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("other users may not read this Python")
     nowhere = {"HOME": None, "XDG_CACHE_HOME": None, "SOFTFINGER_CACHE_DIR": None}
-    printed, said = start(PACKAGE_KERNELS, "", become, **nowhere)
-    assert printed == "runs True" and said.count("not cached") == 1 and "no home" in said
+    printed, log = start(PACKAGE_KERNELS, "", become, **nowhere)
+    assert printed == "runs True" and log.count("not cached") == 1 and "no home" in log
 
 
 # --- other users -----------------------------------------------------------------------------------
@@ -307,9 +307,9 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> 
     for whose in ("folder", "file"):
         (planted,) = kernels(tmp_path / whose)
         os.chown(planted.parent if whose == "folder" else planted, STRANGER, STRANGER)
-        printed, said = start(scripts / "outer.py", tmp_path / whose)
+        printed, log = start(scripts / "outer.py", tmp_path / whose)
         assert printed == "4.0 0" and not proof.exists()
-        assert ("compiled again" if whose == "file" else f"belongs to user {STRANGER}") in said
+        assert ("compiled again" if whose == "file" else f"belongs to user {STRANGER}") in log
 
 
 def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
     that is never touched, so that their step is also that of tests/server/test_world.py."""
     poses, world = over_the_top(200), key_world(tmp_path)
     first = Engine(scene(SHAPES["sphere"], FAR, world=world))
-    felt = first.run(poses)
+    expected = first.run(poses)
     if PLAIN:
         pytest.skip("nothing is compiled")
     signatures = list(step_many.signatures)
@@ -160,7 +160,7 @@ def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
     moved = np.add(poses, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     # The same sphere a metre away: rounding of a metre at 1000 N/m is 1e-12 N.
     second.reset()
-    np.testing.assert_allclose(second.run(moved)["force"], felt["force"], atol=1e-10)
+    np.testing.assert_allclose(second.run(moved)["force"], expected["force"], atol=1e-10)
     assert isinstance(second.scene.objects, model.Many)
 
 

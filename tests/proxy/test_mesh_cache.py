@@ -82,14 +82,14 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
     thing = part(tmp_path)
     forget(monkeypatch)
     first = tree_of(thing, BUILDER, folder)
-    told = about(thing)
+    description = about(thing)
     assert tree_of(thing, BUILDER, folder) is first and BUILT == [180]
     forget(monkeypatch)
     again = tree_of(thing, BUILDER, folder)
     assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
-    assert about(thing).report == told.report
-    assert about(thing).picture.vertices.tobytes() == told.picture.vertices.tobytes()
+    assert about(thing).report == description.report
+    assert about(thing).picture.vertices.tobytes() == description.picture.vertices.tobytes()
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:

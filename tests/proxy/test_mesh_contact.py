@@ -117,7 +117,7 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
 
 
 def test_a_faceted_sphere_converges_to_the_sphere(tmp_path):
-    """Four times finer facets reduce all errors at least threefold.
+    """Four times finer facets reduce the errors of force, contact point and direction at least threefold.
 
     The error of a facet's normal is of first order, that of its depth of second. With shading, the coarse mesh's force
     has the direction of the sphere's, without steps.
@@ -182,7 +182,7 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
 
 
 def test_a_first_pose_inside_is_pushed_out(tmp_path):
-    """A first pose inside the mesh is in contact at once, as with every shape, and is pushed to the nearest face."""
+    """A first pose inside the mesh is in contact, as with every shape, and is pushed to the nearest face."""
     running = engine(thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.03))))
     records = go(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)

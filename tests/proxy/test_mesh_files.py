@@ -204,11 +204,11 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         "[object.material]\nstiffness_n_per_m = 1000.0\n"
     )
     assert main(["check", str(scene)]) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"triangles +180 on 92 vertices\n", said) and re.search(
-        r"surface +watertight, 3\.9\d+ m\^3\n", said
+    output = capsys.readouterr().out
+    assert re.search(r"triangles +180 on 92 vertices\n", output) and re.search(
+        r"surface +watertight, 3\.9\d+ m\^3\n", output
     )
-    assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", said)
+    assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", output)
     assert main(["check", "--json", str(scene)]) == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert found["meshes"]["part"]["triangles"] == 180 and found["meshes"]["part"]["open_edges"] == 0
@@ -219,7 +219,7 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     assert re.search(r"inside +inside = true does nothing here: it has 3 open edges, .*close", capsys.readouterr().out)
     (tmp_path / "ball.stl").write_bytes(stl_binary(BALL)[:-7])
     assert main(["check", str(scene)]) == 2
-    assert "object 'part': file:" in (said := capsys.readouterr().err) and "it was cut off" in said
+    assert "object 'part': file:" in (output := capsys.readouterr().err) and "it was cut off" in output
 
 
 @pytest.mark.parametrize(
@@ -311,13 +311,13 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     """Check that the file raises one ConfigError or gives a mesh that can be rendered."""
     path = folder / f"{next(NUMBERS)}{ending}"
     path.write_bytes(data)
-    said = ""
+    message = ""
     try:
         report, (vertices, triangles) = about(thing(path))
     except ConfigError as error:
-        said = str(error)
-    if said:
-        assert "\n" not in said
+        message = str(error)
+    if message:
+        assert "\n" not in message
         return
     assert report.triangles == len(triangles) > 0 and report.vertices == len(vertices)
     assert np.isfinite(vertices).all() and np.abs(vertices).max() <= 1e3

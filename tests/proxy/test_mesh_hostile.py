@@ -39,7 +39,7 @@ def is_outside(made, records):
     return brute_distances(balls_of(*made), records["proxy.position"]).min() >= OUTSIDE
 
 
-def asked_most(running, points):
+def largest_query(running, points):
     """Return the largest number of nodes and triangles visited by a query."""
     shape = running.scene.objects.body.shape
     found = np.zeros((len(points), 3))
@@ -70,7 +70,7 @@ def test_it_is_touched_safely(tmp_path, name):
     patches = (AT.contacts0_force, AT.contacts1_force, AT.contacts2_force)
     loads = sum(np.linalg.norm(field(rubbed, at), axis=1) for at in patches)
     assert (rubbed["contact.tangential_force"] <= STATIC * loads * (1.0 + 1e-9)).all()
-    assert asked_most(smooth, np.concatenate([even["proxy.position"], poses[:, :3]])) <= BUDGET + LANES
+    assert largest_query(smooth, np.concatenate([even["proxy.position"], poses[:, :3]])) <= BUDGET + LANES
 
 
 def test_a_mended_mesh_equals_the_intact_one(tmp_path):

@@ -101,7 +101,7 @@ def test_coincident_vertices_are_merged(loose: bool) -> None:
 
 
 def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
-    """With `loose`, vertices 0.1 tolerances apart are merged and those up to 20 apart are not; otherwise none are."""
+    """With `loose`, offsets of 0.1 tolerances are merged and the mesh closes; offsets of up to 20 leave it open."""
     rng = np.random.default_rng(3)
     mesh = soup(BALL)
     near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)

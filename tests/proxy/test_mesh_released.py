@@ -133,9 +133,9 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
         one = thumb[::coarse][:ticks]
         relative = {"thumb": one, "index": index[::coarse][:ticks] if moves else one[::-1]}
         running.reset()
-        told = running.run({name: posed(way + sway) for name, way in relative.items()})
+        records_of = running.run({name: posed(way + sway) for name, way in relative.items()})
         for name, finger in zip(relative, FINGERS, strict=True):
-            records, probe, radius = np.asarray(told[name]), relative[name], finger["radius_m"]
+            records, probe, radius = np.asarray(records_of[name]), relative[name], finger["radius_m"]
             proxy = records[:, AT.proxy_position : AT.proxy_position + 3] - sway
             moved = np.linalg.norm(np.diff(proxy, axis=0), axis=1)
             for tick in (*range(9, ticks, 10), ticks - 1):

@@ -199,7 +199,7 @@ def test_a_query_stops_early_at_a_triangle_within_reach():
 def test_all_queries_of_a_tick_share_one_budget():
     """Each query reduces the remaining budget by its cost; after it is spent, even a cheap query reports SPENT."""
     mesh = mesh_of(build_tree(*meshes.geodesic(40, 0.05)))
-    hard, easy, left, asked = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
+    hard, easy, left, total = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
     for _ in range(100):
         before = left
         _, _, left = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, left, 0.0)
@@ -207,8 +207,8 @@ def test_all_queries_of_a_tick_share_one_budget():
             break
         spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).spent
         assert left == max(before - spent, 0)
-        asked += spent
-    assert left == SPENT and 0 < asked < BUDGET + MANY + 3 * SLOPE
+        total += spent
+    assert left == SPENT and 0 < total < BUDGET + MANY + 3 * SLOPE
     assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, BUDGET, 0.0)[2] > 0
     assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, left, 0.0)[2] == SPENT
 

@@ -287,11 +287,11 @@ def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixtur
         # gravity deflects the servo by less than m g l / kp
         assert abs(engine.data.qpos[0] + 0.8) < 0.2 * 9.81 * 0.075 / 20.0
     assert main(["check", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "a tick's, 0.001 s at 1000 Hz; the model's own is 0.005 s" in said and "home" in said
+    output = capsys.readouterr().out
+    assert "a tick's, 0.001 s at 1000 Hz; the model's own is 0.005 s" in output and "home" in output
     written(tmp_path / "arm.xml", ARM, option, keyframe="hme")
     assert main(["check", str(path)]) == 2
-    assert "world.keyframe = 'hme'" in (said := capsys.readouterr().err) and "it has: home, down" in said
+    assert "world.keyframe = 'hme'" in (output := capsys.readouterr().err) and "it has: home, down" in output
     written(tmp_path / "arm.xml", ARM, option, timestep="file")
     assert main(["check", str(path)]) == 2
     assert "its timestep of 0.005 s, world.substeps = 1 times, is not a tick of 0.001 s" in capsys.readouterr().err

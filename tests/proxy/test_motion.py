@@ -132,7 +132,7 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
 
 
 @pytest.mark.parametrize(
-    ("motion", "said"),
+    ("motion", "message"),
     [
         ({"kind": "turntabel", "rate_rad_per_s": 1}, "object[0].motion.kind = 'turntabel': must be one of"),
         ({"kind": "turntable"}, "object[0].motion.rate_rad_per_s is missing"),
@@ -143,11 +143,11 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         ([], "object[0].motion = []: must be a table"),
     ],
 )
-def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, said: str) -> None:
+def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, message: str) -> None:
     """Covers an unknown kind, a missing rate, an excessive speed, a zero axis and a wrong type."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(table={"motion": motion})
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 # --- through the engine --------------------------------------------------------------------------

@@ -188,6 +188,6 @@ def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> Non
 
 def test_every_recording_has_a_description() -> None:
     """motions.toml describes exactly the shipped recordings."""
-    told = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
-    assert sorted(told) == shipped_names()
-    assert all(set(each) == {"motion", "course"} for each in told.values())
+    descriptions = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
+    assert sorted(descriptions) == shipped_names()
+    assert all(set(each) == {"motion", "course"} for each in descriptions.values())

@@ -52,7 +52,7 @@ def stepped(model, data, count):
 """
 
 
-def said_by(code: str, *words: str, **environment: str) -> str:
+def output_of(code: str, *words: str, **environment: str) -> str:
     """Return the output of a program that starts with HEAD."""
     done = subprocess.run(
         [sys.executable, "-c", HEAD + code, *words],
@@ -113,11 +113,11 @@ def test_the_caller_continues_after_an_error(tmp_path: Path) -> None:
     One process compiles the handler, another with a different thread key loads it.
     """
     kept, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
-    first = said_by(ERRORS, "0", SOFTFINGER_CACHE_DIR=kept)
+    first = output_of(ERRORS, "0", SOFTFINGER_CACHE_DIR=kept)
     assert first == "3 1.5 invalid integrator True"
     assert list(Path(kept).rglob("jump_on_error*.kernel"))
-    said = said_by(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=kept).splitlines()
-    assert said[:2] == [first, f"100 {total} invalid integrator"]
-    assert said[2].split() == ["0", str(total), "0.2"]
-    assert "invalid integrator" in said[3]
-    assert said[4:] == ["0 20000 0 20000 invalid integrator", "True"]
+    lines = output_of(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=kept).splitlines()
+    assert lines[:2] == [first, f"100 {total} invalid integrator"]
+    assert lines[2].split() == ["0", str(total), "0.2"]
+    assert "invalid integrator" in lines[3]
+    assert lines[4:] == ["0 20000 0 20000 invalid integrator", "True"]

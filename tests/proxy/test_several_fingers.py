@@ -215,7 +215,7 @@ def test_engine_addresses_fingers_by_name(pair_of_engines: tuple[Engine, dict[st
 
 
 @pytest.mark.parametrize(
-    ("poses", "said"),
+    ("poses", "message"),
     [
         (np.zeros((3, 7)), "the fingers thumb, index: give `run` poses of each by its name"),
         ({"thumb": np.ones((3, 7))}, "poses of thumb are not those of the scene's fingers: thumb, index"),
@@ -225,8 +225,8 @@ def test_engine_addresses_fingers_by_name(pair_of_engines: tuple[Engine, dict[st
     ],
 )
 def test_poses_of_other_fingers_are_refused(
-    pair_of_engines: tuple[Engine, dict[str, Engine]], poses: Any, said: str
+    pair_of_engines: tuple[Engine, dict[str, Engine]], poses: Any, message: str
 ) -> None:
     """The error names the scene's fingers and the wrong poses."""
-    with pytest.raises(PoseError, match=said):
+    with pytest.raises(PoseError, match=message):
         pair_of_engines[0].run(poses)

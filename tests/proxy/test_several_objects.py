@@ -178,7 +178,7 @@ def test_no_gap_at_the_seam_of_two_objects():
 
 
 def test_inside_of_a_box_is_a_corner_too():
-    """In the corner of a hollow box, three walls push at once."""
+    """In the corner of a hollow box, three walls push with K times their depths."""
     room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
     records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
     np.testing.assert_allclose(proxy(records)[-1], [0.04, 0.04, -0.04], atol=1e-12)
@@ -249,7 +249,7 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
 
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
-    """If the probe rests anywhere in a cluttered corner, the proxy comes to rest as well."""
+    """If the probe rests anywhere in a cluttered corner, the proxy converges to rest as well."""
     rng = np.random.default_rng(5)
     clutter = [
         wall("floor", (0, 0, 1)),

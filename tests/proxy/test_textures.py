@@ -131,8 +131,8 @@ def test_frequencies_above_the_cutoff_are_reduced_to_a_hundredth(pitch: float, t
     In units of the cutoff. An image at f + k / pitch has the filter's gain at f times sinc^4 at the image.
     """
     f = 0.5 * turns / pitch
-    felt = abs(f + image / pitch)
-    if felt >= 1.0:
+    frequency = abs(f + image / pitch)
+    if frequency >= 1.0:
         assert REST ** (f * f) * np.sinc(f * pitch + image) ** 4 <= REST * (1.0 + 4.0 * EPS)
 
 
@@ -236,7 +236,7 @@ def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, case
     engine = Engine(scene(wave.samples(), SHAPES[name] | extent(wave)))
     bare = Engine(scene(wave.samples(), SHAPES[name] | {"texture": None}))
 
-    def felt(of: Engine, x: Array) -> Any:
+    def forces_at(of: Engine, x: Array) -> Any:
         of.reset()
         return of.step(x, [1.0, 0.0, 0.0, 0.0])
 
@@ -244,11 +244,11 @@ def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, case
     wanted = cases(50, 150)
     while checked < wanted:
         x = rng.uniform(-0.05, 0.05, 3)
-        even = felt(bare, x)
+        even = forces_at(bare, x)
         if not 3e-4 < even.penetration < 1.2e-3:
             continue
-        here = felt(engine, x)
-        sides = [(felt(engine, x + step * e), felt(engine, x - step * e)) for e in np.eye(3)]
+        here = forces_at(engine, x)
+        sides = [(forces_at(engine, x + step * e), forces_at(engine, x - step * e)) for e in np.eye(3)]
         slope = [(up.normal_force**2 - down.normal_force**2) / (2.0 * K) / (2.0 * step) for up, down in sides]
         # Truncation: step^2 / 6 times K d h''' of waves of 5 mm and of the fade of 1 mm, 3e-7 N; rounding of an energy
         # of 1e-3 J over the step, 1e-12 N.
@@ -507,7 +507,7 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"texture": {"height_m": None}}, "object[0].texture.height_m: give height_m or friction_scale"),
         ({"texture": {"friction_scale": [0.5, 1.5]}}, "needs friction to scale in the material"),
@@ -519,10 +519,10 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
         ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
     ],
 )
-def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], said: str) -> None:
+def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build_scene(scene(OBLIQUE.samples(), changes))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

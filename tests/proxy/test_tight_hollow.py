@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 
 
-def held_aside(h: float, d: float, mu: float) -> float:
+def equilibrium_angle(h: float, d: float, mu: float) -> float:
     """Angle a, rad, between zero and the angle of zero depth."""
     sign = np.sign(h)
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
@@ -61,7 +61,7 @@ def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
     """
     records = rolled(plane_scene, R + clearance, True, 1.0, ticks)
     h, d = clearance, clearance + DEPTH
-    a = held_aside(h, d, MU_D)
+    a = equilibrium_angle(h, d, MU_D)
     turn = R / clearance / ticks
     missed = 2.0 * MU_D * turn if turn <= 0.2 else 0.0
     tangential, normal = K * d * np.sin(a), K * (d * np.cos(a) - h)
@@ -86,7 +86,7 @@ def test_a_wide_hollow_and_a_large_sphere_are_planes(plane_scene: SceneFactory, 
 def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(plane_scene: SceneFactory, clearance: float) -> None:
     """While a roll by theta sticks, a = r theta / h and the force is K d sin a, d / h times K r theta for small a."""
     h, d = clearance, clearance + DEPTH
-    turn = 0.8 * held_aside(h, d, MU_S) * h / R
+    turn = 0.8 * equilibrium_angle(h, d, MU_S) * h / R
     records = rolled(plane_scene, R + clearance, True, turn, 200)
     angle = np.linspace(0.0, turn, 201) * R / h
     np.testing.assert_allclose(column(records, "contact.tangential_force")[1:], K * d * np.sin(angle), atol=1e-9)

@@ -42,9 +42,9 @@ URDF = """
 """
 
 
-def written(folder: Path, file: str = "package://toys/lid.stl", beside: str = "lid.stl") -> str:
+def written(folder: Path, file: str = "package://toys/lid.stl", location: str = "lid.stl") -> str:
     """Write the URDF and the lid, a plate of 80 x 60 x 10 mm in mm; return the URDF's path."""
-    place = folder / beside
+    place = folder / location
     place.parent.mkdir(exist_ok=True)
     trimesh.creation.box(extents=(80.0, 60.0, 10.0)).export(place)
     path = folder / "lid.urdf"
@@ -52,12 +52,12 @@ def written(folder: Path, file: str = "package://toys/lid.stl", beside: str = "l
     return str(path)
 
 
-@pytest.mark.parametrize("beside", ["lid.stl", "toys/lid.stl"])
-def test_geoms_have_the_names_of_links_and_meshes_are_found(beside: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("location", ["lid.stl", "toys/lid.stl"])
+def test_geoms_have_the_names_of_links_and_meshes_are_found(location: str, tmp_path: Path) -> None:
     """`package://toys/lid.stl` is lid.stl next to the URDF or toys/lid.stl below it; visual geometry is ignored."""
     rule = schema.GeomMaterial(name="lid", material=schema.Material(stiffness_n_per_m=2.0))
     world = schema.World(
-        model=written(tmp_path, beside=beside), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
+        model=written(tmp_path, location=location), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
     )
     found = {each.name: each.object for each in convert_geoms(world)}
     assert list(found) == ["bottom", "lid", "lid 2"]
@@ -101,13 +101,13 @@ def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
     pose = [-0.1 + arm, 0.0, top + R - 0.001, 1.0, 0.0, 0.0, 0.0]
     engine.run([pose] * 20)
     assert engine.model.opt.timestep == pytest.approx(1e-3 / substeps, rel=1e-12)
-    begun = engine.data.qpos[0], engine.data.qvel[0]
-    felt = engine.run([pose] * 20)["contact.normal_force"]
-    turned, faster = engine.data.qpos[0] - begun[0], engine.data.qvel[0] - begun[1]
+    start = engine.data.qpos[0], engine.data.qvel[0]
+    pressing = engine.run([pose] * 20)["contact.normal_force"]
+    turned, faster = engine.data.qpos[0] - start[0], engine.data.qvel[0] - start[1]
     inertia = 0.0005 + 0.3 * 0.05**2
-    assert felt.min() > 0.3 and turned > 1e-3
+    assert pressing.min() > 0.3 and turned > 1e-3
     # The plate tilts by at most 0.01 rad, and its top is 5 mm above the hinge: the arm changes by 0.2 %.
-    assert inertia * faster + DAMPING * turned == pytest.approx(1e-3 * felt.sum() * arm, rel=5e-3)
+    assert inertia * faster + DAMPING * turned == pytest.approx(1e-3 * pressing.sum() * arm, rel=5e-3)
     assert 0.0 < engine.data.qpos[0] < math.atan2(0.001, arm)
 
 
