@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import curvature
 from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from
 from softfinger.proxy.kernels.shapes.heightmap.surface import foot_at, height_at
-from softfinger.proxy.kernels.shapes.heightmap.tiles import is_farther, tile_at, tiles_across
+from softfinger.proxy.kernels.shapes.heightmap.tiles import tile_at, tiles_across
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]

@@ -227,4 +227,6 @@ def write(file: Path, report: dict[str, Any]) -> None:
         with new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())
     except OSError as error:
-        raise ConfigError(f"--device-report {file}: cannot be written: {error.strerror}: choose another file") from error
+        raise ConfigError(
+            f"--device-report {file}: cannot be written: {error.strerror}: choose another file"
+        ) from error
