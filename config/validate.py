@@ -178,7 +178,7 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
         return given
     name, entries = given[library.key], library.entries()
     if name in entries:
-        return library.filled(given)
+        return library.fill(given)
     dotted = key if isinstance(value, str) else join_key(key, library.key)
     choices = ", ".join(entries)
     report.add(

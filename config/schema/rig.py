@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Table, TopicPart, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Component, Table, TopicPart, doc, is_usable, sized, within
 from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
 from softfinger.config.schema.guard import Arm, Guard
 
@@ -19,11 +19,11 @@ class Tool(Table, frozen=True, kw_only=True):
     """Tool mounted on the handle, such as a stylus; its tip is the fingertip."""
 
     offset_m: Annotated[
-        tuple[Arm, Arm, Arm], said("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
+        tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -38,7 +38,7 @@ class DeviceConfig(Table, frozen=True, kw_only=True):
     """Field that collects all keys of [device] except the ones below."""
 
     driver: Annotated[str, sized(limits.NAME_LENGTH, "name of the driver", "replay")]
-    tool: Annotated[Tool | None, said("mounted tool; without this table the handle is the fingertip")] = None
+    tool: Annotated[Tool | None, doc("mounted tool; without this table the handle is the fingertip")] = None
     options: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
@@ -48,7 +48,7 @@ class Servo(Table, frozen=True, kw_only=True):
     rate_hz: Annotated[float, within(limits.RATE_HZ, "ticks per second", 1000.0)] = 1000.0
     realtime: Annotated[
         RealtimeMode,
-        said(
+        doc(
             "real-time settings; auto: use those that the system grants; require: refuse to start without them; "
             "off: request none",
             "auto",
@@ -183,7 +183,7 @@ class Rig(Table, frozen=True, kw_only=True):
     """Device or devices, servo loop, safety limits, and interfaces."""
 
     device: DeviceConfig | None = None
-    devices: Annotated[dict[TopicPart, DeviceConfig], said("one device for each finger, by name")] = msgspec.field(
+    devices: Annotated[dict[TopicPart, DeviceConfig], doc("one device for each finger, by name")] = msgspec.field(
         default_factory=dict
     )
     servo: Servo = Servo()
@@ -191,7 +191,7 @@ class Rig(Table, frozen=True, kw_only=True):
     telemetry: Telemetry = Telemetry()
     commands: Commands = Commands()
     recording: Recording = Recording()
-    security: Annotated[Security | None, said("keys for access from other machines")] = None
+    security: Annotated[Security | None, doc("keys for access from other machines")] = None
     metrics: Metrics = Metrics()
 
     @property

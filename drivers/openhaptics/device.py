@@ -81,7 +81,7 @@ class OpenHaptics(Device):
         self._word = self._block.word
         self._ending = threading.Lock()
         self._warm, self._zero_failure = False, ""
-        with self._scheduler.paused():
+        with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
             try:  # before the thread runs again, because the current device may be the same for all threads
                 self.model, self.serial, self._style = self._identity()

@@ -245,9 +245,9 @@ class SpaceMouse(Device):
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def logged(self) -> LoggedWrenches:
+    def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.logged()
+        return self._log.read_log()
 
 
 def open_puck(options: Options) -> tuple[int, str]:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import conditions
+from softfinger.server.experiment.design import list_conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
@@ -63,7 +63,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     participants = sorted({row["participant"] for row in counted})
     groups = []
     for participant in [*participants, *([ALL] if len(participants) > max(1, len(excluded)) else [])]:
-        for condition in (each.name for each in conditions(experiment)):
+        for condition in (each.name for each in list_conditions(experiment)):
             group_rows = [
                 row
                 for row in counted

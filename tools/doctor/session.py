@@ -134,7 +134,7 @@ class Session:
     def _part(self, axis: int) -> Array:
         """Return the component (3,) of a motion or force that the handle supports along an axis."""
         whole = np.eye(3)[axis]
-        return whole if self._freedom is None else self._freedom.displayed(self._freedom.centre, whole)
+        return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
     def _translations(self) -> list[Asked]:
         """Return the motions that the handle can make."""
