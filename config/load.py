@@ -213,6 +213,6 @@ def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        kept = {key: _plain(item) for key, item in value.items() if item is not None}
-        return {**kept.pop("options"), **kept} if {"driver", "options"} <= kept.keys() else kept
+        plain = {key: _plain(item) for key, item in value.items() if item is not None}
+        return {**plain.pop("options"), **plain} if {"driver", "options"} <= plain.keys() else plain
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -236,17 +236,17 @@ class Rig(Table, frozen=True, kw_only=True):
             return
         if endpoint_complaint(self.telemetry.endpoint) is not None:
             return
-        beside = self.commands_endpoint
-        if beside is not None and endpoint_complaint(beside) is not None and self.commands.endpoint is None:
+        commands = self.commands_endpoint
+        if commands is not None and endpoint_complaint(commands) is not None and self.commands.endpoint is None:
             yield (
                 "commands.endpoint",
                 msgspec.UNSET,
-                f"{beside}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
+                f"{commands}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
             )
-        elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
-            yield "commands.endpoint", beside, "is the telemetry's: give another"
+        elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):
+            yield "commands.endpoint", commands, "is the telemetry's: give another"
         elif is_usable(self.security):
-            yield from self._public_faults(beside)
+            yield from self._public_faults(commands)
 
     def _public_faults(self, commands: str | None) -> Iterator[Complaint]:
         """Require keys of the permitted users for each endpoint that is open to the network."""

@@ -73,7 +73,9 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
 def library_lengths() -> dict[str, ReportLengths]:
     """Return the lengths of the reports of each shipped format."""
     return {
-        name: ReportLengths(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+        name: ReportLengths(
+            *({one[direction].get("id", 0): one[direction]["bytes"]} for direction in ("input", "output"))
+        )
         for name, one in _library().items()
     }
 

@@ -277,8 +277,8 @@ def find(options: Options) -> Attached:
         listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
         raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
     others = ", ".join(map(str, pucks or nodes)) or "no HID device"
-    asked = f" with serial = '{options.serial}'" if options.serial is not None else ""
-    raise DeviceNotFound(f"no SpaceMouse{asked} is attached: plug it in; attached are: {others}")
+    condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
+    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {others}")
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:

@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import list_conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.trial_order import list_conditions
 
 ALL: Final = "all participants"
 AVERAGED_COLUMNS: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")

@@ -16,11 +16,11 @@ from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.words import format_value, near
 from softfinger.server.experiment import rigs
-from softfinger.server.experiment.design import list_conditions
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
 from softfinger.server.experiment.masses import load_changed_scene
 from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.experiment.session import CONSENT, consent_question
+from softfinger.server.experiment.trial_order import list_conditions
 
 C = TypeVar("C", bound=Scene | Rig)
 PartFaults = Callable[[Any, str], list[str]]

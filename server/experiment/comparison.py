@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, student_975
-from softfinger.server.experiment.design import list_conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.trial_order import list_conditions
 
 
 class Comparison(NamedTuple):

@@ -17,10 +17,10 @@ from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
 from softfinger.config.words import format_value
-from softfinger.server.experiment.design import Condition, list_conditions
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
 from softfinger.server.experiment.session import parameters
+from softfinger.server.experiment.trial_order import Condition, list_conditions
 from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}

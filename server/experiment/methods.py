@@ -7,10 +7,10 @@ from importlib.metadata import version
 from typing import Any
 
 from softfinger.server.experiment.analysis import is_counted
-from softfinger.server.experiment.design import list_conditions, plan_trials
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials
 
 
 def write_methods(

@@ -19,13 +19,13 @@ from softfinger.server.experiment.analysis import (
     is_counted,
 )
 from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
-from softfinger.server.experiment.design import list_conditions, plan_trials
 from softfinger.server.experiment.figures import name_factors
 from softfinger.server.experiment.journal import Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"

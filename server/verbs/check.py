@@ -126,7 +126,7 @@ def examine_file(file: str) -> Finding:
 
 def _experiment(file: str, path: Path) -> Finding:
     from softfinger.server.experiment.checks import load
-    from softfinger.server.experiment.design import describe_session
+    from softfinger.server.experiment.trial_order import describe_session
 
     experiment = load(path, {}, part_faults)[0]
     return Finding(file, "experiment", describe_session(experiment), [], describe(experiment), {})

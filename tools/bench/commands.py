@@ -117,8 +117,8 @@ class Listener:
 
 def run(args: argparse.Namespace) -> int:
     with (
-        tempfile.TemporaryDirectory() as made,
-        daemon(Path(made)) as (process, endpoint, commands),
+        tempfile.TemporaryDirectory() as folder,
+        daemon(Path(folder)) as (process, endpoint, commands),
         subscribe(endpoint) as subscription,
         Control(commands, TURN_S) as control,
     ):
@@ -126,14 +126,14 @@ def run(args: argparse.Namespace) -> int:
         listener.wait_until_felt()
         listener.rows()
         quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
-        held, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
+        rows, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
         turned, memory = swapping(listener, control, process.pid, args.swaps)
     # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
     steps = np.diff(np.abs(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
     result = {
         "ticks_without": len(quiet), "missed_without": count_missed(quiet),
-        "set_params": len(answers), "ticks": len(held), "missed": count_missed(held), "torn": count_torn(held),
-        "changes_felt": int(np.count_nonzero(np.diff(held[:, 5]))),
+        "set_params": len(answers), "ticks": len(rows), "missed": count_missed(rows), "torn": count_torn(rows),
+        "changes_felt": int(np.count_nonzero(np.diff(rows[:, 5]))),
         "answer_p50_s": float(np.median(answers)),
         "answer_p99_s": float(np.percentile(answers, 99)),
         "swaps": args.swaps, "largest_step_n": float(steps.max()), "slew_n": SLEW_N_PER_S / 1000.0,
@@ -200,16 +200,16 @@ def asking(
 ) -> tuple[Array, Array]:
     """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
     count = max(1, round(rate_hz * seconds))
-    taken = np.zeros(count)
+    durations = np.zeros(count)
     with progress(what, count) as done:
         begun = time.monotonic()
         for number in range(count):
             listener.take(begun + number / rate_hz)
-            asked = time.monotonic()
+            start = time.monotonic()
             ask()
-            taken[number] = time.monotonic() - asked
+            durations[number] = time.monotonic() - start
             done(number + 1)
-    return listener.rows(), taken
+    return listener.rows(), durations
 
 
 def swapping(listener: Listener, control: Control, pid: int, count: int) -> tuple[Array, list[float]]:

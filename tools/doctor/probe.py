@@ -135,20 +135,20 @@ class Probe(Session):
 
 def join_rows(parts: list[Array]) -> Array:
     """Join rows of parts; the gaps between the parts are removed from their times."""
-    kept: list[Array] = []
+    all_rows: list[Array] = []
     begins = 0.0
     for rows in parts:
         if len(rows):
             later = rows.copy()
             later[:, START] += begins - rows[0, START]
-            kept.append(later)
+            all_rows.append(later)
             begins = later[-1, START] + float(np.median(np.diff(rows[:, START]))) if len(rows) > 1 else begins
-    return np.concatenate(kept) if kept else parts[0][:0]
+    return np.concatenate(all_rows) if all_rows else parts[0][:0]
 
 
 def glance(report: Mapping[str, Any]) -> list[str]:
     """Return the picture of the axes, and the most important figures for a user."""
     text = picture(report)
-    if (seen := report["exchange"]) is not None:
-        text.append(f"  {seen['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
+    if (exchange := report["exchange"]) is not None:
+        text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
     return text

@@ -97,8 +97,8 @@ class Session:
             self._report["without_pauses"] = burst_figures(burst)
 
     def _moves(self) -> None:
-        asked = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
-        for one in asked:
+        moves = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
+        for one in moves:
             self._ask(f"{one.words}, within {self._seconds:g} s, and keep it there")
             found = motions.move(one.words, one.kind, one.expected, self._record(one.words, self._seconds))
             if found is not None:

@@ -295,19 +295,19 @@ def broken_rules(records: Array, period: float) -> int:
     with np.errstate(invalid="ignore", over="ignore"):
         force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
         torque = np.linalg.norm(records[:, AT.torque : AT.torque + 3], axis=1)
-        kept = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
-        kept &= np.isin(records[:, AT.contact_mode], (0.0, 1.0, 2.0)) & (
+        is_within = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
+        is_within &= np.isin(records[:, AT.contact_mode], (0.0, 1.0, 2.0)) & (
             records[:, AT.servo_guard] % (2 * NOT_FINITE) < NOT_FINITE
         )
-        kept &= np.isfinite(records).all(axis=1)
+        is_within &= np.isfinite(records).all(axis=1)
         for at, size, slew in (
             (AT.force, force, GUARD.force_slew_n_per_s),
             (AT.torque, torque, GUARD.torque_slew_nm_per_s),
         ):
             change = np.linalg.norm(np.diff(records[:, at : at + 3], axis=0), axis=1)
             # Change from the last tick, or from zero after a release of the force.
-            kept[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
-        return int(np.count_nonzero(~kept))
+            is_within[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
+        return int(np.count_nonzero(~is_within))
 
 
 def try_extremes() -> list[Finding]:

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import list_conditions, plan_trials, williams
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import number_blocks
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials, williams
 
 pytestmark = pytest.mark.plain
 
