@@ -174,7 +174,7 @@ def exchange_once(
     if status_out == WITHHELD:
         guarded = INITIAL_GUARD_STATE
     elif status_out == HELD:
-        guarded = GuardState(previous.force, output.torque, guarded.gain)
+        guarded = GuardState(previous.force, previous.torque, guarded.gain)
     call_device(empty.read, empty.handle, sample)
     empty_read = now_ns(timespec)
     call_device(empty.write, empty.handle, wrench)

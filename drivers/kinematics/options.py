@@ -102,7 +102,7 @@ class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantog
 
 
 class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
-    """Three legs with motors in the base and an end that does not turn."""
+    """Three legs with motors in the base, and an end that does not rotate."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("abc")
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b", "torque_c"})

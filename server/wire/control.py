@@ -168,7 +168,7 @@ class Control(Closeable):
         return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
-        """Put the bodies of the scene's [world] back where they started, at zero force."""
+        """Reset the bodies of the scene's [world] to their initial poses, at zero force."""
         return self._ask("reset_world", Empty(), Applied)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:

@@ -42,7 +42,7 @@ def time_reference(factor: float, count: int, watch: Stopwatch) -> float:
 
 
 def reference_ns() -> float:
-    """Return the present time of one such chain, ns."""
+    """Measure the current duration (ns) of the reference computation, `time_reference`."""
     watch, count = stopwatch(50), 100
     time_reference(0.5, count, watch)
     return float(np.median(watch.ns)) / count
