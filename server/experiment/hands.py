@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
 
+from softfinger.drivers import quaternions
 from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.remote import Client
 
@@ -45,7 +45,7 @@ class Hands:
 
     def _lead(self, name: str, position: Point, elapsed_s: float) -> None:
         rotations = self._experiment.turn.get(name or ONE)
-        orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
+        orientation = quaternions.exp(interpolate_path(rotations, elapsed_s)).tolist() if rotations else None
         self._client.hand(position, orientation, finger=name or None)
 
 
@@ -54,14 +54,3 @@ def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: flo
     times = [point[0] for point in path]
     x, y, z = (float(np.interp(t, times, [point[axis] for point in path])) for axis in (1, 2, 3))
     return x, y, z
-
-
-def quaternion(rotation: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
-
-    The function of the kernels is not used, since it would compile during a touch.
-    """
-    angle = math.hypot(*rotation)
-    share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
-    x, y, z = (share * part for part in rotation)
-    return math.cos(0.5 * angle), x, y, z

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from softfinger.drivers import quaternions
 from softfinger.drivers.base import SAMPLE_BUTTONS
 from softfinger.tools.exchange import FORCE, SAMPLE
 from softfinger.tools.measure import Array
@@ -83,20 +84,8 @@ def masks(rows: Array) -> list[int]:
 
 def rotation(before: Array, after: Array) -> Array:
     """Return the shorter rotation vector (3,) rad, world frame, from the orientation of one row to that of another."""
-    w0, x0, y0, z0 = before[SAMPLE + 3 : SAMPLE + 7]
-    w1, x1, y1, z1 = after[SAMPLE + 3 : SAMPLE + 7]
-    # after times the conjugate of before
-    w = w1 * w0 + x1 * x0 + y1 * y0 + z1 * z0
-    v = np.array([
-        -w1 * x0 + x1 * w0 - y1 * z0 + z1 * y0,
-        -w1 * y0 + y1 * w0 - z1 * x0 + x1 * z0,
-        -w1 * z0 + z1 * w0 - x1 * y0 + y1 * x0,
-    ])  # fmt: skip
-    size = float(np.linalg.norm(v))
-    if size == 0.0:
-        return np.zeros(3)
-    angle: Array = v * (2.0 * atan2(size, abs(w)) / size * (1.0 if w >= 0.0 else -1.0))
-    return angle
+    before, after = before[SAMPLE + 3 : SAMPLE + 7], after[SAMPLE + 3 : SAMPLE + 7]
+    return quaternions.log(quaternions.multiply(after, quaternions.conjugate(before)))
 
 
 def translation_of(rows: Array) -> Array:

@@ -228,7 +228,7 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
     ]
     table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
     about = """\
-Results of the test run (`make faults-results`). Ticks at 1 kHz, from the first tick with the fault until the
+Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
 emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
 them. Then the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
