@@ -48,7 +48,7 @@ def sized(span: limits.Range, meaning: str, example: Any = None) -> Meta:
     return Meta(min_length=int(span.low), max_length=int(span.high), description=meaning, examples=examples)
 
 
-def said(meaning: str, example: Any = None) -> Meta:
+def doc(meaning: str, example: Any = None) -> Meta:
     """Return meaning and example of a field that is not a single number."""
     return Meta(description=meaning, examples=None if example is None else [example])
 
@@ -105,7 +105,7 @@ Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION
 
 Resolved = Annotated[
     bool | None,
-    said("true, as in recordings and telemetry: all values are given here, and the library is not used"),
+    doc("true, as in recordings and telemetry: all values are given here, and the library is not used"),
 ]
 """Field of a table that may name an entry of a library; without it, a recording would change with the library."""
 

@@ -164,8 +164,8 @@ def check_owner(path: str | Path, status: os.stat_result, why: str) -> None:
             f"{path}: belongs to another user ({status.st_uid}), who {why}: use a folder that belongs to you"
         )
     # The sticky bit, as of /tmp, prevents users from replacing files of other users.
-    kept = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
-    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not kept:
+    is_sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not is_sticky:
         raise ConfigError(
             f"{path}: other users may write to it (mode {stat.S_IMODE(status.st_mode):o}), and so {why}: chmod go-w it"
         )

@@ -96,7 +96,7 @@ def load_scene(
     softfinger.config.load.FaultyConfig: override: object[0].radius_m = -1.0: must be a number from 1e-05 to 1000 m ...
     """
     if isinstance(scene, Scene):
-        return overridden(scene, overrides, "override") if overrides else scene
+        return apply_overrides(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
         return add_objects_of_world(build_changed(Scene, scene, "scene", overrides or {}, sources or {}))
     folder = find(scene, Scene).parent
@@ -144,7 +144,7 @@ def build_changed(
     return _check_scene(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
 
 
-def overridden(config: T, changes: Mapping[str, Any], where: str) -> T:
+def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:
     """Return `config` with changed values, keys as for `load_scene`.
 
     Raises ConfigError with every fault, each naming `where`.
@@ -213,6 +213,6 @@ def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        kept = {key: _plain(item) for key, item in value.items() if item is not None}
-        return {**kept.pop("options"), **kept} if {"driver", "options"} <= kept.keys() else kept
+        plain = {key: _plain(item) for key, item in value.items() if item is not None}
+        return {**plain.pop("options"), **plain} if {"driver", "options"} <= plain.keys() else plain
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

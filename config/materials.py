@@ -82,7 +82,7 @@ class Library(NamedTuple):
     instead: Mapping[str, str] = MappingProxyType({})
     marked: bool = True
 
-    def filled(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def fill(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return a table that names an entry, completed with the values of the entry."""
         dropped = {theirs for ours, theirs in self.instead.items() if given.get(ours) is not None}
         values = self.entries()[given[self.key]].values

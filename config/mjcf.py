@@ -97,13 +97,13 @@ def compile_model(path: str, root: str | None = None) -> Compiled:
         found = _compiled.get((path, root))
     if found is not None and all(_state(file) == state for file, state in found.files.items()):
         return found
-    made = _compile(path, root)
+    model = _compile(path, root)
     with _lock:
-        _compiled[path, root] = made
+        _compiled[path, root] = model
         _compiled.move_to_end((path, root))
         while len(_compiled) > KEPT:
             _compiled.popitem(last=False)
-    return made
+    return model
 
 
 def _compile(path: str, root: str | None) -> Compiled:

@@ -100,12 +100,12 @@ def _object(name: str, geom: int, world: schema.World, material: schema.Material
     x, y, z = (float(each) for each in model.geom_size[geom])
     body, number = int(model.geom_bodyid[geom]), int(model.geom_dataid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
-    there = model.geom_pos[geom], model.geom_quat[geom]
+    pose = model.geom_pos[geom], model.geom_quat[geom]
     if moves(model, body):
         place["motion"] = schema.Body(body=model.body(body).name or str(body))
     else:
-        there = _on((data.xpos[body], data.xquat[body]), there)
-    place["position_m"], place["orientation_wxyz"] = map(_numbers, there)
+        pose = _on((data.xpos[body], data.xquat[body]), pose)
+    place["position_m"], place["orientation_wxyz"] = map(_numbers, pose)
     match model.geom_type[geom]:
         case kinds.mjGEOM_PLANE:
             return Taken(name, schema.Plane(**place), "without an end" if x or y else "")

@@ -99,7 +99,7 @@ class _Model:
             given = element.get("file") or ""
             match element.tag:
                 case "include":
-                    part = self._found(element, (folder, own), name)
+                    part = self._find_file(element, (folder, own), name)
                     if part in included:
                         raise ConfigError(f"world.model {name}: includes {given} again: MuJoCo reads each file once")
                     included.add(part)
@@ -107,7 +107,7 @@ class _Model:
                         within = f"{self._name}, {given}"
                         waiting.append((self._root(inner, within), times, within, part.parent))
                 case "model":
-                    models[element.get("name") or Path(given).stem] = self._found(element, (folder, own), name)
+                    models[element.get("name") or Path(given).stem] = self._find_file(element, (folder, own), name)
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
@@ -155,7 +155,7 @@ class _Model:
             ) from error
         return builder.close()
 
-    def _found(self, element: Element, folders: tuple[Path, ...], name: str) -> Path:
+    def _find_file(self, element: Element, folders: tuple[Path, ...], name: str) -> Path:
         """Return the file of an element, as MuJoCo finds it: in the first folder that has it.
 
         The folders are those of the model and of the file with the element. Raises ConfigError if it is not below

@@ -86,24 +86,24 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
 
     An entry of a list is `object.0` or, as in messages, `object[0]`. Raises LookupError if the place does not exist.
     """
-    way = _ENTRY.sub(r".\1", dotted).split(".")
+    path = _ENTRY.sub(r".\1", dotted).split(".")
     at: Any = mapping
-    for depth, name in enumerate(way, 1):
-        key = _NUMBER.sub(r"[\1]", ".".join(way[:depth]))
+    for depth, name in enumerate(path, 1):
+        key = _NUMBER.sub(r"[\1]", ".".join(path[:depth]))
         place: Any = name
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
-                there = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
-                raise LookupError(f"there is no {key}: {there}; to add one give all of {way[depth - 2]}")
+                entries = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
+                raise LookupError(f"there is no {key}: {entries}; to add one give all of {path[depth - 2]}")
             place = int(name)
         elif not isinstance(at, dict):
             raise LookupError(f"{key} would be in {format_value(at)}, which is not a table: give the complete table")
-        elif depth < len(way) and name not in at:
+        elif depth < len(path) and name not in at:
             at[name], origins[key] = {}, source
-        if depth == len(way):
-            if way[-1] == "driver" and way[0] in ("device", "devices") and at.get("driver") != value:
+        if depth == len(path):
+            if path[-1] == "driver" and path[0] in ("device", "devices") and at.get("driver") != value:
                 at.clear()
-            _forget_entry(at, way, value)
+            _forget_entry(at, path, value)
             at[place], origins[key] = value, source
         else:
             if name in _BY_NAME and isinstance(at[place], str):
@@ -111,13 +111,13 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
             at = at[place]
 
 
-def _forget_entry(at: Any, way: list[str], value: Any) -> None:
+def _forget_entry(at: Any, path: list[str], value: Any) -> None:
     """Remove the values of the previous library entry if another entry is named."""
-    if not isinstance(at, dict) or at.get(way[-1]) == value or at.get("resolved") is not True:
+    if not isinstance(at, dict) or at.get(path[-1]) == value or at.get("resolved") is not True:
         return
-    if way[-2:] == ["material", MATERIALS.key]:
+    if path[-2:] == ["material", MATERIALS.key]:
         at.clear()
-    elif way[-1] == FINGERTIPS.key:
+    elif path[-1] == FINGERTIPS.key:
         for key in ("resolved", "radius_m", "radii_m", "orientation_wxyz", "patch"):
             at.pop(key, None)
 

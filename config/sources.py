@@ -100,10 +100,10 @@ def printable(path: str | Path) -> str:
 def _sibling(path: Path) -> str:
     """Return a hint for a missing file: a similar name in its folder, or a shipped name."""
     try:
-        beside = [found.name for found in path.parent.glob("*.toml")]
+        siblings = [found.name for found in path.parent.glob("*.toml")]
     except (OSError, ValueError):
-        beside = []
-    hint = near(path.name, beside)
+        siblings = []
+    hint = near(path.name, siblings)
     names = [name for kind in FOLDERS for name in list_shipped(kind)]
     if not hint and path.suffix == ".toml":
         hint = near(path.stem, names)

@@ -30,7 +30,11 @@ def locate(given: str, folder: Path, home: Path) -> Path:
     if not given.startswith(PACKAGES):
         return folder / given.removeprefix("file://")
     ways = list(_ways(given, folder))
-    inside = (way for _, way in ways if way.is_file() and Path(os.path.realpath(way)).is_relative_to(home))
+    inside = (
+        candidate
+        for _, candidate in ways
+        if candidate.is_file() and Path(os.path.realpath(candidate)).is_relative_to(home)
+    )
     return next(inside, ways[0][1])
 
 
@@ -48,21 +52,23 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
 
     Raises ConfigError for a file of a package that is not found, or not below `home`.
     """
-    taken = {geom.name for geom in spec.geoms}
+    names = {geom.name for geom in spec.geoms}
     for geom in spec.geoms:
         if not geom.name and (geom.contype or geom.conaffinity):
             link, number = geom.parent.name, 1
-            while (name := link if number == 1 else f"{link} {number}") in taken:
+            while (name := link if number == 1 else f"{link} {number}") in names:
                 number += 1
             geom.name = name
-            taken.add(name)
+            names.add(name)
     for mesh in spec.meshes:
         if spec.strippath or not mesh.file.startswith((*PACKAGES, "file://")):
             continue
         path = locate(mesh.file, folder, home)
         check_place(path, home, f"{model}: the file {mesh.file}")
         if not path.is_file():
-            higher = next((above for above, way in _ways(mesh.file, folder) if way.is_file()), folder.parent)
+            higher = next(
+                (above for above, candidate in _ways(mesh.file, folder) if candidate.is_file()), folder.parent
+            )
             raise ConfigError(
                 f"world.model {model}: {mesh.file} is not found from its folder up to {home}: name a folder that has "
                 f'the package: [world] root = "{os.path.relpath(higher, folder)}"'

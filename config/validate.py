@@ -178,7 +178,7 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
         return given
     name, entries = given[library.key], library.entries()
     if name in entries:
-        return library.filled(given)
+        return library.fill(given)
     dotted = key if isinstance(value, str) else join_key(key, library.key)
     choices = ", ".join(entries)
     report.add(
@@ -223,7 +223,7 @@ def _create(cls: type[Struct], values: dict[str, Any], key: str, report: Report,
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
         # The check of an external driver may fail on UNSET. That is not a fault if the field is reported already.
         return UNSET if len(report.faults) > start else report.add(key, f"{key or 'the whole'}: {error}")
-    for name, seen, text in complaints:
+    for name, found, text in complaints:
         dotted = f"{key}.{name}" if key else name
-        report.add(dotted, f"{dotted}: {text}" if seen is UNSET else f"{dotted} = {format_value(seen)}: {text}")
+        report.add(dotted, f"{dotted}: {text}" if found is UNSET else f"{dotted} = {format_value(found)}: {text}")
     return struct

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
+from softfinger.drivers import quaternions
 from softfinger.drivers.poses import Poses
 
 Array = NDArray[np.float64]
@@ -120,14 +121,14 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     instead. Sample L of the motion is sample 0.
     """
     end, start = samples[-1], samples[0]
-    travel, rotation_vector = start[:3] - end[:3], _log(_relative(end[3:], start[3:]))
+    travel, rotation_vector = start[:3] - end[:3], quaternions.log(_relative(end[3:], start[3:]))
     distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(rotation_vector))
     if distance <= SEAM_TOLERANCE and angle <= SEAM_TOLERANCE and _is_continuous(samples, rate_hz):
         return np.ascontiguousarray(samples[:-1])
 
     start_velocity, end_velocity = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
-    start_spin = _log(_relative(samples[-2, 3:], end[3:])) * rate_hz
-    end_spin = _log(_relative(start[3:], samples[1, 3:])) * rate_hz
+    start_spin = quaternions.log(_relative(samples[-2, 3:], end[3:])) * rate_hz
+    end_spin = quaternions.log(_relative(start[3:], samples[1, 3:])) * rate_hz
     seconds = max(
         RETURN_MIN_S,
         MINIMUM_JERK_PEAK * distance / RETURN_SPEED_M_PER_S,
@@ -141,14 +142,14 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     # Turn in the body frame at the end: there the rate of the rotation vector is the angular velocity. At the start it
     # is so only through the inverse Jacobian of the rotation vector.
     rotation = _quintic(rotation_vector, start_spin, _inverse_jacobian(rotation_vector) @ end_spin, seconds, u)
-    path[:, 3:] = _product(end[3:], _exp(rotation))
+    path[:, 3:] = quaternions.multiply(end[3:], quaternions.exp(rotation))
     return np.concatenate((samples, path))
 
 
 def _is_continuous(samples: Array, rate_hz: float) -> bool:
     """Return True if the velocity step from the end to the start is no larger than the steps within the motion."""
     velocity = np.diff(samples[:, :3], axis=0) * rate_hz
-    spin = _log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
+    spin = quaternions.log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
     for rates, negligible in ((velocity, SEAM_SPEED_M_PER_S), (spin, SEAM_SPEED_RAD_PER_S)):
         within = np.linalg.norm(np.diff(rates, axis=0), axis=1)
         if np.linalg.norm(rates[0] - rates[-1]) > max(negligible, float(within.max(initial=0.0))):
@@ -165,39 +166,9 @@ def _quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds:
     return path
 
 
-def _product(a: Array, b: Array) -> Array:
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        axis=-1,
-    )
-
-
 def _relative(a: Array, b: Array) -> Array:
     """Return a^-1 b: the rotation from a to b in the body frame."""
-    return _product(a * np.array([1.0, -1.0, -1.0, -1.0]), b)
-
-
-def _log(q: Array) -> Array:
-    """Return rotation vectors (..., 3) of unit quaternions (..., 4), at most half a turn."""
-    vector = np.where(q[..., :1] >= 0.0, q[..., 1:], -q[..., 1:])
-    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
-    small = sine < 1e-12
-    angle = 2.0 * np.arctan2(sine, np.abs(q[..., :1]))
-    rotation: Array = np.where(small, 2.0, angle / np.where(small, 1.0, sine)) * vector
-    return rotation
-
-
-def _exp(rotation: Array) -> Array:
-    """Return unit quaternions (M, 4) of rotation vectors (M, 3)."""
-    half = 0.5 * np.linalg.norm(rotation, axis=1, keepdims=True)
-    return np.concatenate((np.cos(half), 0.5 * rotation * np.sinc(half / np.pi)), axis=1)
+    return quaternions.multiply(quaternions.conjugate(a), b)
 
 
 def _inverse_jacobian(rotation: Array) -> Array:

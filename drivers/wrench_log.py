@@ -149,7 +149,7 @@ class WrenchLog:
         """Return the counters of the block: reads, wrenches, and counters of the driver."""
         return self._block.counts()
 
-    def logged(self) -> LoggedWrenches:
+    def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         before = int(self._block.word[LOG.writes])
         rows = self._rows.copy()
@@ -161,7 +161,7 @@ class WrenchLog:
         return LoggedWrenches(rows[:, 0].astype(np.int64), rows[:, 1:].copy())
 
     def _save(self, path: Path) -> None:
-        read, wrench = self.logged()
+        read, wrench = self.read_log()
         if self.overwritten_count:
             log.warning(
                 "%s has the last %d wrenches; %d earlier ones were overwritten",

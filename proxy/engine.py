@@ -292,11 +292,11 @@ class Engine:
         ConfigError
             If a value is out of range, a path does not exist, or a change requires another compiled model.
         """
-        from softfinger.config.load import overridden
+        from softfinger.config.load import apply_overrides
         from softfinger.proxy.scene import other_model
 
         wanted = {changes: value} if isinstance(changes, str) else changes
-        if not self._take(overridden(self.config, wanted, "set")):
+        if not self._take(apply_overrides(self.config, wanted, "set")):
             raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
 
     def get(self, path: str) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import overridden
+from softfinger.config.load import apply_overrides
 from softfinger.proxy.actions import kernel_effects, kernel_motion
 from softfinger.proxy.bodies import bodies_of
 from softfinger.proxy.kernels import model
@@ -105,7 +105,7 @@ def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
 def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
     """Return True if a scene is the same model with changes; False if they cannot be applied separately."""
     try:
-        return same_model(build_scene(overridden(scene, changes, "")), built)
+        return same_model(build_scene(apply_overrides(scene, changes, "")), built)
     except ConfigError:
         return False
 

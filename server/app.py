@@ -309,7 +309,9 @@ class Daemon:
             figures = self.publisher.figures
             return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
 
-        counts = MetricsCollector(self._fingers, wire, lambda: self.recordings.written(), lambda: self.states.now)
+        counts = MetricsCollector(
+            self._fingers, wire, lambda: self.recordings.collect_totals(), lambda: self.states.now
+        )
         return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _services(

@@ -99,9 +99,9 @@ def main(argv: list[str] | None = None) -> int:
             sys.stdout.flush()
             return code
         except HapticError as error:
-            return failed(str(error), error.exit_code)
+            return report_failure(str(error), error.exit_code)
         except signals.Interrupted as error:
-            code = failed(f"ended by {signals.signal_name(error.number)}", signals.exit_code(error.number))
+            code = report_failure(f"ended by {signals.signal_name(error.number)}", signals.exit_code(error.number))
             if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
@@ -116,7 +116,7 @@ def main(argv: list[str] | None = None) -> int:
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
             discard(sys.stdout)  # Python would retry the failed write at exit
-            return failed(reason(error), Exhausted.exit_code)
+            return report_failure(reason(error), Exhausted.exit_code)
         finally:
             flush_or_discard(sys.stdout)
             flush_or_discard(sys.stderr)
@@ -171,7 +171,7 @@ def to_stderr() -> logging.Handler:
     return ToStderr()
 
 
-def failed(message: str, code: int) -> int:
+def report_failure(message: str, code: int) -> int:
     """Print the error that stops the program; return `code`."""
     with contextlib.suppress(OSError):  # standard error may be closed, too
         standard_error.write_line(f"softfinger: {message}", standard_error.LAST_WAIT_S)

@@ -67,8 +67,8 @@ def progress(
         yield lambda number: None
         return
     try:
-        with _bar(what, total, detail) if on_terminal() else _lines(what, total, detail) as done:
-            yield done
+        with _bar(what, total, detail) if on_terminal() else _lines(what, total, detail) as set_count:
+            yield set_count
     finally:
         _display_lock.release()
 
@@ -178,7 +178,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
 def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[int], None]]:
     start_s, finished, count = time.monotonic(), threading.Event(), 0
 
-    def done(number: int) -> None:
+    def set_count(number: int) -> None:
         nonlocal count
         count = number
 
@@ -192,7 +192,7 @@ def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[
     reporter = threading.Thread(target=report, daemon=True)
     reporter.start()
     try:
-        yield done
+        yield set_count
     finally:
         finished.set()
         reporter.join()

@@ -163,7 +163,7 @@ def exchange_once(
         return Exchanged(guarded, status, OK, read, read, read, read, read)
     if status == WITHHELD:
         guarded = INITIAL_GUARD_STATE
-    held = guarded
+    previous = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
     put_wrench(wrench, guarded.force, guarded.torque)
     before = now_ns(timespec)
@@ -174,7 +174,7 @@ def exchange_once(
     if status_out == WITHHELD:
         guarded = INITIAL_GUARD_STATE
     elif status_out == HELD:
-        guarded = GuardState(held.force, held.torque, guarded.gain)
+        guarded = GuardState(previous.force, previous.torque, guarded.gain)
     call_device(empty.read, empty.handle, sample)
     empty_read = now_ns(timespec)
     call_device(empty.write, empty.handle, wrench)

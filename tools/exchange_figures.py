@@ -37,9 +37,9 @@ def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
     result: dict[str, Any] = {"ticks": len(rows), "seconds": measure_elapsed(rows)}
     pairs = ((read, empty_read), (write, empty_write), (read + write, empty_read + empty_write))
     for name, (values, reference) in zip(TIMES, pairs, strict=True):
-        mine, theirs = quantiles(values, block), quantiles(reference, block)
-        ratios = {at: mine["blocks"][at] / max(theirs["blocks"][at], 1e-9) for at in ("p50", "p99")}
-        result[name] = mine | {"empty": theirs, "over_empty": ratios, "histogram": histogram(values)}
+        measured, empty = quantiles(values, block), quantiles(reference, block)
+        ratios = {at: measured["blocks"][at] / max(empty["blocks"][at], 1e-9) for at in ("p50", "p99")}
+        result[name] = measured | {"empty": empty, "over_empty": ratios, "histogram": histogram(values)}
     result["late"] = quantiles(rows[:, LATE], block)
     return result | freshness(rows)
 

@@ -75,12 +75,12 @@ def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Ite
                     group.fit.threshold_95,
                 )
                 error = math.log(estimate / truth)
-            held = interval[0] <= truth <= interval[1]
-            found.setdefault(group.condition, []).append((error, held, group.trials, what, truth))
+            is_covered = interval[0] <= truth <= interval[1]
+            found.setdefault(group.condition, []).append((error, is_covered, group.trials, what, truth))
     for named, each in found.items():
         errors = np.array([error for error, *_ in each])
         _, _, trials, what, truth = each[0]
-        coverage = sum(held for _, held, *_ in each) / len(each)
+        coverage = sum(is_covered for _, is_covered, *_ in each) / len(each)
         said = named if slope is None else f"{named}, slope {slope:g}"
         yield Recovery(name, said, what, trials, truth, float(errors.mean()), float(errors.std()), coverage)
 

@@ -188,7 +188,7 @@ def stack(side: float) -> list[Move]:
     """
     take = (-side * (ABOVE_M - RADIUS_M + 0.004), 0.0, 0.0)
     lift_m, lower_m, carry = (0.0, 0.0, 0.064), (0.0, 0.0, -0.0045), (0.0, 0.06, 0.0)
-    there = [
+    forward = [
         Move(0.6, take),
         hold(0.2),
         Move(0.9, lift_m),
@@ -199,9 +199,9 @@ def stack(side: float) -> list[Move]:
         Move(0.5, opposite(take)),
     ]
     back = [
-        move if move.travel == (0.0, 0.0, 0.0) else Move(move.seconds, opposite(move.travel)) for move in there[::-1]
+        move if move.travel == (0.0, 0.0, 0.0) else Move(move.seconds, opposite(move.travel)) for move in forward[::-1]
     ]
-    return [hold(0.3), *there, hold(1.0), *back, hold(0.3)]
+    return [hold(0.3), *forward, hold(1.0), *back, hold(0.3)]
 
 
 def plates() -> list[Move]:

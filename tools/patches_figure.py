@@ -119,9 +119,9 @@ def drag(case: Case) -> Drag:
     size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
     for i in range(3):
-        here = {name: getattr(AT, f"contacts{i}_{name}") for name in ("object", "mode", "normal", "force")}
-        number, mode = (records[:, here[name]].astype(int) for name in ("object", "mode"))
-        normal, force = (records[:, here[name] : here[name] + 3] for name in ("normal", "force"))
+        columns = {name: getattr(AT, f"contacts{i}_{name}") for name in ("object", "mode", "normal", "force")}
+        number, mode = (records[:, columns[name]].astype(int) for name in ("object", "mode"))
+        normal, force = (records[:, columns[name] : columns[name] + 3] for name in ("normal", "force"))
         mu = np.where(number >= 0, kinetic[number], 0.0)
         load = np.sum(force * normal, axis=1)
         rubs = np.linalg.norm(force - load[:, None] * normal, axis=1)

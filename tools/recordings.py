@@ -13,11 +13,11 @@ scene with moving bodies or an elastic object has one or two motions.
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from softfinger.drivers import quaternions
 from softfinger.tools import motions
 from softfinger.tools.moves import ABOVE_M, RATE_HZ, Move, Quaternion, Vector
 
@@ -92,22 +92,8 @@ def write(folder: Path) -> list[Path]:
 def _at(position: Vector, orientation: Quaternion, move: Move, u: float) -> tuple[Vector, Quaternion]:
     done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     x, y, z = (p + done * d for p, d in zip(position, move.travel, strict=True))
-    return (x, y, z), _turn(orientation, move.turn, done)
-
-
-def _turn(q: Quaternion, turn: Vector, part: float) -> Quaternion:
-    angle = math.hypot(*turn)
-    if angle == 0.0:
-        return q
-    aw, scale = math.cos(0.5 * part * angle), math.sin(0.5 * part * angle) / angle
-    ax, ay, az = (scale * component for component in turn)
-    bw, bx, by, bz = q
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
+    turn = quaternions.exp([done * angle for angle in move.turn])
+    return (x, y, z), tuple(quaternions.multiply(turn, orientation).tolist())
 
 
 def _line(row: int, position: Vector, orientation: Quaternion) -> str:

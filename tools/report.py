@@ -51,14 +51,14 @@ def run(args: argparse.Namespace) -> int:
     found = [] if place is None else blackbox.files(place)
     boxes = found[len(found) - min(args.boxes, len(found)) :]
     cleaner = privacy.Privacy(device.serial for device in discovery.list_attached())
-    told = {
+    content = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "packages": machine.versions(),
         "doctor": examine(rig, scene, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
     }
     parts = {
-        "report.json": _json(cleaner.clean(told)),
+        "report.json": _json(cleaner.clean(content)),
         "rig.json": _json(cleaner.clean(private_rig(describe(rig)))),
         "scene.json": _json(cleaner.clean(describe(scene))),
     }

@@ -48,13 +48,13 @@ def markdown(table: Any) -> str:
 def insert(page: str, tables: Mapping[str, str]) -> str:
     """Return the page with each marked table replaced; raises ConfigError for a mark without a table."""
 
-    def filled(match: re.Match[str]) -> str:
+    def fill(match: re.Match[str]) -> str:
         name = match["name"]
         if name not in tables:
             raise ConfigError(f"<!-- study: {name} -->: no such table; there are {', '.join(tables)}")
         return f"{match[1]}\n{tables[name]}\n{match[3]}"
 
-    return BLOCK.sub(filled, page)
+    return BLOCK.sub(fill, page)
 
 
 def run(*words: str) -> bytes:

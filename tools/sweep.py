@@ -121,9 +121,9 @@ def _iterate_blocks(
 @contextmanager
 def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
     """Yield workers that are ready for calls; unfinished calls are cancelled at the end of the block."""
-    here = len(os.sched_getaffinity(0))
+    processors = len(os.sched_getaffinity(0))
     if scheduler is None:
-        number = threads or here
+        number = threads or processors
         pool = ThreadPoolExecutor(number, "sweep")
         try:
             yield _Workers(number, pool.submit, as_completed)
@@ -138,7 +138,7 @@ def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
     with ExitStack() as opened:
         if scheduler == "local":
             address = opened.enter_context(
-                distributed.LocalCluster(here, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+                distributed.LocalCluster(processors, threads_per_worker=1, dashboard_address="127.0.0.1:0")
             )
         elif "://" in scheduler:
             address = scheduler

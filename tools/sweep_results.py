@@ -63,17 +63,17 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
             if not os.path.samestat(os.fstat(old.fileno()), os.stat(target)):
                 raise _in_use_error(path)
             size = os.fstat(old.fileno()).st_size
-            kept = list(_read(path, old)) if size else []
+            finished = list(_read(path, old)) if size else []
             # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
             with new_file(target) as begun:
                 new = files.enter_context(open(os.dup(begun.fileno()), "wb"))
                 _lock(new, path)
                 file = _File(path, new)
-                for row in kept:
+                for row in finished:
                     file.add(row)
                 file.flush()
             try:
-                yield Rows({row["key"]: row["result"] for row in kept}, file)
+                yield Rows({row["key"]: row["result"] for row in finished}, file)
             finally:
                 file.finish()
     except OSError as error:

@@ -137,9 +137,9 @@ def _pgm(path: str | Path) -> NDArray[Any]:
     if not 0 < white < 65536:
         raise ValueError(f"gives {white}: must be 1 to 65535")
     kind = np.dtype(np.uint8 if white < 256 else ">u2")
-    there, needed = len(data) - head.end(), rows * columns * kind.itemsize
-    if there != needed:
-        raise ValueError(f"has {there:,} bytes of pixel data: {columns} x {rows} need {needed:,}")
+    available, needed = len(data) - head.end(), rows * columns * kind.itemsize
+    if available != needed:
+        raise ValueError(f"has {available:,} bytes of pixel data: {columns} x {rows} need {needed:,}")
     return np.frombuffer(data, kind, offset=head.end()).reshape(rows, columns)
 
 

@@ -15,9 +15,9 @@ from softfinger.config.fields import (
     Resolved,
     Table,
     TopicPart,
+    doc,
     is_usable,
     normalise_orientation,
-    said,
     sized,
     within,
 )
@@ -57,14 +57,14 @@ class Form(Table, frozen=True, kw_only=True):
     radii_m: (
         Annotated[
             tuple[Length, Length, Length],
-            said("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012]),
+            doc("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012]),
         ]
         | None
     ) = None
     orientation_wxyz: (
         Annotated[
             tuple[Component, Component, Component, Component],
-            said(
+            doc(
                 "axes of the ellipsoid in the fingertip frame: quaternion w, x, y, z, normalised on load; default: "
                 "no rotation",
                 [1.0, 0.0, 0.0, 0.0],
@@ -122,7 +122,7 @@ class Fingertip(Form, frozen=True, kw_only=True):
 class Rolling(Table, frozen=True, kw_only=True):
     """Rolling contact; without this table, rotating the fingertip does not move the contact."""
 
-    method: Annotated[RollingMethod, said("integration of the rotation between two ticks", "euler_zxz")]
+    method: Annotated[RollingMethod, doc("integration of the rotation between two ticks", "euler_zxz")]
     torque_stiffness_n_per_m: (
         Annotated[
             float,
@@ -148,7 +148,7 @@ class Rolling(Table, frozen=True, kw_only=True):
     ) = None
     state_machine: Annotated[
         StateMachine,
-        said(
+        doc(
             "rule between rolling and sliding; paper: the published rule verbatim, for study only",
             "default",
         ),
@@ -196,7 +196,7 @@ class Finger(Form, frozen=True, kw_only=True):
     """One of several fingertips, each with its own device; replaces [fingertip]."""
 
     name: TopicPart
-    device: Annotated[TopicPart, said("[devices.NAME] of the rig that moves it; default: its name")] | None = None
+    device: Annotated[TopicPart, doc("[devices.NAME] of the rig that moves it; default: its name")] | None = None
     patch: Patch | None = None
     coupling: Coupling | None = None
     probe: Probe | None = None
@@ -207,7 +207,7 @@ class Passivity(Table, frozen=True, kw_only=True):
 
     mode: Annotated[
         PassivityMode,
-        said("observe: energy in telemetry; control: also dissipate generated energy", "control"),
+        doc("observe: energy in telemetry; control: also dissipate generated energy", "control"),
     ]
     damping_max_ns_per_m: (
         Annotated[

@@ -16,21 +16,21 @@ from softfinger.config.fields import (
     Length,
     Table,
     direction_faults,
+    doc,
     is_usable,
-    said,
     within,
 )
 
 Force = Annotated[float, Meta(ge=-limits.EFFECT_FORCE_N.high, le=limits.EFFECT_FORCE_N.high)]
-Middle = Annotated[tuple[Coordinate, Coordinate, Coordinate], said("centre in the world", [0.0, 0.0, 0.0])]
-Edges = Annotated[tuple[Length, Length, Length], said("edge lengths of a box along the world axes", [0.2, 0.2, 0.2])]
+Middle = Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("centre in the world", [0.0, 0.0, 0.0])]
+Edges = Annotated[tuple[Length, Length, Length], doc("edge lengths of a box along the world axes", [0.2, 0.2, 0.2])]
 BallRadius = Annotated[float, within(limits.LENGTH_M, "radius of a ball, in place of size_m", 0.1)]
 Direction = Annotated[
-    tuple[Component, Component, Component], said("direction in the world; normalised", [0.0, 0.0, 1.0])
+    tuple[Component, Component, Component], doc("direction in the world; normalised", [0.0, 0.0, 1.0])
 ]
 EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "force per speed, against the velocity", 2.0)]
 EffectStiffness = Annotated[float, within(limits.STIFFNESS_N_PER_M, "stiffness", 200.0)]
-ForceVector = Annotated[tuple[Force, Force, Force], said("force on the hand in the world", [0.0, 0.0, -1.0])]
+ForceVector = Annotated[tuple[Force, Force, Force], doc("force on the hand in the world", [0.0, 0.0, -1.0])]
 Amplitude = Annotated[float, within(limits.EFFECT_FORCE_N, "amplitude", 0.5)]
 Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "frequency", 100.0)]
 
@@ -81,7 +81,7 @@ class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="sprin
     """Spring to a fixed point."""
 
     kind: ClassVar[str] = "spring"
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("anchor in the world", [0.0, 0.0, 0.05])]
+    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
     rest_length_m: Annotated[float, within(limits.EDGE_M, "free length; a shorter spring pushes", 0.0)] = 0.0
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
@@ -143,7 +143,7 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
     direction: (
         Annotated[
             tuple[Component, Component, Component],
-            said("direction in the world, normalised; default: the contact normal", [1.0, 0.0, 0.0]),
+            doc("direction in the world, normalised; default: the contact normal", [1.0, 0.0, 0.0]),
         ]
         | None
     ) = None

@@ -14,8 +14,8 @@ from softfinger.config.fields import (
     Coordinate,
     Table,
     direction_faults,
+    doc,
     is_usable,
-    said,
     sized,
     within,
 )
@@ -32,8 +32,8 @@ class Below(Table, frozen=True, kw_only=True, tag_field="region", tag="below"):
 class InBox(Table, frozen=True, kw_only=True, tag_field="region", tag="box"):
     """Part of the object inside a box along the axes."""
 
-    low_m: Annotated[Point, said("least x, y, z, in the object frame", [-0.05, -0.05, -0.01])]
-    high_m: Annotated[Point, said("largest x, y, z, in the object frame", [0.05, 0.05, 0.0001])]
+    low_m: Annotated[Point, doc("least x, y, z, in the object frame", [-0.05, -0.05, -0.01])]
+    high_m: Annotated[Point, doc("largest x, y, z, in the object frame", [0.05, 0.05, 0.0001])]
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.low_m, self.high_m) and not all(a < b for a, b in zip(self.low_m, self.high_m, strict=True)):
@@ -43,9 +43,9 @@ class InBox(Table, frozen=True, kw_only=True, tag_field="region", tag="box"):
 class HalfSpace(Table, frozen=True, kw_only=True, tag_field="region", tag="half_space"):
     """Part of the object behind a plane."""
 
-    point_m: Annotated[Point, said("point of the plane, in the object frame", [0.0, 0.0, 0.0])]
+    point_m: Annotated[Point, doc("point of the plane, in the object frame", [0.0, 0.0, 0.0])]
     normal: Annotated[
-        tuple[Component, Component, Component], said("normal of the plane, away from the region", [1.0, 0.0, 0.0])
+        tuple[Component, Component, Component], doc("normal of the plane, away from the region", [1.0, 0.0, 0.0])
     ]
 
     def faults(self) -> Iterator[Complaint]:
@@ -62,10 +62,10 @@ class Elastic(Table, frozen=True, kw_only=True):
     youngs_pa: Annotated[float, within(limits.YOUNGS_PA, "Young's modulus", 1e5)]
     poisson: Annotated[float, within(limits.ELASTIC_POISSON, "Poisson's ratio", 0.45)]
     fixed: Annotated[
-        tuple[FixedRegion, ...], said("regions in which the body does not move", [{"region": "below", "z_m": 1e-4}])
+        tuple[FixedRegion, ...], doc("regions in which the body does not move", [{"region": "below", "z_m": 1e-4}])
     ]
     reach: Annotated[
-        tuple[FixedRegion, ...], said("regions of the surface that give; default: everywhere; the rest of it is rigid")
+        tuple[FixedRegion, ...], doc("regions of the surface that give; default: everywhere; the rest of it is rigid")
     ] = ()
     resolution_m: Annotated[float, within(limits.ELASTIC_EDGE_M, "edge length of the volume mesh", 0.004)]
     patch_radius_m: (

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]
@@ -32,7 +32,7 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
     ) = None
     for_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.1)] | None = None
     every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 1)] = 1
-    finger: Annotated[str, said("finger whose device has the fault; empty: all fingers", "thumb")] = ""
+    finger: Annotated[str, doc("finger whose device has the fault; empty: all fingers", "thumb")] = ""
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
@@ -66,21 +66,21 @@ class NotANumber(FaultBase, frozen=True, kw_only=True, tag="nan"):
     """A number of the pose is NaN."""
 
     kind: ClassVar[str] = "nan"
-    number: Annotated[Number, said("which of the pose", "x")] = "x"
+    number: Annotated[Number, doc("which of the pose", "x")] = "x"
 
 
 class Infinite(FaultBase, frozen=True, kw_only=True, tag="infinite"):
     """A number of the pose is infinite."""
 
     kind: ClassVar[str] = "infinite"
-    number: Annotated[Number, said("which of the pose", "z")] = "x"
+    number: Annotated[Number, doc("which of the pose", "z")] = "x"
 
 
 class Teleport(FaultBase, frozen=True, kw_only=True, tag="teleport"):
     """The position jumps by an offset."""
 
     kind: ClassVar[str] = "teleport"
-    offset_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("added to the position", [0.0, 0.0, -0.05])]
+    offset_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("added to the position", [0.0, 0.0, -0.05])]
 
 
 class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):
@@ -88,7 +88,7 @@ class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):
 
     kind: ClassVar[str] = "slow"
     block_s: Annotated[float, within(limits.FAULT_BLOCK_S, "for so long", 0.003)]
-    on: Annotated[Side, said("which call", "read")] = "read"
+    on: Annotated[Side, doc("which call", "read")] = "read"
 
 
 class Short(FaultBase, frozen=True, kw_only=True, tag="short"):
@@ -123,14 +123,14 @@ class Timeout(FaultBase, frozen=True, kw_only=True, tag="timeout"):
     """The device does not answer in time. A write that fails does not reach it."""
 
     kind: ClassVar[str] = "timeout"
-    on: Annotated[Side, said("which call", "write")] = "read"
+    on: Annotated[Side, doc("which call", "write")] = "read"
 
 
 class Protocol(FaultBase, frozen=True, kw_only=True, tag="protocol"):
     """The device violates its protocol in an answer. A write that fails does not reach it."""
 
     kind: ClassVar[str] = "protocol"
-    on: Annotated[Side, said("which call", "write")] = "read"
+    on: Annotated[Side, doc("which call", "write")] = "read"
 
 
 class ForceOff(FaultBase, frozen=True, kw_only=True, tag="force_off"):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, is_usable, said, within
+from softfinger.config.fields import Complaint, Table, doc, is_usable, within
 
 Arm = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
 Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
@@ -17,15 +17,13 @@ Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.W
 class Workspace(Table, frozen=True, kw_only=True):
     """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
 
-    center_m: Annotated[tuple[Arm, Arm, Arm], said("centre, in the device's positions", [0.0, 0.0, 0.0])] = (
+    center_m: Annotated[tuple[Arm, Arm, Arm], doc("centre, in the device's positions", [0.0, 0.0, 0.0])] = (
         0.0,
         0.0,
         0.0,
     )
     radius_m: Annotated[float, within(limits.WORKSPACE_SIZE_M, "radius of the sphere", 0.07)] | None = None
-    size_m: Annotated[tuple[Size, Size, Size], said("edges of the box, along x, y and z", [0.1, 0.1, 0.1])] | None = (
-        None
-    )
+    size_m: Annotated[tuple[Size, Size, Size], doc("edges of the box, along x, y and z", [0.1, 0.1, 0.1])] | None = None
     stiffness_n_per_m: Annotated[float, within(limits.WALL_STIFFNESS_N_PER_M, "stiffness of the wall", 500.0)] = 500.0
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force of the wall", 4.0)] = 4.0
 
@@ -46,7 +44,7 @@ class Guard(Table, frozen=True, kw_only=True):
 
     arm: Annotated[
         Arming,
-        said(
+        doc(
             "how the force is armed, at the start and after handle_speed_max_m_per_s: automatic: by the program, once "
             "the handle is slow; command: by softfinger ctl arm; button: by that, or by a button of the device",
             "automatic",
@@ -94,4 +92,4 @@ class Guard(Table, frozen=True, kw_only=True):
     energy_max_j: Annotated[
         float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.2)
     ] = 0.2
-    workspace: Annotated[Workspace | None, said("soft wall in front of the end stops; default: none")] = None
+    workspace: Annotated[Workspace | None, doc("soft wall in front of the end stops; default: none")] = None

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Resolved, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Component, Resolved, Table, doc, is_usable, sized, within
 from softfinger.config.materials import MATERIALS, Library
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
@@ -78,7 +78,7 @@ class Friction(Table, frozen=True, kw_only=True):
     direction_x: (
         Annotated[
             tuple[Component, Component, Component],
-            said(
+            doc(
                 "first principal direction of anisotropic friction, in the object frame, projected onto the surface; "
                 "default: isotropic",
                 [1.0, 0.0, 0.0],
@@ -86,12 +86,12 @@ class Friction(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
-    static_scale: Annotated[tuple[Scale, Scale], said("factors along direction_x and across it", [1.0, 0.5])] | None = (
+    static_scale: Annotated[tuple[Scale, Scale], doc("factors along direction_x and across it", [1.0, 0.5])] | None = (
         None
     )
-    kinetic_scale: (
-        Annotated[tuple[Scale, Scale], said("factors along direction_x and across it", [1.0, 0.5])] | None
-    ) = None
+    kinetic_scale: Annotated[tuple[Scale, Scale], doc("factors along direction_x and across it", [1.0, 0.5])] | None = (
+        None
+    )
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.static, self.kinetic) and self.kinetic > self.static:
@@ -155,7 +155,7 @@ class Torsion(Table, frozen=True, kw_only=True):
     ) = None
     model: Annotated[
         TorsionModel,
-        said(
+        doc(
             "independent: separate limits for force and moment; limit_surface: one common limit; soft_finger_proxy: "
             "static and kinetic torsional friction",
             "independent",

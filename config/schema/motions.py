@@ -12,14 +12,14 @@ from softfinger.config.fields import (
     Coordinate,
     Table,
     direction_faults,
-    said,
+    doc,
     sized,
     within,
 )
 
 Axis = Annotated[
     tuple[Component, Component, Component],
-    said("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0]),
+    doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0]),
 ]
 
 
@@ -29,7 +29,7 @@ class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate],
-        said("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01]),
+        doc("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01]),
     ] = (0.0, 0.0, 0.0)
     rotation_rad: Annotated[float, within(limits.ANGLE_RAD, "amplitude of the rotation about axis", 0.2)] = 0.0
     axis: Axis = (0.0, 0.0, 1.0)
@@ -48,7 +48,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
     axis: Axis = (0.0, 0.0, 1.0)
     pivot_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate],
-        said("a point on the axis, in the object frame", [0.0, 0.0, 0.0]),
+        doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0]),
     ] = (0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:

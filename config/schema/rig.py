@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Table, TopicPart, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Component, Table, TopicPart, doc, is_usable, sized, within
 from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
 from softfinger.config.schema.guard import Arm, Guard
 
@@ -19,11 +19,11 @@ class Tool(Table, frozen=True, kw_only=True):
     """Tool mounted on the handle, such as a stylus; its tip is the fingertip."""
 
     offset_m: Annotated[
-        tuple[Arm, Arm, Arm], said("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
+        tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
@@ -42,7 +42,7 @@ class DeviceConfig(Table, frozen=True, kw_only=True):
     """Field that collects all keys of [device] except the ones below."""
 
     driver: Annotated[str, sized(limits.NAME_LENGTH, "name of the driver", "replay")]
-    tool: Annotated[Tool | None, said("mounted tool; without this table the handle is the fingertip")] = None
+    tool: Annotated[Tool | None, doc("mounted tool; without this table the handle is the fingertip")] = None
     options: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
@@ -52,7 +52,7 @@ class Servo(Table, frozen=True, kw_only=True):
     rate_hz: Annotated[float, within(limits.RATE_HZ, "ticks per second", 1000.0)] = 1000.0
     realtime: Annotated[
         RealtimeMode,
-        said(
+        doc(
             "real-time settings; auto: use those that the system grants; require: refuse to start without them; "
             "off: request none",
             "auto",
@@ -187,7 +187,7 @@ class Rig(Table, frozen=True, kw_only=True):
     """Device or devices, servo loop, safety limits, and interfaces."""
 
     device: DeviceConfig | None = None
-    devices: Annotated[dict[TopicPart, DeviceConfig], said("one device for each finger, by name")] = msgspec.field(
+    devices: Annotated[dict[TopicPart, DeviceConfig], doc("one device for each finger, by name")] = msgspec.field(
         default_factory=dict
     )
     servo: Servo = Servo()
@@ -195,7 +195,7 @@ class Rig(Table, frozen=True, kw_only=True):
     telemetry: Telemetry = Telemetry()
     commands: Commands = Commands()
     recording: Recording = Recording()
-    security: Annotated[Security | None, said("keys for access from other machines")] = None
+    security: Annotated[Security | None, doc("keys for access from other machines")] = None
     metrics: Metrics = Metrics()
 
     @property
@@ -240,17 +240,17 @@ class Rig(Table, frozen=True, kw_only=True):
             return
         if endpoint_complaint(self.telemetry.endpoint) is not None:
             return
-        beside = self.commands_endpoint
-        if beside is not None and endpoint_complaint(beside) is not None and self.commands.endpoint is None:
+        commands = self.commands_endpoint
+        if commands is not None and endpoint_complaint(commands) is not None and self.commands.endpoint is None:
             yield (
                 "commands.endpoint",
                 msgspec.UNSET,
-                f"{beside}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
+                f"{commands}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
             )
-        elif beside == self.telemetry.endpoint and not beside.endswith((":*", ":0")):
-            yield "commands.endpoint", beside, "is the telemetry's: give another"
+        elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):
+            yield "commands.endpoint", commands, "is the telemetry's: give another"
         elif is_usable(self.security):
-            yield from self._public_faults(beside)
+            yield from self._public_faults(commands)
 
     def _public_faults(self, commands: str | None) -> Iterator[Complaint]:
         """Require keys of the permitted users for each endpoint that is open to the network."""

@@ -246,8 +246,8 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
     radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
     for index, item in enumerate(scene.object):
         if is_usable(item) and any(radii):  # if the largest fits, all fit
-            for key, seen, text in item.tight(max(radii)):
-                yield f"object[{index}].{key}", seen, text
+            for key, found, text in item.tight(max(radii)):
+                yield f"object[{index}].{key}", found, text
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:

@@ -16,9 +16,9 @@ from softfinger.config.fields import (
     Coordinate,
     Length,
     Table,
+    doc,
     is_usable,
     normalise_orientation,
-    said,
     sized,
     within,
 )
@@ -43,7 +43,7 @@ ModelRoot = (
     ]
     | None
 )
-Inside = Annotated[bool, said("true: a cavity, touched from inside", False)]
+Inside = Annotated[bool, doc("true: a cavity, touched from inside", False)]
 
 
 class ObjectBase(Table, frozen=True, kw_only=True):
@@ -57,15 +57,15 @@ class ObjectBase(Table, frozen=True, kw_only=True):
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name, unique in the scene", "table")]
     position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("origin of the object frame in the world", [0.0, 0.0, 0.0])
+        tuple[Coordinate, Coordinate, Coordinate], doc("origin of the object frame in the world", [0.0, 0.0, 0.0])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         tuple[Component, Component, Component, Component],
-        said("object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        doc("object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
     effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
-    motion: Annotated[Motion | None, said("motion of the object; without this table it is fixed")] = None
+    motion: Annotated[Motion | None, doc("motion of the object; without this table it is fixed")] = None
 
     def __post_init__(self) -> None:
         normalise_orientation(self)
@@ -90,7 +90,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
 class Textured(ObjectBase, frozen=True, kw_only=True):
     """Shape with coordinates on its surface, for a texture."""
 
-    texture: Annotated[Texture | None, said("surface texture; without this table the surface is even")] = None
+    texture: Annotated[Texture | None, doc("surface texture; without this table the surface is even")] = None
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
@@ -183,7 +183,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
 
     shape: ClassVar[str] = "box"
     unrolls: ClassVar[bool] = True
-    size_m: Annotated[tuple[Length, Length, Length], said("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
+    size_m: Annotated[tuple[Length, Length, Length], doc("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
     inside: Inside = False
 
     @property
@@ -199,7 +199,7 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
     """Ellipsoid along the axes, centred on the origin."""
 
     shape: ClassVar[str] = "ellipsoid"
-    semi_axes_m: Annotated[tuple[Length, Length, Length], said("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
+    semi_axes_m: Annotated[tuple[Length, Length, Length], doc("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
@@ -283,8 +283,8 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
     root: ModelRoot = None
     scale: Annotated[float, within(limits.MESH_SCALE, "metres per unit of the file; 0.001 for mm", 0.001)] = 1.0
     inside: Inside = False
-    shading: Annotated[Shading, said("normals: force direction interpolated between vertex normals", "none")] = "none"
-    elastic: Annotated[Elastic | None, said("linear elastic body; without this table the object is rigid")] = None
+    shading: Annotated[Shading, doc("normals: force direction interpolated between vertex normals", "none")] = "none"
+    elastic: Annotated[Elastic | None, doc("linear elastic body; without this table the object is rigid")] = None
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()

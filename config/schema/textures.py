@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Length, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Length, Table, doc, is_usable, sized, within
 from softfinger.config.schema.materials import Scale
 
 Border = Literal["period", "clamp"]
@@ -25,9 +25,9 @@ class Texture(Table, frozen=True, kw_only=True):
             "ribs.csv",
         ),
     ]
-    size_m: Annotated[tuple[Length, Length], said("size on the surface, along columns and rows", [0.02, 0.02])]
+    size_m: Annotated[tuple[Length, Length], doc("size on the surface, along columns and rows", [0.02, 0.02])]
     border: Annotated[
-        Border, said("period: repeats; clamp: the border value continues; around a cylinder period only")
+        Border, doc("period: repeats; clamp: the border value continues; around a cylinder period only")
     ] = "period"
     height_m: (
         Annotated[
@@ -35,7 +35,7 @@ class Texture(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None
-    friction_scale: Annotated[tuple[Scale, Scale], said("factors on friction at values 0 and 1", [0.5, 1.5])] | None = (
+    friction_scale: Annotated[tuple[Scale, Scale], doc("factors on friction at values 0 and 1", [0.5, 1.5])] | None = (
         None
     )
     speed_m_per_s: Annotated[

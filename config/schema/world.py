@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Table, doc, is_usable, sized, within
 from softfinger.config.schema.materials import Material
 
 
@@ -46,7 +46,7 @@ class World(Table, frozen=True, kw_only=True):
     ) = None
     timestep: Annotated[
         Literal["tick", "file"],
-        said(
+        doc(
             "tick: a tick divided by substeps, instead of the model's; file: the model's, which must fit the tick",
             "tick",
         ),
@@ -67,11 +67,11 @@ class World(Table, frozen=True, kw_only=True):
     ) = None
     mass_kg: Annotated[
         dict[str, BodyMass],
-        said("other masses than the model's, by name of the body; its inertia is scaled alike", {"box": 0.2}),
+        doc("other masses than the model's, by name of the body; its inertia is scaled alike", {"box": 0.2}),
     ] = msgspec.field(default_factory=dict)
     material: Annotated[
         Material | None,
-        said("material of every geom without a material in [[world.geom]]; without it these geoms are not touched"),
+        doc("material of every geom without a material in [[world.geom]]; without it these geoms are not touched"),
     ] = None
     geom: Annotated[
         tuple[GeomMaterial, ...],

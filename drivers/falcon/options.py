@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Final
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the maximum, are then 41 N m and 4 mN m at a leg")
 SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; after a longer silence the force is outdated")
@@ -20,19 +20,19 @@ COUNTS_PER_NM: Final = 10000.0
 class Options(Table, frozen=True, kw_only=True):
     """Which device, its firmware, its motors."""
 
-    serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
+    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
     firmware: (
-        Annotated[str, said("file of the device's firmware, sent when none runs in it", "/home/me/falcon.bin")] | None
+        Annotated[str, doc("file of the device's firmware, sent when none runs in it", "/home/me/falcon.bin")] | None
     ) = None
     counts_per_nm: (
         Annotated[float, within(GAIN, "motor counts per N m at a leg; absent: 10000, not measured", 10000.0)] | None
     ) = None
-    motors_reversed: Annotated[bool, said("a positive motor count pulls the knob in, as libnifalcon has it", True)] = (
+    motors_reversed: Annotated[bool, doc("a positive motor count pulls the knob in, as libnifalcon has it", True)] = (
         True
     )
     centre_m: Annotated[
         tuple[Coordinate, Coordinate, Coordinate],
-        said("the world's origin, in the device's frame: right, up, out to the user", [0.0, 0.0, 0.11]),
+        doc("the world's origin, in the device's frame: right, up, out to the user", [0.0, 0.0, 0.11]),
     ] = (0.0, 0.0, 0.11)
     homing_s: Annotated[float, within(HOMING_S, "wait so long for the user to home it", 60.0)] = 60.0
     kick_s: Annotated[float, within(SILENCE_S, "no force after so long without a reply, and zeros instead", 0.02)] = (

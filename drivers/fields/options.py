@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Table, doc, is_usable, within
 
 BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
 FIELDS: Final = Range(1, 32, "more than any haptic device has")
@@ -39,9 +39,9 @@ COMMANDED: Final[tuple[str, ...]] = (
 class InputField(Table, frozen=True, kw_only=True):
     """A number from the device: meaning = scale * raw + bias."""
 
-    meaning: Annotated[Sensed, said("quantity; several buttons are combined", "a")]
-    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
-    type: Annotated[Type, said("of the number", "int16")]
+    meaning: Annotated[Sensed, doc("quantity; several buttons are combined", "a")]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), doc("first byte, from 0; a report id does not count", 0)]
+    type: Annotated[Type, doc("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "per count, to m, rad or encoder counts", 1.0)] = 1.0
     bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
     button_above: (
@@ -58,9 +58,9 @@ class InputField(Table, frozen=True, kw_only=True):
 class OutputField(Table, frozen=True, kw_only=True):
     """A number to the device: raw = scale * meaning, rounded to the nearest."""
 
-    meaning: Annotated[Commanded, said("quantity", "current_a")]
-    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), said("first byte, from 0; a report id does not count", 0)]
-    type: Annotated[Type, said("of the number", "int16")]
+    meaning: Annotated[Commanded, doc("quantity", "current_a")]
+    offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), doc("first byte, from 0; a report id does not count", 0)]
+    type: Annotated[Type, doc("of the number", "int16")]
     scale: Annotated[float, within(SCALE, "counts per A, N or N m; of a constant its value", 1000.0)] = 1.0
 
 

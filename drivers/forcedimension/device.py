@@ -107,11 +107,11 @@ class ForceDimension(Device):
             return
         self._word[AT.open] = 0
         self._run_locked(lambda: self._library.drdClose(self._id))
-        reads, repeated, writes, held, cut = self.counts().values()
-        if repeated or held or cut:
+        reads, repeated, writes, withheld, cut = self.counts().values()
+        if repeated or withheld or cut:
             log.info(
                 "%s: of %d reads %d repeated the last reading; of %d forces %d were withheld, %d at the motors' limit",
-                self._model.full_name, reads, repeated, writes, held, cut,
+                self._model.full_name, reads, repeated, writes, withheld, cut,
             )  # fmt: skip
 
     def reason(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Table, said, within
+from softfinger.config.schema import Table, doc, within
 
 WATCHDOG_UNIT_S: Final = 125e-6
 """Unit of the library's watchdog, which it stores in one byte."""
@@ -21,7 +21,7 @@ class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
 
     library_file: (
-        Annotated[str, said("file of libdrd; absent: searched for, see docs/devices/forcedimension.md")] | None
+        Annotated[str, doc("file of libdrd; absent: searched for, see docs/devices/forcedimension.md")] | None
     ) = None
     model: (
         Annotated[
@@ -29,17 +29,17 @@ class Options(Table, frozen=True, kw_only=True):
                 "omega.3", "omega.6", "omega.7", "delta.3",
                 "sigma.3", "sigma.6", "sigma.7", "lambda.3", "lambda.6", "lambda.7",
             ],
-            said("the only kind of device to accept", "omega.6"),
+            doc("the only kind of device to accept", "omega.6"),
         ]
         | None
     ) = None  # fmt: skip
     serial: Annotated[int, within(SERIAL, "serial number of the only device to accept")] | None = None
     number: Annotated[int, within(NUMBER, "which device, as the library counts them from 0", 0)] | None = None
-    calibrate: Annotated[bool, said("let the device calibrate itself when it has to: IT MOVES BY ITSELF")] = False
+    calibrate: Annotated[bool, doc("let the device calibrate itself when it has to: IT MOVES BY ITSELF")] = False
     gravity_compensation: Annotated[
-        bool, said("let the library carry the handle's weight, on top of the force; the guard does not see it")
+        bool, doc("let the library carry the handle's weight, on top of the force; the guard does not see it")
     ] = False
-    brakes: Annotated[bool, said("the handle drags while the force is off; false: it is let go, and falls")] = True
+    brakes: Annotated[bool, doc("the handle drags while the force is off; false: it is let go, and falls")] = True
     watchdog_s: Annotated[
         float,
         within(WATCHDOG_S, "the device turns force off after so long without one, at least two ticks; 0: never", 0.03),

@@ -42,8 +42,8 @@ def holders(device: Attached) -> list[str]:
     found: list[str] = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
-            held = any(os.path.samefile(link, device.node) for link in (process / "fd").iterdir())
-            if held and process.name != str(os.getpid()):
+            is_open = any(os.path.samefile(link, device.node) for link in (process / "fd").iterdir())
+            if is_open and process.name != str(os.getpid()):
                 found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
         except OSError:  # it has exited, belongs to another user, or there is no node
             continue

@@ -138,7 +138,7 @@ class ExchangeThread:
 
     def _send_if_due(self) -> None:
         link = self._connection.link
-        self._has_unread = link.queued() > UNREAD_MAX * self._message_bytes_max
+        self._has_unread = link.count_unread_bytes() > UNREAD_MAX * self._message_bytes_max
         force, now, stops = self._force(), time.monotonic_ns(), int(self._word[AT.stops_requested])
         number = int(self._latest_wrench[WRENCH_NUMBER])
         if stops <= self._stops and not (self._has_force and force == _ZERO):

@@ -50,7 +50,7 @@ class Link:
         self._protocol.send_text(message)
         self._flush()
 
-    def queued(self) -> int:
+    def count_unread_bytes(self) -> int:
         """Return the number of sent bytes that the service's side of the connection has not acknowledged."""
         return int.from_bytes(fcntl.ioctl(self._end, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Table, doc, is_usable, within
 from softfinger.drivers.mounting import Mounting
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
@@ -29,9 +29,9 @@ class Filters(Table, frozen=True, kw_only=True):
 
     force_gate: Annotated[float, within(GAIN, "gain of the guard against oscillation", 0.3)] = 0.3
     damping: Annotated[float, within(DAMPING, "damping that the service adds; unit not published", 0.0)] = 0.0
-    gravity_compensation: Annotated[bool, said("compensate the weight of the device", True)] = True
+    gravity_compensation: Annotated[bool, doc("compensate the weight of the device", True)] = True
     gravity_scale: Annotated[float, within(GRAVITY, "share of the weight that it carries", 1.0)] = 1.0
-    torque_scaling: Annotated[bool, said("whether motor torques are scaled; how is not published", True)] = True
+    torque_scaling: Annotated[bool, doc("whether motor torques are scaled; how is not published", True)] = True
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -39,30 +39,29 @@ class Options(Table, frozen=True, kw_only=True):
 
     port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
     version: (
-        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), said("of the service, if it does not send it", "3.5")]
-        | None
+        Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), doc("of the service, if it does not send it", "3.5")] | None
     ) = None
     models: (
         Annotated[
             tuple[Literal["inverse3", "inverse3x", "minverse"], ...],
             Meta(min_length=1),
-            said("the only kinds of device to accept; absent: any", ["inverse3", "inverse3x"]),
+            doc("the only kinds of device to accept; absent: any", ["inverse3", "inverse3x"]),
         ]
         | None
     ) = None
     device_id: (
-        Annotated[str, Meta(max_length=64), said("the service's name of it, where several are attached", "049D")] | None
+        Annotated[str, Meta(max_length=64), doc("the service's name of it, where several are attached", "049D")] | None
     ) = None
     grip: Annotated[
         str,
         Meta(max_length=64),
-        said("VerseGrip for orientation and buttons: auto (the only one), none, or its id", "none"),
+        doc("VerseGrip for orientation and buttons: auto (the only one), none, or its id", "none"),
     ] = "auto"
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(FORCE_MAX_N, "most that it displays", 2.0)]
     stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 500.0)]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 2.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the world's origin", 0.1)]
+    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the world's origin", 0.1)]
     filters: Filters = Filters()
     stale_s: Annotated[float, within(SILENCE_S, "zero in place of a force that is older", 0.02)] = 0.02
     quiet_s: Annotated[float, within(SILENCE_S, "after so long without a state no force is sent", 0.02)] = 0.02

@@ -13,7 +13,7 @@ from msgspec import Meta
 from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.materials import Entry, Library
-from softfinger.config.schema import Complaint, Table, is_usable, said, sized, within
+from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
 from softfinger.drivers.fields.options import (
     BYTES,
     FIELDS,
@@ -71,7 +71,9 @@ def _library() -> Mapping[str, Mapping[str, Any]]:
 def library_lengths() -> dict[str, ReportLengths]:
     """Return the lengths of the reports of each shipped format."""
     return {
-        name: ReportLengths(*({one[way].get("id", 0): one[way]["bytes"]} for way in ("input", "output")))
+        name: ReportLengths(
+            *({one[direction].get("id", 0): one[direction]["bytes"]} for direction in ("input", "output"))
+        )
         for name, one in _library().items()
     }
 
@@ -89,7 +91,7 @@ class Reports(Table, frozen=True, kw_only=True):
     name: Annotated[str, sized(limits.NAME_LENGTH, "a format of the library", "woodenhaptics-v2")] | None = None
     input: InputReport
     output: OutputReport
-    preset: Annotated[OutputReport | None, said("report that sets the counts of encoders a, b, c")] = None
+    preset: Annotated[OutputReport | None, doc("report that sets the counts of encoders a, b, c")] = None
 
     def faults(self) -> Iterator[Complaint]:
         if (
@@ -108,19 +110,19 @@ class Options(Table, frozen=True, kw_only=True):
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
-    serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
-    path: Annotated[str, said("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
-    through: Annotated[Through, said("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
+    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
+    path: Annotated[str, doc("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
+    through: Annotated[Through, doc("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
     reports: Reports
     kinematics: Kinematics
     mounting: Mounting = Mounting()
-    calibrate: Annotated[bool, said("the arm rests in its calibration pose when opened: set its counts", False)] = False
+    calibrate: Annotated[bool, doc("the arm rests in its calibration pose when opened: set its counts", False)] = False
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force displayed", 5.0)]
     stiffness_max_n_per_m: Annotated[
         float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
     ]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("about the workspace centre", 0.1)]
+    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the workspace centre", 0.1)]
     kick_s: Annotated[float, within(SILENCE_S, "after so long without a report a zero is sent", 0.01)] = 0.01
     timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1
 

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Final
 from msgspec import Meta
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
 from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
@@ -48,29 +48,29 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
     commanded: ClassVar[frozenset[str]] = frozenset({"current_a", "current_b", "current_c"})
     dof: ClassVar[int] = 3
 
-    capstan_m: Annotated[Lengths, said("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
-    body_m: Annotated[Lengths, said("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
-    link_m: Annotated[tuple[Link, Link, Link], said("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
+    capstan_m: Annotated[Lengths, doc("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
+    body_m: Annotated[Lengths, doc("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
+    link_m: Annotated[tuple[Link, Link, Link], doc("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
     origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
+        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
     ]
     counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]
     torque_constant_nm_per_a: Annotated[
-        tuple[TorqueConstant, TorqueConstant, TorqueConstant], said("motors a, b, c", [0.321, 0.0603, 0.0603])
+        tuple[TorqueConstant, TorqueConstant, TorqueConstant], doc("motors a, b, c", [0.321, 0.0603, 0.0603])
     ]
     aligned: Annotated[
         tuple[bool, bool, bool],
-        said("motor and body turn in the same direction, so that counts decrease", [False, False, False]),
+        doc("motor and body turn in the same direction, so that counts decrease", [False, False, False]),
     ] = (False, False, False)
     calibration_counts: Annotated[
-        tuple[Preset, Preset, Preset], said("counts a, b, c in the calibration pose", [0, 0, 6000])
+        tuple[Preset, Preset, Preset], doc("counts a, b, c in the calibration pose", [0, 0, 6000])
     ] = (0.0, 0.0, 0.0)
     current_max_a: Annotated[float, within(CURRENT_A, "largest in a motor; all are scaled down together", 2.0)] = 2.0
     wrist_counts_per_turn: (
         Annotated[float, within(COUNTS, "counts of encoders d, e, f; default: no wrist", 1024.0)] | None
     ) = None
     wrist_aligned: Annotated[
-        tuple[bool, bool, bool], said("whether joints D, E, F turn with their counts", [False, True, False])
+        tuple[bool, bool, bool], doc("whether joints D, E, F turn with their counts", [False, True, False])
     ] = (True, True, True)
 
 
@@ -96,13 +96,13 @@ class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantog
     inner_m: Annotated[float, within(LINK_M, "links at the motors", 0.07)]
     outer_m: Annotated[float, within(LINK_M, "links at the end", 0.09)]
     origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])
+        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])
     ] = (0.0, 0.0, 0.0)
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.12)]
 
 
 class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
-    """Three legs with motors in the base and an end that does not turn."""
+    """Three legs with motors in the base, and an end that does not rotate."""
 
     sensed: ClassVar[frozenset[str]] = frozenset("abc")
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b", "torque_c"})
@@ -112,13 +112,13 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
     end_m: Annotated[float, within(APART_M, "from the end's centre to its joints", 0.03)]
     arm_m: Annotated[float, within(LINK_M, "arm at the motor", 0.08)]
     rod_m: Annotated[float, within(LINK_M, "parallelogram from arm to end", 0.17)]
-    legs_deg: Annotated[tuple[Angle, Angle, Angle], said("angles of legs a, b, c about z", [0.0, 120.0, 240.0])] = (
+    legs_deg: Annotated[tuple[Angle, Angle, Angle], doc("angles of legs a, b, c about z", [0.0, 120.0, 240.0])] = (
         0.0,
         120.0,
         240.0,
     )
     origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("workspace centre, from the base's centre", [0.0, 0.0, 0.2])
+        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the base's centre", [0.0, 0.0, 0.2])
     ] = (0.0, 0.0, 0.0)
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.2)]
 

@@ -30,7 +30,7 @@ class MotionSubspace(NamedTuple):
     origin: Array
     centre: Array
 
-    def displayed(self, position: Array, force: Array) -> Array:
+    def project_force(self, position: Array, force: Array) -> Array:
         """Return the displayed part (3,) of a force (N) at the handle's position: along the arc, or in the plane."""
         if self.degrees == 2:
             return np.asarray(force - (force @ self.axis) * self.axis)

@@ -81,7 +81,7 @@ class OpenHaptics(Device):
         self._word = self._block.word
         self._ending = threading.Lock()
         self._warm, self._zero_failure = False, ""
-        with self._scheduler.paused():
+        with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
             try:  # before the thread runs again, because the current device may be the same for all threads
                 self.model, self.serial, self._style = self._identity()
@@ -358,19 +358,19 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
     messages = "; ".join(map(str, found)) or "the library gives no reason"
     which = "the default device" if name is None else f"the device '{name}'"
-    seen = usb.list_attached()
+    attached = usb.list_attached()
     if any(error.code == library.ALREADY_INITIATED for error in found):
         raise DeviceBusy(
             f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
     if any(error.code == library.INVALID_LICENSE for error in found):
         raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
-    for device in seen:
+    for device in attached:
         if device.node and not discovery.is_permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
         if device.node and (holder := discovery.holder(device.node)) is not None:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
-    if not seen:
+    if not attached:
         raise DeviceNotFound(
             f"{which} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
             "shows 2988 or 0301:2988), and that Touch_Setup "
@@ -378,5 +378,5 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
             "~/.3dsystems/config)"
         )
     raise DeviceError(
-        f"{which} cannot be opened, and {seen[0]} is attached: {messages}: run Touch_Setup, then start again"
+        f"{which} cannot be opened, and {attached[0]} is attached: {messages}: run Touch_Setup, then start again"
     )

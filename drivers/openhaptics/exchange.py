@@ -102,8 +102,8 @@ def _store_errors(handle: int) -> None:
     """Remove this frame's errors from the stack, and store the gravest: the first fatal one, else the first."""
     word = int64_at(handle)
     for _ in range(ERRORS_PER_FRAME):
-        told, of = call_two_int64(word[AT.get_error], ())
-        code, device = told & 0xFFFFFFFF, of & 0xFFFFFFFF
+        packed, of = call_two_int64(word[AT.get_error], ())
+        code, device = packed & 0xFFFFFFFF, of & 0xFFFFFFFF
         if code == 0:
             return
         word[AT.errors] += 1
@@ -111,7 +111,7 @@ def _store_errors(handle: int) -> None:
             continue
         status = status_of(code)
         if word[AT.status] == OK or (word[AT.status] == PROTOCOL and status != PROTOCOL):
-            word[AT.error], word[AT.internal] = code, told >> 32
+            word[AT.error], word[AT.internal] = code, packed >> 32
             word[AT.status] = status
 
 
@@ -140,9 +140,9 @@ def _read_wrench(handle: int, slot: Slot, into: Any) -> Any:
     """Return the servo's last complete wrench; `into` is the array over `read_wrench`."""
     word = int64_at(handle)
     last_sample = float64_at(handle + 8 * AT.last_wrench)
-    seen = refresh(slot, word[AT.wrench_seen], into)
-    if seen != word[AT.wrench_seen]:
-        word[AT.wrench_seen] = seen
+    sequence = refresh(slot, word[AT.wrench_seen], into)
+    if sequence != word[AT.wrench_seen]:
+        word[AT.wrench_seen] = sequence
         for k in range(WRENCH_SIZE):
             last_sample[k] = into[k]
     return last_sample
@@ -254,16 +254,16 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     if word[AT.status] < 0:
         return int(word[AT.status])
-    taken, last_sample = float64_at(handle + 8 * AT.read_pose), float64_at(handle + 8 * AT.sample)
+    pose, last_sample = float64_at(handle + 8 * AT.read_pose), float64_at(handle + 8 * AT.sample)
     given = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
     slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), given)
-    seen = refresh(slot, word[AT.pose_seen], carray(taken, (SAMPLE_SIZE,)))
+    sequence = refresh(slot, word[AT.pose_seen], carray(pose, (SAMPLE_SIZE,)))
     word[AT.reads] += 1
     status = OK
-    if seen != word[AT.pose_seen]:
-        word[AT.pose_seen], word[AT.silence] = seen, 0
+    if sequence != word[AT.pose_seen]:
+        word[AT.pose_seen], word[AT.silence] = sequence, 0
         for k in range(SAMPLE_SIZE):
-            last_sample[k] = taken[k]
+            last_sample[k] = pose[k]
     else:
         word[AT.repeated] += 1
         word[AT.silence] += listened

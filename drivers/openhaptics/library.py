@@ -165,6 +165,6 @@ def errors(library: ctypes.CDLL) -> list[Error]:
 def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
     """Return an error as text: this program's text, the library's text, and its numbers."""
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
-    ours = ERRORS.get(code)
+    known_text = ERRORS.get(code)
     said = f", '{words}'" if words else ""
-    return f"{ours or 'an error that is not known'} (error 0x{code:04x}{said}, the device's code {internal})"
+    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{said}, the device's code {internal})"

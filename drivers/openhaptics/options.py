@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal
 
 from softfinger.config.limits import NAME_LENGTH, Range
-from softfinger.config.schema import Table, said, sized, within
+from softfinger.config.schema import Table, doc, sized, within
 
 CALIBRATION_S: Final = Range(0.0, 600.0, "time to put the stylus into the inkwell")
 FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a force older than 0.1 s is outdated")
@@ -14,7 +14,7 @@ FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a f
 class Options(Table, frozen=True, kw_only=True):
     """Which device, which library, and how old a force may be. Nothing in here moves the device by itself."""
 
-    library_file: Annotated[str, said("file of libHD; absent: searched for, see docs/devices/touch.md")] | None = None
+    library_file: Annotated[str, doc("file of libHD; absent: searched for, see docs/devices/touch.md")] | None = None
     name: (
         Annotated[
             str, sized(NAME_LENGTH, "the device's name in Touch_Setup; absent: the default device", "Left Device")
@@ -27,14 +27,14 @@ class Options(Table, frozen=True, kw_only=True):
                 "Touch", "Touch X", "PHANTOM Omni", "PHANTOM Desktop",
                 "PHANTOM Premium 1.5 6DOF", "PHANTOM Premium 3.0 6DOF",
             ],
-            said("the only kind of device to accept", "Touch"),
+            doc("the only kind of device to accept", "Touch"),
         ]
         | None
     ) = None  # fmt: skip
-    inkwell: Annotated[bool, said("no force while the stylus is in the inkwell; false: ignore the switch")] = True
+    inkwell: Annotated[bool, doc("no force while the stylus is in the inkwell; false: ignore the switch")] = True
     reset_encoders: Annotated[
         bool,
-        said("a device without its zeros uses its position DURING OPENING as its reset position"),
+        doc("a device without its zeros uses its position DURING OPENING as its reset position"),
     ] = False
     calibration_wait_s: Annotated[
         float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)

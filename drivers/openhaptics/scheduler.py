@@ -48,7 +48,7 @@ class Scheduler:
         """Blocks, and the library's handles of their callbacks, by the address of the block."""
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Stop the library's thread inside the context, and restart it afterwards.
 
         Raises DeviceBusy if a device of this process is armed.

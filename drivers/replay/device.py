@@ -13,7 +13,7 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
-from softfinger.config.schema import said
+from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import (
     END,
@@ -56,10 +56,10 @@ DAMPING_MAX_NS_PER_M: Final = 1e3
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Keys of a rig's [device] with `driver = "replay"`."""
 
-    recording: Annotated[str, said("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
-    finger: Annotated[str, said("finger of a recording of several fingers; empty: a single one", "thumb")] = ""
-    loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
-    forces: Annotated[str | None, said("file (.csv or .npz) for the wrenches written, saved on close")] = None
+    recording: Annotated[str, doc("file (.csv, .npz, .mcap) or name of a shipped recording", "press-roll-spin-drag")]
+    finger: Annotated[str, doc("finger of a recording of several fingers; empty: a single one", "thumb")] = ""
+    loop: Annotated[bool, doc("start again at the end, over a smooth return; false: stop after one pass")] = True
+    forces: Annotated[str | None, doc("file (.csv or .npz) for the wrenches written, saved on close")] = None
 
 
 @c_function(IO_SIGNATURE)
@@ -139,13 +139,13 @@ class Replay(Device):
         """Number of wrenches overwritten because a loop ran longer than the log."""
         return self._log.overwritten_count
 
-    def logged(self) -> LoggedWrenches:
+    def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.logged()
+        return self._log.read_log()
 
     def forces(self) -> Array:
         """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""
-        return self.logged().wrench
+        return self.read_log().wrench
 
 
 def open_device(options: Options, rate_hz: float) -> Replay:

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Table, is_usable, said, sized, within
+from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
 from softfinger.drivers.fields.options import (
     FIELDS,
     TYPE_BYTES,
@@ -53,16 +53,16 @@ class Checksum(Table, frozen=True, kw_only=True):
 
     kind: Annotated[
         Check,
-        said(
+        doc(
             "computation",
             "crc8",
         ),
     ]
     offset: Annotated[
-        int, Meta(ge=1, le=int(FRAME_BYTES.high)), said("its first byte; it covers the bytes from first up to it", 6)
+        int, Meta(ge=1, le=int(FRAME_BYTES.high)), doc("its first byte; it covers the bytes from first up to it", 6)
     ]
     first: Annotated[
-        int, Meta(ge=0, le=int(FRAME_BYTES.high)), said("first byte that it covers, 0 the first of the frame", 0)
+        int, Meta(ge=0, le=int(FRAME_BYTES.high)), doc("first byte that it covers, 0 the first of the frame", 0)
     ] = 0
 
 
@@ -136,19 +136,19 @@ class OutputFrame(Frame, frozen=True, kw_only=True):
 class Resync(Table, frozen=True, kw_only=True):
     """Bytes in front of a zero after a missing answer; they complete a torn frame, and mean nothing to the board."""
 
-    byte: Annotated[Byte, said("the byte", 3)]
+    byte: Annotated[Byte, doc("the byte", 3)]
     count: Annotated[int, within(RESYNC, "how often: the length of a frame", 9)]
 
 
 class Frames(Table, frozen=True, kw_only=True):
     """Frames of the board; without them it speaks WoodenHaptics' text."""
 
-    mode: Annotated[Mode, said("answer: the board answers each frame; stream: it sends by itself", "answer")]
-    order: Annotated[Order, said("byte order of numbers", "little")] = "little"
+    mode: Annotated[Mode, doc("answer: the board answers each frame; stream: it sends by itself", "answer")]
+    order: Annotated[Order, doc("byte order of numbers", "little")] = "little"
     input: InputFrame
     output: OutputFrame
     setup: Annotated[
-        OutputFrame | None, said("sent when the port is opened, and at closing; its fields are constants")
+        OutputFrame | None, doc("sent when the port is opened, and at closing; its fields are constants")
     ] = None
     resync: Resync | None = None
 
@@ -177,21 +177,20 @@ class Options(Table, frozen=True, kw_only=True):
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor of the port; without the ids, path", 0x16C0)] | None = None
     product_id: Annotated[int, within(USB_ID, "USB product of the port", 0x0483)] | None = None
-    serial: Annotated[str, said("serial number, if several are attached", "SN42")] | None = None
+    serial: Annotated[str, doc("serial number, if several are attached", "SN42")] | None = None
     path: (
-        Annotated[str, said("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")]
-        | None
+        Annotated[str, doc("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")] | None
     ) = None
-    baud: Annotated[Baud, said("speed in Bd; without effect on a native USB port", 115200)] = 115200
-    frames: Annotated[Frames | None, said("language of the board; absent: WoodenHaptics' text")] = None
-    kinematics: Annotated[Kinematics | None, said("mechanism, with frames")] = None
+    baud: Annotated[Baud, doc("speed in Bd; without effect on a native USB port", 115200)] = 115200
+    frames: Annotated[Frames | None, doc("language of the board; absent: WoodenHaptics' text")] = None
+    kinematics: Annotated[Kinematics | None, doc("mechanism, with frames")] = None
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(FORCE_MAX_N, "largest force displayed", 5.0)]
     stiffness_max_n_per_m: Annotated[
         float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
     ]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), said("workspace about the device's origin", 0.1)]
+    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("workspace about the device's origin", 0.1)]
     quiet_s: Annotated[float, within(SILENCE_S, "silence after which the force is removed", 0.02)] = 0.02
     kick_s: Annotated[float, within(SILENCE_S, "period of the frames that wake a silent board", 0.1)] = 0.1
     timeout_s: Annotated[float, within(GIVE_UP_S, "silence after which the run ends", 0.2)] = 0.2

@@ -217,9 +217,9 @@ class Simulated(Device):
     def counts(self) -> dict[str, int]:
         return self._block.counts() | (self._puck_block.counts(spacemouse.AT) if self._puck is not None else {})
 
-    def logged(self) -> LoggedWrenches:
+    def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.logged()
+        return self._log.read_log()
 
 
 def open_device(options: Options, rate_hz: float) -> Simulated:

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.devices import Preset, presets
-from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.simulated.plant import (
@@ -50,12 +50,10 @@ class Hand(Table, frozen=True, kw_only=True):
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a rig's [device] with `driver = "simulated"`; what is left out is the preset's."""
 
-    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], said("device whose data are used", "omega.6")] = (
-        "omega.6"
-    )
-    mass_kg: Annotated[tuple[Mass, Mass, Mass], said("apparent mass along x, y, z")] | None = None
-    damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], said("viscous damping")] | None = None
-    friction_n: Annotated[tuple[Friction, Friction, Friction], said("Coulomb friction of the mechanism")] | None = None
+    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], doc("device whose data are used", "omega.6")] = "omega.6"
+    mass_kg: Annotated[tuple[Mass, Mass, Mass], doc("apparent mass along x, y, z")] | None = None
+    damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], doc("viscous damping")] | None = None
+    friction_n: Annotated[tuple[Friction, Friction, Friction], doc("Coulomb friction of the mechanism")] | None = None
     lag_s: Annotated[float, within(limits.LAG_S, "time constant of the amplifiers")] | None = None
     force_max_n: (
         Annotated[float, within(limits.FORCE_MAX_N, "largest force of the motors; the direction is preserved")] | None
@@ -64,20 +62,20 @@ class Options(Table, frozen=True, kw_only=True):
     resolution_m: Annotated[float, within(limits.RESOLUTION_M, "step of the encoders; 0: none")] | None = None
     orientation_lag_s: Annotated[float, within(limits.LAG_S, "time constant of the sensed orientation")] = 0.0
     hand: Hand = Hand()
-    recording: Annotated[str, said("poses the hand intends: file or shipped recording", RECORDING)] | None = None
-    loop: Annotated[bool, said("start again at the end, over a smooth return; false: stop after one pass")] = True
+    recording: Annotated[str, doc("poses the hand intends: file or shipped recording", RECORDING)] | None = None
+    loop: Annotated[bool, doc("start again at the end, over a smooth return; false: stop after one pass")] = True
     position_m: (
-        Annotated[tuple[Coordinate, Coordinate, Coordinate], said("fixed position of the hand instead")] | None
+        Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("fixed position of the hand instead")] | None
     ) = None
-    sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("amplitude of a sinusoid about it")] = (
+    sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("amplitude of a sinusoid about it")] = (
         0.0,
         0.0,
         0.0,
     )
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
     sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
-    puck: Annotated[PuckOptions, said("a SpaceMouse moves the intended position instead")] | None = None
-    forces: Annotated[str, said("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
+    puck: Annotated[PuckOptions, doc("a SpaceMouse moves the intended position instead")] | None = None
+    forces: Annotated[str, doc("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
@@ -102,18 +100,18 @@ def make_simulation(options: Options, rate_hz: float) -> Simulation:
     """Return a preset changed by the options; raises RecordingError if the recording cannot be used."""
     preset = presets()[options.preset]
 
-    def chosen(key: str) -> Any:
+    def choose(key: str) -> Any:
         value = getattr(options, key)
         return getattr(preset, key) if value is None else value
 
     handle = Handle(
-        mass=chosen("mass_kg"),
-        damping=chosen("damping_ns_per_m"),
-        friction=chosen("friction_n"),
-        lag=chosen("lag_s"),
-        force_max=chosen("force_max_n"),
-        delay=chosen("delay_ticks"),
-        resolution=chosen("resolution_m"),
+        mass=choose("mass_kg"),
+        damping=choose("damping_ns_per_m"),
+        friction=choose("friction_n"),
+        lag=choose("lag_s"),
+        force_max=choose("force_max_n"),
+        delay=choose("delay_ticks"),
+        resolution=choose("resolution_m"),
         orientation_lag=options.orientation_lag_s,
     )
     hand = Impedance(options.hand.mass_kg, options.hand.damping_ns_per_m, options.hand.stiffness_n_per_m)

@@ -245,9 +245,9 @@ class SpaceMouse(Device):
     def counts(self) -> dict[str, int]:
         return self._block.counts()
 
-    def logged(self) -> LoggedWrenches:
+    def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.logged()
+        return self._log.read_log()
 
 
 def open_puck(options: Options) -> tuple[int, str]:
@@ -277,8 +277,8 @@ def find(options: Options) -> Attached:
         listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
         raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
     others = ", ".join(map(str, pucks or nodes)) or "no HID device"
-    asked = f" with serial = '{options.serial}'" if options.serial is not None else ""
-    raise DeviceNotFound(f"no SpaceMouse{asked} is attached: plug it in; attached are: {others}")
+    condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
+    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {others}")
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, is_usable, said, within
+from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
 from softfinger.drivers.base import OK, PROTOCOL, STALE
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -36,27 +36,27 @@ REPORT_MAX: Final = 64
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a puck: `[device]` of `driver = "spacemouse"`, or the `puck` of a simulated device."""
 
-    path: Annotated[str, said("node, in place of looking for one", "/dev/hidraw0")] | None = None
-    serial: Annotated[str, said("serial number, where several are attached", "SN42")] | None = None
+    path: Annotated[str, doc("node, in place of looking for one", "/dev/hidraw0")] | None = None
+    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
     deadband: Annotated[float, within(DEADBAND, "counts that move nothing, of 350", 15.0)] = 15.0
     gain_m_per_s: Annotated[float, within(GAIN_M_PER_S, "speed per count above the deadband", 2e-4)] = 2e-4
     gain_rad_per_s: Annotated[float, within(GAIN_RAD_PER_S, "turning speed per count above it", 3e-3)] = 3e-3
     invert: Annotated[
-        tuple[bool, bool, bool, bool, bool, bool], said("axes to turn round: x, y, z, about x, about y, about z")
+        tuple[bool, bool, bool, bool, bool, bool], doc("axes to turn round: x, y, z, about x, about y, about z")
     ] = (False, False, False, False, False, False)
     start_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("initial position of the fingertip", [0.0, 0.0, 0.03])
+        tuple[Coordinate, Coordinate, Coordinate], doc("initial position of the fingertip", [0.0, 0.0, 0.03])
     ] = (0.0, 0.0, 0.03)
     workspace_min_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], said("lower corner of its box", [-0.1, -0.1, -0.1])
+        tuple[Coordinate, Coordinate, Coordinate], doc("lower corner of its box", [-0.1, -0.1, -0.1])
     ] = (-0.1, -0.1, -0.1)
-    workspace_max_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("upper corner", [0.1, 0.1, 0.1])] = (
+    workspace_max_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("upper corner", [0.1, 0.1, 0.1])] = (
         0.1,
         0.1,
         0.1,
     )
     hold_s: Annotated[float, within(HOLD_S, "after so long without a report the puck counts as let go", 2.0)] = 2.0
-    led: Annotated[bool, said("light the puck while it is in use", True)] = True
+    led: Annotated[bool, doc("light the puck while it is in use", True)] = True
 
     def faults(self) -> Iterator[Complaint]:
         if not is_usable(self.start_m, self.workspace_min_m, self.workspace_max_m):

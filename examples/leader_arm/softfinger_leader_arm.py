@@ -27,7 +27,7 @@ from softfinger_leader_bus import Bus, BusError, Dynamixel, Feetech
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost, DeviceTimeout
 from softfinger.config.files import expand_home
 from softfinger.config.limits import DAMPING_NS_PER_M, STIFFNESS_N_PER_M, Range
-from softfinger.config.schema import Table, said, within
+from softfinger.config.schema import Table, doc, within
 from softfinger.drivers import switch_interval
 from softfinger.drivers.base import LOST, TIMEOUT, Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block
@@ -69,22 +69,22 @@ _NUMBER: Final = Range(0.0, 100.0, "no such arm is stronger")
 class Joint(Table, frozen=True, kw_only=True):
     """Servo of a joint."""
 
-    name: Annotated[str, said("of the joint in the URDF", "shoulder_pan")]
+    name: Annotated[str, doc("of the joint in the URDF", "shoulder_pan")]
     servo: Annotated[int, within(Range(0, 252, "the ids of a bus"), "id", 1)]
     zero: Annotated[int, within(Range(-(2**20), 2**20, "256 turns"), "counts at the URDF's angle 0", 2048)] = 2048
-    reversed: Annotated[bool, said("counts fall while the angle grows", False)] = False
+    reversed: Annotated[bool, doc("counts fall while the angle grows", False)] = False
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Keys of [device] for `driver = "leader-arm"`."""
 
-    path: Annotated[str, said("serial port of the bus", "/dev/ttyACM0")]
-    protocol: Annotated[Literal["feetech", "dynamixel"], said("series of the servos", "feetech")]
-    baud: Annotated[Literal[57600, 115200, 500000, 1000000, 2000000, 4000000], said("of the bus", 1000000)] = 1000000
-    urdf: Annotated[str, said("file with the arm's joints", "/home/me/so101_new_calib.urdf")]
-    tip: Annotated[str, said("link of the fingertip in the URDF", "gripper_frame_link")]
+    path: Annotated[str, doc("serial port of the bus", "/dev/ttyACM0")]
+    protocol: Annotated[Literal["feetech", "dynamixel"], doc("series of the servos", "feetech")]
+    baud: Annotated[Literal[57600, 115200, 500000, 1000000, 2000000, 4000000], doc("of the bus", 1000000)] = 1000000
+    urdf: Annotated[str, doc("file with the arm's joints", "/home/me/so101_new_calib.urdf")]
+    tip: Annotated[str, doc("link of the fingertip in the URDF", "gripper_frame_link")]
     joint: tuple[Joint, ...]
-    force_joint: Annotated[str, said("joint that displays force; absent: none does", "shoulder_pan")] | None = None
+    force_joint: Annotated[str, doc("joint that displays force; absent: none does", "shoulder_pan")] | None = None
     torque_per_count_nm: Annotated[float, within(_NUMBER, "N m of a count of the register of force", 0.002)] = 0.002
     torque_max_nm: Annotated[float, within(_NUMBER, "largest torque of that joint", 0.2)] = 0.2
     mounting: Mounting = Mounting()

@@ -116,7 +116,7 @@ class Touch(LedHands):
         """Return the negative mean distance (N) of the normal force from the goal, from the records of a step."""
         return -float(np.abs(records["contact.normal_force"] - self.setup.goal_n).mean())
 
-    def terminated(self, records: Records) -> bool:
+    def is_terminated(self, records: Records) -> bool:
         """Return False: a step never ends the task."""
         return False
 

@@ -95,7 +95,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return (
             self._observe(records),
             self.reward(records),
-            self.terminated(records),
+            self.is_terminated(records),
             is_truncated,
             {"records": records},
         )
@@ -105,7 +105,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         """Return the reward of a step from its records."""
 
     @abstractmethod
-    def terminated(self, records: Any) -> bool:
+    def is_terminated(self, records: Any) -> bool:
         """Return True if a step ends the task, from its records."""
 
     @abstractmethod

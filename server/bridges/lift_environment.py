@@ -105,7 +105,7 @@ class Lift(LedHands):
         """Return the negative distance (m) of the body from its goal height, from the records of a step and `world`."""
         return -abs(float(self.world.data.xpos[self._body, 2] - self._initial_position[2]) - self.setup.goal_m)
 
-    def terminated(self, records: Mapping[str, Records]) -> bool:
+    def is_terminated(self, records: Mapping[str, Records]) -> bool:
         """Return True if the body is lost, from the records of a step and `world`."""
         return bool(np.linalg.norm(self.world.data.xpos[self._body] - self._initial_position) > LOST_DISTANCE_M)
 

@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.trial_order import list_conditions
 from softfinger.server.progress import progress
 
 ALL: Final = "all participants"
@@ -64,7 +64,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     participants = sorted({row["participant"] for row in counted})
     if len(participants) > max(1, len(excluded)):
         participants.append(ALL)
-    pairs = [(participant, each.name) for participant in participants for each in conditions(experiment)]
+    pairs = [(participant, each.name) for participant in participants for each in list_conditions(experiment)]
     groups = []
     with progress("fitting", len(pairs)) as done:
         for number, (participant, condition) in enumerate(pairs):

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, Final
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.server.experiment.design import Condition, PlannedTrial
 from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.interfaces import Answer, Progress, TouchResult
@@ -18,6 +17,7 @@ from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.session import is_right_answer
 from softfinger.server.experiment.terminal import CHOICES, is_single, keyboard, parse_answer, print_line
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial
 from softfinger.server.wire.commands import TEXT_ANSWER_MAX, Prompt
 
 NUMBERS: Final = (1e-6, 1e6)

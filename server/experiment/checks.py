@@ -12,15 +12,15 @@ from msgspec.structs import replace
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.fields import is_complete, is_usable
-from softfinger.config.load import FaultyConfig, attempt, build_changed, load_rig, load_scene, overridden
+from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build_changed, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.words import format_value, near
 from softfinger.server.experiment import rigs
-from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
 from softfinger.server.experiment.masses import load_changed_scene
 from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.experiment.session import CONSENT, consent_question
+from softfinger.server.experiment.trial_order import list_conditions
 
 C = TypeVar("C", bound=Scene | Rig)
 PartFaults = Callable[[Any, str], list[str]]
@@ -52,7 +52,7 @@ def load(
     if is_usable(experiment) and "" not in faulty:
         checks = _Checks(experiment, folder, frozenset(faulty), faults)
         checks.files(part_faults)
-        checks.conditions()
+        checks.check_conditions()
         experiment = checks.experiment
     if faults:
         raise FaultyConfig(faults, experiment)
@@ -106,7 +106,7 @@ class _Checks:
             return config
         return None
 
-    def conditions(self) -> None:
+    def check_conditions(self) -> None:
         """Check what belongs to a condition, a question or a finger."""
         experiment = self.experiment
         if self._are_sound(*CONDITION_TABLES, "scene"):
@@ -134,7 +134,7 @@ class _Checks:
             parameters = attempt(partial(rigs.split, values, where), found)
             if parameters is not None and rig is not None:
                 attempt(partial(rigs.check_motors, rig.guard, parameters[0], where), found)
-                attempt(partial(overridden, rig, parameters[0], where), found)
+                attempt(partial(apply_overrides, rig, parameters[0], where), found)
             if parameters is not None and scene is not None:
                 attempt(partial(load_changed_scene, scene, parameters[1], where), found)
             for fault in found:
@@ -143,7 +143,7 @@ class _Checks:
 
     def _faults_by_condition(self, key: str) -> list[str]:
         """Return the faults of the values by condition of a table."""
-        table, names = getattr(self.experiment, key), [condition.name for condition in conditions(self.experiment)]
+        table, names = getattr(self.experiment, key), [condition.name for condition in list_conditions(self.experiment)]
         faults = list[str]()
         for name, values in table.by.items():
             if name not in names:
@@ -151,7 +151,7 @@ class _Checks:
                     f"{key}.by: no condition is called {format_value(name)}{near(name, names)}; there are "
                     f"{'; '.join(names)}: the levels of all factors, with a comma between them"
                 )
-            attempt(partial(overridden, table, values, f"{key}.by.{name}"), faults)
+            attempt(partial(apply_overrides, table, values, f"{key}.by.{name}"), faults)
         return faults
 
 

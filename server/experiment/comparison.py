@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, student_975
-from softfinger.server.experiment.design import conditions
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.trial_order import list_conditions
 
 
 class Comparison(NamedTuple):
@@ -179,7 +179,7 @@ def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, 
     without a value in one of the conditions are left out.
     """
     participants = list(dict.fromkeys(participant for participant, _ in values))
-    designed, effects = conditions(experiment), list[Effect]()
+    designed, effects = list_conditions(experiment), list[Effect]()
     for factor in experiment.factor:
         name, baseline = factor.name, factor.levels[0]
         for level in factor.levels[1:]:

@@ -78,7 +78,7 @@ def start_daemon(
             except ConfigError as error:
                 raise ConfigError(f"{where}: {error}") from error
         parameters_by_location = ((where, parameters) for where, _, parameters in level_extremes(experiment))
-        rigs.check_rated(parameters_by_location, [device.info for device in daemon.devices])
+        rigs.check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
         stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
         with report_compilation("kernels of the scene"):
             daemon.servo.compile()

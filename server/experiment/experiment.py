@@ -14,11 +14,11 @@ from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
 from softfinger.server.experiment.answers import DryRun, Participant
 from softfinger.server.experiment.daemon import RunOptions, record_ticks, run_doctor, start_daemon
-from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.folder import Folder, load, read_trials
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Entry, Journal, Memory
 from softfinger.server.experiment.session import Session
+from softfinger.server.experiment.trial_order import Condition, list_conditions
 from softfinger.server.progress import progress
 
 log: Final = logging.getLogger(__name__)
@@ -55,7 +55,7 @@ class Experiment:
     @property
     def conditions(self) -> list[Condition]:
         """All combinations of the factors' levels."""
-        return conditions(self.file)
+        return list_conditions(self.file)
 
     def __repr__(self) -> str:
         return f"<Experiment: {self.file.title}>"

@@ -17,10 +17,10 @@ from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
 from softfinger.config.words import format_value
-from softfinger.server.experiment.design import Condition, conditions
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
 from softfinger.server.experiment.session import parameters
+from softfinger.server.experiment.trial_order import Condition, list_conditions
 from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}
@@ -87,7 +87,7 @@ def _named_files(scene: Scene) -> Iterator[str]:
 
 def image_names(experiment: ExperimentFile) -> list[str]:
     """Return the names of all images of the participant's page."""
-    return sorted({screen_for(experiment, condition).image for condition in conditions(experiment)} - {""})
+    return sorted({screen_for(experiment, condition).image for condition in list_conditions(experiment)} - {""})
 
 
 def screen_for(experiment: ExperimentFile, condition: Condition) -> Screen:
@@ -128,7 +128,7 @@ def level_extremes(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[
     levels += () if experiment.catch is None else (experiment.catch.level,)
     named_values = [(f"level {level:g}", task.value(level)) for level in (min(levels), max(levels))]
     named_values += [] if task.reference is None else [("reference", task.reference)]
-    for condition in conditions(experiment):
+    for condition in list_conditions(experiment):
         for name, value in named_values:
             values = experiment.overrides | condition.changes | parameters(experiment, value)
             yield f"condition {condition.name}, {name}", condition.scene or experiment.scene, values

@@ -29,9 +29,9 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flat
-from softfinger.server.experiment.design import Condition, PlannedTrial
 from softfinger.server.experiment.journal import Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial
 
 JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
 BIDS_VERSION: Final = "1.10.0"

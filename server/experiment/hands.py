@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
+from softfinger.drivers import quaternions
 from softfinger.server.experiment.schema import ONE, ExperimentFile
 from softfinger.server.remote import Client
 
 Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Quaternion = Sequence[float]
 
 
 class Hands:
@@ -46,7 +48,7 @@ class Hands:
     def _lead(self, name: str, position: Point, elapsed_s: float) -> Quaternion | None:
         """Set the goal of a hand; return its orientation, None without [turn]."""
         rotations = self._experiment.turn.get(name or ONE)
-        orientation = quaternion(interpolate_path(rotations, elapsed_s)) if rotations else None
+        orientation = quaternions.exp(interpolate_path(rotations, elapsed_s)).tolist() if rotations else None
         self._client.hand(position, orientation, finger=name or None)
         return orientation
 
@@ -58,17 +60,6 @@ def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: flo
     return x, y, z
 
 
-def quaternion(rotation: Point) -> Quaternion:
-    """Return the unit quaternion w, x, y, z of a rotation vector, rad.
-
-    The function of the kernels is not used, since it would compile during a touch.
-    """
-    angle = math.hypot(*rotation)
-    share = 0.5 if angle == 0.0 else math.sin(0.5 * angle) / angle
-    x, y, z = (share * part for part in rotation)
-    return math.cos(0.5 * angle), x, y, z
-
-
 def angle_between(a: Quaternion, b: Quaternion) -> float:
     """Return the angle between two orientations (unit quaternions), rad."""
-    return 2.0 * math.acos(min(1.0, abs(sum(x * y for x, y in zip(a, b, strict=True)))))
+    return 2.0 * math.acos(min(1.0, abs(float(np.dot(a, b)))))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from softfinger.server.experiment.design import Condition, PlannedTrial
 from softfinger.server.experiment.schema_parts import Question
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial
 
 
 class Stimulus(NamedTuple):

@@ -81,10 +81,10 @@ class Journal(Memory, Closeable):
 
 
 def read(path: Path) -> list[Entry]:
-    """Return the entries of a journal; empty if there is no file. A line that a crash cut short is skipped.
+    """Return the entries of a journal; empty if there is no file. Truncated lines are skipped.
 
-    Such a line is the last one, or is followed by the entry `started` of the resumed session. Raises ConfigError if any
-    other line is invalid.
+    A crash truncates the last line, so it is at the end or followed by the entry `started` of the resumed session.
+    Raises ConfigError if any other line is invalid.
     """
     if not path.exists():
         return []

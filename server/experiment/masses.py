@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import SceneSource, add_objects_of_world, load_scene, overridden
+from softfinger.config.load import SceneSource, add_objects_of_world, apply_overrides, load_scene
 from softfinger.config.schema import Scene
 
 PREFIX: Final = "mass."
@@ -26,12 +26,12 @@ def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: st
     masses, others = split(values)
     scene = load_scene(source)
     if not masses:
-        return overridden(scene, others, where) if others else scene
+        return apply_overrides(scene, others, where) if others else scene
     if scene.world is None:
         raise ConfigError(
             f"{where}: {PREFIX}{next(iter(masses))}: the scene has no [world], so it has no bodies with a mass"
         )
-    changed = overridden(scene, {**others, "world.mass_kg": scene.world.mass_kg | masses}, where)
+    changed = apply_overrides(scene, {**others, "world.mass_kg": scene.world.mass_kg | masses}, where)
     try:
         return add_objects_of_world(changed)
     except ConfigError as error:

@@ -7,10 +7,10 @@ from importlib.metadata import version
 from typing import Any
 
 from softfinger.server.experiment.analysis import is_counted
-from softfinger.server.experiment.design import conditions, plan_trials
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials
 
 
 def write_methods(
@@ -135,7 +135,7 @@ def _design(experiment: ExperimentFile) -> list[str]:
     text = []
     if experiment.factor:
         factors = [f"{each.name} ({_list([str(level) for level in each.levels])})" for each in experiment.factor]
-        count = len(conditions(experiment))
+        count = len(list_conditions(experiment))
         order = {
             "random": "their trials were mixed in random order",
             "latin-square": "each had a block, in an order balanced by a Latin square (Williams 1949)",

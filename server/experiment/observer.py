@@ -9,10 +9,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from softfinger.server.experiment.design import SURVEY, TRIAL, Condition, PlannedTrial
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile, Observer
 from softfinger.server.experiment.schema_parts import Question
+from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial
 
 CERTAIN: Final = 2.0
 """Evidence, in standard deviations of its noise, from which the last mark of confidence is given."""

@@ -19,13 +19,13 @@ from softfinger.server.experiment.analysis import (
     is_counted,
 )
 from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
-from softfinger.server.experiment.design import conditions, plan_trials
 from softfinger.server.experiment.figures import name_factors
 from softfinger.server.experiment.journal import Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -104,7 +104,7 @@ def _design(experiment: ExperimentFile) -> str:
         "procedure": procedure.kind,
         "levels" if procedure.levels else "starts": ", ".join(f"{level:g}" for level in levels),
         "factors": "; ".join(f"{each.name}: {', '.join(map(str, each.levels))}" for each in experiment.factor),
-        "conditions": "; ".join(condition.name for condition in conditions(experiment)),
+        "conditions": "; ".join(condition.name for condition in list_conditions(experiment)),
         "order, seed": f"{design.order}, {design.seed}",
         "trials of a session": str(len(plan_trials(experiment, 1))),
         "scene, rig": f"{experiment.scene}, {experiment.rig}",

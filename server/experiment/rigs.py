@@ -57,7 +57,7 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
         raise FaultyConfig(faults)
 
 
-def check_rated(values: Iterable[tuple[str, Mapping[str, Any]]], devices: Sequence[DeviceInfo]) -> None:
+def check_device_limits(values: Iterable[tuple[str, Mapping[str, Any]]], devices: Sequence[DeviceInfo]) -> None:
     """Raise ConfigError if an experiment requires more than a device can display, since the guard would limit it.
 
     values  location in the design, and the parameters there

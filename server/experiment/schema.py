@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
@@ -36,7 +36,7 @@ class Trial(Table, frozen=True, kw_only=True):
     gap_s: Annotated[float, within(SECONDS, "pause without force before each touch, at least", 0.2)] = 0.2
     start_m: Annotated[
         Point | None,
-        said("where a hand that can be led and has no motion waits; default: it is not led", [0.0, 0.0, 0.02]),
+        doc("where a hand that can be led and has no motion waits; default: it is not led", [0.0, 0.0, 0.02]),
     ] = None
 
 
@@ -47,19 +47,19 @@ class Observer(Table, frozen=True, kw_only=True):
     or a duration is scale level^exponent exp(noise n), n standard normal (Stevens 1957).
     """
 
-    threshold: Annotated[Positive, said("compare: level at which 82 % are right, but for lapses", 0.15)] = 0.15
+    threshold: Annotated[Positive, doc("compare: level at which 82 % are right, but for lapses", 0.15)] = 0.15
     slope: Annotated[float, within(Range(0.3, 20.0, ""), "compare: slope of the Weibull function", 2.0)] = 2.0
     lapse: Annotated[float, within(SHARE, "compare: share of wrong answers however large the level", 0.02)] = 0.02
-    scale: Annotated[Positive, said("rate, trace: answer at level 1", 10.0)] = 10.0
+    scale: Annotated[Positive, doc("rate, trace: answer at level 1", 10.0)] = 10.0
     exponent: Annotated[float, within(Range(-5.0, 5.0, ""), "rate, trace: exponent", 0.8)] = 1.0
     noise: Annotated[float, within(Range(1e-3, 2.0, ""), "rate, trace: standard deviation of the logarithm", 0.2)] = 0.2
     answers: Annotated[
         dict[str, float | str],
-        said("answers to questions of surveys, by name; of likert and number their mean", {"mental-demand": 60.0}),
+        doc("answers to questions of surveys, by name; of likert and number their mean", {"mental-demand": 60.0}),
     ] = msgspec.field(default_factory=dict)
     by: Annotated[
         dict[str, dict[str, Any]],
-        said(
+        doc(
             "other values in a condition, by its name: the levels of all factors, with a comma between them",
             {"rolling": {}},
         ),
@@ -79,7 +79,7 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
     consent: Annotated[str, sized(TEXT, "text that the participant has to agree to before the session")] = ""
     debriefing: Annotated[str, sized(TEXT, "text at the end of the session")] = ""
-    overrides: Annotated[dict[str, Any], said("parameters of the scene, or rig.guard.KEY, for all trials")] = (
+    overrides: Annotated[dict[str, Any], doc("parameters of the scene, or rig.guard.KEY, for all trials")] = (
         msgspec.field(default_factory=dict)
     )
     task: Task
@@ -89,11 +89,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     trial: Trial = Trial()
     motion: Annotated[
         dict[str, tuple[Waypoint, ...]],
-        said("path of a led hand in a touch, t x y z, by finger; `fingertip` if there is only one"),
+        doc("path of a led hand in a touch, t x y z, by finger; `fingertip` if there is only one"),
     ] = msgspec.field(default_factory=dict)
     turn: Annotated[
         dict[str, tuple[Turn, ...]],
-        said("rotation of the hand in a touch, t and a rotation vector (rad, world), by finger; default: none"),
+        doc("rotation of the hand in a touch, t and a rotation vector (rad, world), by finger; default: none"),
     ] = msgspec.field(default_factory=dict)
     observer: Observer = Observer()
     survey: Annotated[tuple[Survey, ...], sized(Range(0, 20, "a session"), "surveys, in order")] = ()

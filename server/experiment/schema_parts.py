@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from softfinger.config.fields import Complaint, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Table, doc, is_usable, sized, within
 from softfinger.config.limits import NAME_LENGTH, Range
 from softfinger.server.wire.commands import CHOICE_LENGTH, CHOICES_MAX
 
@@ -27,19 +27,19 @@ Bound = Annotated[float, Meta(ge=-1e6, le=1e6)]
 class Question(Table, frozen=True, kw_only=True):
     """A question of a survey, asked on a screen of its own. The kinds are those of jsPsych."""
 
-    name: Annotated[Label, said("name of the question in the table of answers", "age")]
+    name: Annotated[Label, doc("name of the question in the table of answers", "age")]
     kind: Annotated[
         Literal["text", "multi-choice", "likert", "number"],
-        said("text: free text; multi-choice: one of options; likert: a mark from min to max; number: from min to max"),
+        doc("text: free text; multi-choice: one of options; likert: a mark from min to max; number: from min to max"),
     ]
     prompt: Annotated[str, sized(Range(1, 4000, ""), "the question", "How old are you?")]
     options: Annotated[
         tuple[Option, ...], sized(Range(0, CHOICES_MAX, ""), "multi-choice: the answers", ["left", "right"])
     ] = ()
-    min: Annotated[Bound, said("likert, number: smallest answer", 18)] = 1.0
-    max: Annotated[Bound, said("likert, number: largest answer", 99)] = 7.0
-    step: Annotated[Positive, said("likert: distance of two marks", 1)] = 1.0
-    labels: Annotated[tuple[Option, ...], said("likert: meaning of its two ends", ["very low", "very high"])] = ()
+    min: Annotated[Bound, doc("likert, number: smallest answer", 18)] = 1.0
+    max: Annotated[Bound, doc("likert, number: largest answer", 99)] = 7.0
+    step: Annotated[Positive, doc("likert: distance of two marks", 1)] = 1.0
+    labels: Annotated[tuple[Option, ...], doc("likert: meaning of its two ends", ["very low", "very high"])] = ()
 
     @property
     def marks(self) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ class SurveyFile(Table, frozen=True, kw_only=True):
     title: Annotated[str, sized(Range(0, 200, ""), "title of its screens and in the report", "NASA-TLX")] = ""
     reference: Annotated[str, sized(TEXT, "publication, quoted in the report")] = ""
     score: Annotated[
-        Literal["none", "mean"], said("mean: the report has the mean of its likert questions, as the raw NASA-TLX")
+        Literal["none", "mean"], doc("mean: the report has the mean of its likert questions, as the raw NASA-TLX")
     ] = "none"
     question: Annotated[tuple[Question, ...], sized(Range(0, 100, "a questionnaire"), "its questions, in order")] = ()
 
@@ -89,10 +89,10 @@ class SurveyFile(Table, frozen=True, kw_only=True):
 class Survey(SurveyFile, frozen=True, kw_only=True):
     """A survey before, between and after the blocks of trials."""
 
-    name: Annotated[Label, said("name in the table of answers", "demographics")]
+    name: Annotated[Label, doc("name in the table of answers", "demographics")]
     at: Annotated[
         tuple[Literal["before", "between", "after"], ...],
-        said("before: before the first trial; between: after each block but the last; after: after the last trial"),
+        doc("before: before the first trial; between: after each block but the last; after: after the last trial"),
     ]
     file: Annotated[
         str,
@@ -115,7 +115,7 @@ class CatchTrials(Table, frozen=True, kw_only=True):
     rate: Annotated[
         float, within(Range(0.0, 1.0, "one catch trial per trial"), "catch trials per other trial of a condition", 0.1)
     ]
-    level: Annotated[Positive, said("level of a catch trial", 1.0)]
+    level: Annotated[Positive, doc("level of a catch trial", 1.0)]
     min_right: Annotated[
         float,
         within(
@@ -128,8 +128,8 @@ class Confidence(Table, frozen=True, kw_only=True):
     """A rating of confidence after each answer to a comparison."""
 
     question: Annotated[str, sized(Range(1, 4000, ""), "the question")] = "How sure are you?"
-    scale: Annotated[tuple[int, int], said("first and last mark", [1, 4])] = (1, 4)
-    scale_ends: Annotated[tuple[Option, ...], said("labels of the first and the last mark", ["a guess", "certain"])] = (
+    scale: Annotated[tuple[int, int], doc("first and last mark", [1, 4])] = (1, 4)
+    scale_ends: Annotated[tuple[Option, ...], doc("labels of the first and the last mark", ["a guess", "certain"])] = (
         "a guess",
         "certain",
     )
@@ -153,7 +153,7 @@ class Screen(Table, frozen=True, kw_only=True):
     """What the participant's page shows and plays in the trials."""
 
     masking_noise: Annotated[
-        Literal["none", "white", "pink"], said("noise that masks the sound of the device, made by the page")
+        Literal["none", "white", "pink"], doc("noise that masks the sound of the device, made by the page")
     ] = "none"
     volume: Annotated[float, within(Range(0.0, 1.0, "full scale"), "volume of the noise", 0.2)] = 0.2
     colour: Annotated[
@@ -164,5 +164,5 @@ class Screen(Table, frozen=True, kw_only=True):
     ] = ""
     by: Annotated[
         dict[str, dict[str, str | float]],
-        said("other values in a condition, by its name, as in observer.by", {"rolling": {"colour": "#3366cc"}}),
+        doc("other values in a condition, by its name, as in observer.by", {"rolling": {"colour": "#3366cc"}}),
     ] = msgspec.field(default_factory=dict)

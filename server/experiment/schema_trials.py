@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from softfinger.config.fields import Complaint, Coordinate, Table, is_usable, said, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import MARKS_MAX, TEXT, Label, Positive
 
@@ -22,7 +22,7 @@ class Task(Table, frozen=True, kw_only=True):
 
     kind: Annotated[
         Literal["compare", "rate", "trace"],
-        said(
+        doc(
             "compare: two touches in random order, one of them the reference, which had more; rate: a touch, a number; "
             "trace: a movement to a target, timed"
         ),
@@ -37,23 +37,23 @@ class Task(Table, frozen=True, kw_only=True):
     ]
     also: Annotated[
         dict[str, float],
-        said("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8}),
+        doc("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8}),
     ] = msgspec.field(default_factory=dict)
-    reference: Annotated[Positive | None, said("compare: value of the reference", 500.0)] = None
+    reference: Annotated[Positive | None, doc("compare: value of the reference", 500.0)] = None
     more: Annotated[
         Literal["up", "down"],
-        said(
+        doc(
             "compare: whether more is a larger value, reference (1 + level), or a smaller one, reference / (1 + level)"
         ),
     ] = "up"
     question: Annotated[str, sized(TEXT, "question to the participant", "Which was stiffer?")]
     scale: Annotated[
-        tuple[int, int] | None, said("rate: first and last mark of a rating scale; default: any number above 0", [1, 7])
+        tuple[int, int] | None, doc("rate: first and last mark of a rating scale; default: any number above 0", [1, 7])
     ] = None
     scale_ends: Annotated[
-        tuple[Label, ...], said("rate: labels of the first and the last mark", ["not at all", "very"])
+        tuple[Label, ...], doc("rate: labels of the first and the last mark", ["not at all", "very"])
     ] = ()
-    target_m: Annotated[Point | None, said("trace: where it ends", [0.0, 0.0, 0.0])] = None
+    target_m: Annotated[Point | None, doc("trace: where it ends", [0.0, 0.0, 0.0])] = None
     target_radius_m: Annotated[float, within(Range(1e-4, 1.0, "a target"), "trace: how near", 0.005)] = 0.005
 
     def value(self, level: float) -> float:
@@ -86,7 +86,7 @@ class Procedure(Table, frozen=True, kw_only=True):
 
     kind: Annotated[
         Literal["constant", "staircase", "questplus"],
-        said(
+        doc(
             "constant: every level equally often, in random order; staircase: `down` right answers in a row make it "
             "smaller, a wrong one larger (Levitt 1971); questplus: the level with the most informative answer "
             "(Watson 2017)"
@@ -97,7 +97,7 @@ class Procedure(Table, frozen=True, kw_only=True):
     ] = ()
     repetitions: Annotated[int, within(TRIALS, "constant: trials of each level", 10)] = 1
     trials: Annotated[int, within(TRIALS, "staircase, questplus: trials of each condition", 40)] = 40
-    start: Annotated[Positive, said("staircase: first level", 0.5)] = 0.5
+    start: Annotated[Positive, doc("staircase: first level", 0.5)] = 0.5
     starts: Annotated[
         tuple[Positive, ...],
         sized(
@@ -110,8 +110,8 @@ class Procedure(Table, frozen=True, kw_only=True):
         float, within(Range(1.01, 10.0, "a step"), "staircase: factor of a step; twice as large until it turned", 1.2)
     ] = 1.2
     down: Annotated[int, within(Range(1, 5, ""), "staircase: right answers before a step down", 2)] = 2
-    smallest: Annotated[Positive, said("staircase: least level", 0.005)] = 0.005
-    largest: Annotated[Positive, said("staircase: largest level", 1.0)] = 1.0
+    smallest: Annotated[Positive, doc("staircase: least level", 0.005)] = 0.005
+    largest: Annotated[Positive, doc("staircase: largest level", 1.0)] = 1.0
 
     def faults(self) -> Iterator[Complaint]:
         if not is_usable(self.kind, self.levels, self.start, self.starts, self.trials, self.smallest, self.largest):
@@ -132,7 +132,7 @@ class Procedure(Table, frozen=True, kw_only=True):
 class Factor(Table, frozen=True, kw_only=True):
     """A factor of the design: a parameter with values, whole scenes, or sets of parameters by name."""
 
-    name: Annotated[Label, said("name; a column of the table of trials")]
+    name: Annotated[Label, doc("name; a column of the table of trials")]
     parameter: Annotated[
         str,
         sized(
@@ -142,10 +142,10 @@ class Factor(Table, frozen=True, kw_only=True):
         ),
     ] = ""
     levels: Annotated[tuple[float | Label, ...], sized(LEVELS, "its levels", [0.3, 0.6])]
-    scenes: Annotated[dict[str, str], said("scene of each level, in place of a parameter")] = msgspec.field(
+    scenes: Annotated[dict[str, str], doc("scene of each level, in place of a parameter")] = msgspec.field(
         default_factory=dict
     )
-    values: Annotated[dict[str, dict[str, Any]], said("parameters of each level, in place of one parameter")] = (
+    values: Annotated[dict[str, dict[str, Any]], doc("parameters of each level, in place of one parameter")] = (
         msgspec.field(default_factory=dict)
     )
 
@@ -167,7 +167,7 @@ class Design(Table, frozen=True, kw_only=True):
 
     order: Annotated[
         Literal["random", "latin-square", "given"],
-        said(
+        doc(
             "random: trials of all conditions mixed; latin-square: a block for each condition, in an order balanced "
             "over participants (Williams 1949); given: a block for each condition, in the order of the file"
         ),
@@ -177,7 +177,7 @@ class Design(Table, frozen=True, kw_only=True):
     break_every: Annotated[int, within(Range(0, 2000, ""), "trials between breaks; 0: none", 40)] = 0
     test_first: Annotated[
         Literal["balanced", "balanced-by-level"],
-        said(
+        doc(
             "compare: half of the trials begin with the test: of all trials, or of those of each condition and level; "
             "of each condition and staircase if a procedure chooses the levels"
         ),

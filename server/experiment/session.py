@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from softfinger.config.errors import HapticError
-from softfinger.server.experiment.design import Condition, PlannedTrial, conditions, plan_trials
 from softfinger.server.experiment.folder import Folder
 from softfinger.server.experiment.interfaces import Answer, AnswerSource, Apparatus, Progress, Stimulus
 from softfinger.server.experiment.journal import Entry, Memory
 from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question, Survey
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions, plan_trials
 
 AGREE: Final = "I agree"
 DECLINE: Final = "I do not agree"
@@ -36,7 +36,7 @@ class Session:
         self, experiment: ExperimentFile, participant: int, report: Callable[[str], None] = lambda line: None
     ) -> None:
         self.experiment: Final = experiment
-        self.conditions: Final = conditions(experiment)
+        self.conditions: Final = list_conditions(experiment)
         self.trials: Final = plan_trials(experiment, participant)
         self._report = report
         self._blocks = number_blocks(self.trials, experiment.design.order == "random")

@@ -61,10 +61,10 @@ def find_addresses(
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
         return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
-    beside = commands_beside(endpoint)
-    if beside.startswith("ipc://") and Path(beside.removeprefix("ipc://")).is_socket():
-        return Addresses(endpoint, beside)
-    likely = Addresses(endpoint, endpoint if to_command else beside)
+    neighbour = commands_beside(endpoint)
+    if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():
+        return Addresses(endpoint, neighbour)
+    likely = Addresses(endpoint, endpoint if to_command else neighbour)
     if is_public(endpoint):
         return likely
     queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]

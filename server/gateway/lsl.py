@@ -42,7 +42,7 @@ class Outlets:
         self._lsl_s = pylsl.local_clock() - time.monotonic()
         """Offset from CLOCK_MONOTONIC to LSL's clock: 0 on Linux, except for the time between the two calls."""
         self._newest = (-1, 0.0)
-        self._markers = pylsl.StreamOutlet(self._info(MARKERS, MARKERS_TYPE, 1, "string"))
+        self._markers = pylsl.StreamOutlet(self._create_stream_info(MARKERS, MARKERS_TYPE, 1, "string"))
         self.samples = self.markers = 0
 
     @property
@@ -71,7 +71,7 @@ class Outlets:
 
     def _send_tick(self, topic: str, finger: str, message: Any) -> None:
         if finger not in self._outlets:
-            self._outlets[finger] = self._lsl.StreamOutlet(self._of_finger(finger))
+            self._outlets[finger] = self._lsl.StreamOutlet(self._describe_stream(finger))
         self._outlets[finger].push_sample(record_of(Sample(topic, message)), message.timestamp + self._to_local_s)
         self.samples += 1
 
@@ -84,15 +84,15 @@ class Outlets:
         if tick == self._newest[0] and abs(monotonic_s - time.monotonic()) < SAME_CLOCK_S:
             self._to_local_s = monotonic_s - self._newest[1] + self._lsl_s
 
-    def _of_finger(self, finger: str) -> Any:
-        info = self._info(stream_name(finger), TYPE, RECORD_SIZE, "double64")
+    def _describe_stream(self, finger: str) -> Any:
+        info = self._create_stream_info(stream_name(finger), TYPE, RECORD_SIZE, "double64")
         channels = info.desc().append_child("channels")
         units = [field.unit for field in FIELDS for _ in range(field.size)]
         for label, unit in zip(columns(), units, strict=True):
             channels.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)
         return info
 
-    def _info(self, name: str, kind: str, channels: int, form: str) -> Any:
+    def _create_stream_info(self, name: str, kind: str, channels: int, form: str) -> Any:
         # Irregular: every sample has its time, and missed ticks have no sample.
         rate = self._lsl.IRREGULAR_RATE
         return self._lsl.StreamInfo(name, kind, channels, rate, form, f"{name} {self._source}")

@@ -57,7 +57,7 @@ class Metrics(Worker):
             while not self.closing.is_set():
                 server.handle_request()
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         self._event("fault", "metrics", message=str(error))
 
     def stop(self) -> None:

@@ -196,7 +196,7 @@ def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
         yield f"all objects but '{scene.object[0].name}'", replace(scene, object=scene.object[:1])
 
 
-def bare_contact(scene: schema.Scene) -> schema.Scene:
+def keep_contact(scene: schema.Scene) -> schema.Scene:
     """Return the scene with only its first object, with a linear normal force and no other part."""
     replace = msgspec.structs.replace
     obj = _without_texture(scene.object[0])

@@ -25,8 +25,8 @@ def plan_goals(goals: Array, velocities: Array, lowest: Array, highest: Array, d
         for i in range(goals.shape[0]):
             t = i * dt
             for k in range(3):
-                there = start[k] + t * velocities[hand, k]
-                goals[i, hand, k] = min(max(there, lowest[hand, k]), highest[hand, k])
+                position = start[k] + t * velocities[hand, k]
+                goals[i, hand, k] = min(max(position, lowest[hand, k]), highest[hand, k])
             q = orientation
             if a != 0.0 or b != 0.0 or c != 0.0:
                 q = rotations.normalize(rotations.multiply(rotations.exp((t * a, t * b, t * c)), orientation))

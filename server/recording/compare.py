@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import describe, overridden
+from softfinger.config.load import apply_overrides, describe
 from softfinger.config.overrides import index_entries
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
 from softfinger.proxy.bodies import begin_bodies, check_bodies
@@ -367,7 +367,7 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
     starts = sorted(row for row in breaks if row < end)
     for start, stop in pairwise([*starts, end]):
         if changes.get(start):
-            scene = overridden(scene, changes[start], "the recording's commands")
+            scene = apply_overrides(scene, changes[start], "the recording's commands")
         yield _Part(start, stop, scene, breaks[start], start in armed)
 
 

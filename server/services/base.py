@@ -29,7 +29,7 @@ class Service(Protocol):
 
 
 class Worker(ABC):
-    """Service with a thread that runs `work`; an exception of `work` is passed to `failed`."""
+    """Service with a thread that runs `work`; an exception of `work` is passed to `handle_failure`."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -42,7 +42,7 @@ class Worker(ABC):
         """Run in the thread, until done or until `closing` is set."""
 
     @abstractmethod
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Handle an exception of `work`: define its effect on the run."""
 
     @property
@@ -63,7 +63,7 @@ class Worker(ABC):
             self.work()
         except Exception as error:
             log.exception("%s failed", self.name)
-            self.failed(error)
+            self.handle_failure(error)
 
 
 def stop_all(services: Iterable[Service], first: BaseException | None = None) -> BaseException | None:

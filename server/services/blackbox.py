@@ -74,7 +74,7 @@ class BlackBoxes(Worker):
             self._write_due()
         self._write_due(last=True)
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Log the error; the run continues, because the black box only serves later analysis."""
         log.error("the black box has stopped: %s", error)
 

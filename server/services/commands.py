@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
-from softfinger.config.load import add_objects_of_world, build, describe, load_scene, overridden
+from softfinger.config.load import add_objects_of_world, apply_overrides, build, describe, load_scene
 from softfinger.config.overrides import index_entries, value_at
 from softfinger.config.sources import list_shipped
 from softfinger.config.words import format_value, near
@@ -299,7 +299,7 @@ class Commands:
                 scene = load_scene(params.scene)
             else:
                 scene = add_objects_of_world(build(schema.Scene, params.scene, "set_scene"))
-            return overridden(scene, params.overrides, "set_scene") if params.overrides else scene
+            return apply_overrides(scene, params.overrides, "set_scene") if params.overrides else scene
 
         self._change_scene(read, name, client, request, lambda tick: wire.SceneSet(name, tick))
 

@@ -82,7 +82,7 @@ class SceneChanges(Worker):
             self._end_compiler()
             self._changed.notify()
         if before is not None:
-            before.done(_superseded())
+            before.done(_superseded_error())
 
     def stop(self) -> None:
         with self._changed:
@@ -104,7 +104,7 @@ class SceneChanges(Worker):
             change.done(outcome)
         preparation.display = before
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
 
     @contextmanager
@@ -138,7 +138,7 @@ class SceneChanges(Worker):
         """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
         with self._changed:
             if self._next is not None or self.closing.is_set():
-                raise _superseded()
+                raise _superseded_error()
             compiler = self._compiler = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
@@ -168,7 +168,7 @@ class SceneChanges(Worker):
             with suppress(BrokenPipeError):
                 compiler.stdin.close()  # type: ignore[union-attr]
         if is_superseded:
-            raise _superseded()
+            raise _superseded_error()
         return code
 
     def _end_compiler(self) -> None:
@@ -176,7 +176,7 @@ class SceneChanges(Worker):
             self._compiler.kill()
 
 
-def _superseded() -> Superseded:
+def _superseded_error() -> Superseded:
     return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
 
 

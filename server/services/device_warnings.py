@@ -39,6 +39,6 @@ class DeviceWarnings(Worker):
                 self._event("fault", NAME, message=f"{name}: {warning}")
         self._reported = now
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""
         self._event("fault", NAME, message=f"warnings of devices are no longer published: {error}")

@@ -78,15 +78,15 @@ class Force:
         self._switch[DEADLINE_NS] = time_ns
 
     @contextmanager
-    def suspended(self) -> Iterator[None]:
+    def suspend(self) -> Iterator[None]:
         """Turn the force off while the block runs, without adding a reason."""
-        self._suspend(True)
+        self._set_suspended(True)
         try:
             yield
         finally:
-            self._suspend(False)
+            self._set_suspended(False)
 
-    def _suspend(self, suspended: bool) -> None:
+    def _set_suspended(self, suspended: bool) -> None:
         with self._lock:
             self._suspended = suspended
             self._write()

@@ -78,6 +78,6 @@ class HotplugWatch(Worker):
     def work(self) -> None:
         watch(self._attached, self._event, self.closing)
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""
         self._event("fault", "hotplug", message=str(error))

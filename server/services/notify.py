@@ -49,7 +49,7 @@ class Notify(Worker):
         super().stop()
         self._send("STOPPING=1", "STATUS=stopping", "WATCHDOG_USEC=0")  # TimeoutStopSec limits closing
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Do nothing: without a sign of life, systemd ends the daemon."""
 
     def _send(self, *state: str) -> None:

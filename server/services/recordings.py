@@ -120,7 +120,7 @@ class Recordings:
                 raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
             return recorder.last_written_tick
 
-    def written(self) -> RecordingTotals:
+    def collect_totals(self) -> RecordingTotals:
         """Return the statistics of all recordings of this run so far."""
         with self._changing:
             recorders, self._ending = self._ending, []

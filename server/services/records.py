@@ -92,7 +92,7 @@ class Records(Worker):
         log.exception("%s failed; going on without it", sink.name)
         self._event("fault", "sink", sink=sink.name, message=str(error))
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """End the run: without records, rendering cannot be monitored."""
         self._fail(SafetyStop(f"records cannot be taken: {error}; the rendered state would be invisible"))
 

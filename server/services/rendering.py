@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
-from softfinger.config.load import overridden
+from softfinger.config.load import apply_overrides
 from softfinger.config.schema.pairing import pair
 from softfinger.drivers.base import Device
 from softfinger.drivers.simulated.lead import RequestedPose, hold, lead
@@ -48,7 +48,7 @@ class Replacing(HapticError):
 
 
 @contextmanager
-def _locked(lock: threading.Lock) -> Iterator[None]:
+def _acquire(lock: threading.Lock) -> Iterator[None]:
     """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
@@ -156,7 +156,7 @@ class Rendering:
                 new_scene = scene or self._scene
                 if not keeps_devices and rig.guard.arm != "automatic":  # it may be another hand
                     self.force.inhibit(UNARMED)
-                with self.force.suspended():
+                with self.force.suspend():
                     self._await_no_force()
                     first = servo.replace(make, keeps_devices)
                 self._since = first
@@ -208,14 +208,14 @@ class Rendering:
         Replacing
             If another change is in progress.
         """
-        with _locked(self._parameters_lock):
-            before, after = self._scene, overridden(self._scene, changes, where)
+        with _acquire(self._parameters_lock):
+            before, after = self._scene, apply_overrides(self._scene, changes, where)
             if pair(after, self._rig) != pair(before, self._rig):
                 raise ConfigError(f"{where}: the name and the device of a finger are no parameters: use set_scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.is_compiled_for(tuning):
                 raise ConfigError(f"{where}: {other_model(before, changes)}: use set_scene")
-            with _locked(self._tuning_lock):
+            with _acquire(self._tuning_lock):
                 # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
                 self._scene = after
@@ -238,7 +238,7 @@ class Rendering:
 
         Raises Replacing if another change is in progress or the force is not off.
         """
-        with _locked(self._tuning_lock):
+        with _acquire(self._tuning_lock):
             if not self.force.is_off:
                 raise Replacing("the force is being switched off: nothing was changed; try again")
             if position is not None and record[AT.tick] < self._offset_tick + 2:
@@ -258,12 +258,12 @@ class Rendering:
         Raises NoSimulatedHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
         Replacing.
         """
-        with _locked(self._tuning_lock):
+        with _acquire(self._tuning_lock):
             lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], target)
 
     def hold_hand(self, finger: int) -> Pose:
         """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead_hand`."""
-        with _locked(self._tuning_lock):
+        with _acquire(self._tuning_lock):
             return hold(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger])
 
     def disarm(self, why: str) -> None:

@@ -35,7 +35,7 @@ class Supervisor(Worker):
                 self._stop_stalled(idle_s, ticks)
                 return
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """End the run: an unmonitored servo may stall with a force."""
         self._fail(SafetyStop(f"the supervisor failed: {error}; a stall of the servo would go unnoticed"))
 

@@ -46,7 +46,7 @@ class Swapping(Worker):
             self._event("fault", NAME, message=message)
         self._reported = kilobytes > 0
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""
         self._event("fault", NAME, message=f"memory in swap is no longer reported: {error}")
 

@@ -77,7 +77,7 @@ class WorldState(Worker):
         log.error("%s", message)
         self._event("fault", "bodies", message=message)
 
-    def failed(self, error: Exception) -> None:
+    def handle_failure(self, error: Exception) -> None:
         """Publish an event; the page stops moving, but rendering continues."""
         self._event("fault", "world", message=str(error))
 

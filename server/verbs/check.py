@@ -126,10 +126,10 @@ def examine_file(file: str) -> Finding:
 
 def _experiment(file: str, path: Path) -> Finding:
     from softfinger.server.experiment.checks import load
-    from softfinger.server.experiment.design import summary
+    from softfinger.server.experiment.trial_order import describe_session
 
     experiment = load(path, {}, part_faults)[0]
-    return Finding(file, "experiment", summary(experiment), [], describe(experiment), {})
+    return Finding(file, "experiment", describe_session(experiment), [], describe(experiment), {})
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
@@ -142,7 +142,7 @@ def with_costs(finding: Finding) -> Finding:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import bare_contact, measure, touching_poses, without_parts
+    from softfinger.server.offline.cost import keep_contact, measure, touching_poses, without_parts
     from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
@@ -155,7 +155,7 @@ def with_costs(finding: Finding) -> Finding:
         for number, (name, rest) in enumerate(parts):
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
-        rows.append(("  bare contact", f"{measure(bare_contact(scene), poses).median_ns:.0f} ns"))
+        rows.append(("  bare contact", f"{measure(keep_contact(scene), poses).median_ns:.0f} ns"))
     rows += [_stability_row(thing) for thing in scene.object]
     return finding._replace(summary=finding.summary + rows)
 

@@ -22,7 +22,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.wire.client import NoTelemetry, Sample, no_telemetry_text, subscribe
+from softfinger.server.wire.client import NoTelemetry, Sample, explain_no_telemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
 
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
@@ -157,7 +157,7 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
             if board.messages:
                 first = min(first, now)
             if not board.messages and now >= min(end, started + args.timeout):
-                raise NoTelemetry(no_telemetry_text(endpoint, min(args.timeout, args.duration or math.inf)))
+                raise NoTelemetry(explain_no_telemetry(endpoint, min(args.timeout, args.duration or math.inf)))
             if args.once:
                 if board.messages and (now >= min(end, first + _ONCE_WAIT_S) or (board.fingers and board.health)):
                     show(board)

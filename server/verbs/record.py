@@ -30,7 +30,7 @@ from softfinger.server.wire.client import (
     NoTelemetry,
     Sample,
     Subscription,
-    no_telemetry_text,
+    explain_no_telemetry,
     subscribe,
 )
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
@@ -198,7 +198,7 @@ def _receive_first(samples: Subscription, files: Mapping[str, Path], timeout_s: 
             raise ConfigError(f"--poses of {', '.join(files) or 'one finger'}: the server has {expected}")
         if finger in files:
             return sample
-    raise NoTelemetry(no_telemetry_text(samples.endpoint, timeout_s))
+    raise NoTelemetry(explain_no_telemetry(samples.endpoint, timeout_s))
 
 
 class PoseWriter:

@@ -202,7 +202,7 @@ class Subscription(Closeable):
             raise StopIteration
         sample = self.receive(self.timeout_s)
         if sample is None:
-            raise NoTelemetry(no_telemetry_text(self.endpoint, self.timeout_s or 0.0))
+            raise NoTelemetry(explain_no_telemetry(self.endpoint, self.timeout_s or 0.0))
         return sample
 
     def close(self) -> None:
@@ -248,7 +248,7 @@ def subscribe(
     return Subscription(endpoint, topics, timeout_s, keys)
 
 
-def no_telemetry_text(endpoint: str, waited_s: float) -> str:
+def explain_no_telemetry(endpoint: str, waited_s: float) -> str:
     """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "

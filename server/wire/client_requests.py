@@ -100,7 +100,7 @@ def result_of(answer: dict[str, Any], kind: type[R]) -> R:
     return msgspec.convert(answer.get("result"), kind)
 
 
-def no_answer(method: str, endpoint: str, waited_s: float) -> NoAnswer:
+def no_answer_error(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     """Return the error, with possible causes."""
     return NoAnswer(
         f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "

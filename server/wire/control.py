@@ -35,7 +35,7 @@ from softfinger.server.wire.client_requests import (
     decode_answer,
     default_commands,
     encode_request,
-    no_answer,
+    no_answer_error,
     or_unset,
     result_of,
     timeout_for,
@@ -134,7 +134,7 @@ class Control(Closeable):
                 if answer.get("command_id") == command_id:  # not a late answer to an earlier request
                     return result_of(answer, kind)
             now = time.monotonic()
-        raise no_answer(method, self.endpoint, wait_s)
+        raise no_answer_error(method, self.endpoint, wait_s)
 
     def post(self, method: str) -> None:
         """Send a request without parameters and ignore its answer."""
@@ -148,7 +148,7 @@ class Control(Closeable):
         except CommandRefused:  # this is an answer, too
             return
         except NoAnswer as error:
-            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
+            raise no_answer_error(method, self.endpoint, TIMEOUT_S) from error
 
     def get_state(self) -> State:
         """Return the latest tick of the first finger: position, velocity, force, contact."""
@@ -173,7 +173,7 @@ class Control(Closeable):
         return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
 
     def reset_world(self) -> Applied:
-        """Put the bodies of the scene's [world] back where they started, at zero force."""
+        """Reset the bodies of the scene's [world] to their initial poses, at zero force."""
         return self._ask("reset_world", Empty(), Applied)
 
     def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
@@ -282,7 +282,7 @@ class Control(Closeable):
         self._socket.close()
 
 
-def _awaited(
+def _make_awaitable(
     command: Callable[Concatenate[Control, P], R],
 ) -> Callable[Concatenate[AsyncControl, P], Coroutine[Any, Any, R]]:
     """Convert a command of Control for asyncio: the awaitable returned by `_ask` is awaited."""
@@ -331,7 +331,7 @@ class AsyncControl:
                     await self._socket.send_multipart(frames)
                 return result_of(await answer, kind)
         except TimeoutError:
-            raise no_answer(method, self.endpoint, wait_s) from None
+            raise no_answer_error(method, self.endpoint, wait_s) from None
         finally:
             del self._waiting[command_id]
 
@@ -342,7 +342,7 @@ class AsyncControl:
         except CommandRefused:
             return
         except NoAnswer as error:
-            raise no_answer(method, self.endpoint, TIMEOUT_S) from error
+            raise no_answer_error(method, self.endpoint, TIMEOUT_S) from error
 
     async def _read(self) -> None:
         while True:
@@ -351,26 +351,26 @@ class AsyncControl:
             if waiting is not None and not waiting.done():
                 waiting.set_result(answer)
 
-    get_state = _awaited(Control.get_state)
-    heartbeat = _awaited(Control.heartbeat)
-    set_params = _awaited(Control.set_params)
-    set_scene = _awaited(Control.set_scene)
-    reset_world = _awaited(Control.reset_world)
-    drive = _awaited(Control.drive)
-    hand = _awaited(Control.hand)
-    hold = _awaited(Control.hold)
-    arm = _awaited(Control.arm)
-    disarm = _awaited(Control.disarm)
-    zero = _awaited(Control.zero)
-    mark = _awaited(Control.mark)
-    get_prompt = _awaited(Control.get_prompt)
-    set_prompt = _awaited(Control.set_prompt)
-    answer = _awaited(Control.answer)
-    record_start = _awaited(Control.record_start)
-    record_stop = _awaited(Control.record_stop)
-    describe = _awaited(Control.describe)
-    mesh = _awaited(Control.mesh)
-    stop = _awaited(Control.stop)
+    get_state = _make_awaitable(Control.get_state)
+    heartbeat = _make_awaitable(Control.heartbeat)
+    set_params = _make_awaitable(Control.set_params)
+    set_scene = _make_awaitable(Control.set_scene)
+    reset_world = _make_awaitable(Control.reset_world)
+    drive = _make_awaitable(Control.drive)
+    hand = _make_awaitable(Control.hand)
+    hold = _make_awaitable(Control.hold)
+    arm = _make_awaitable(Control.arm)
+    disarm = _make_awaitable(Control.disarm)
+    zero = _make_awaitable(Control.zero)
+    mark = _make_awaitable(Control.mark)
+    get_prompt = _make_awaitable(Control.get_prompt)
+    set_prompt = _make_awaitable(Control.set_prompt)
+    answer = _make_awaitable(Control.answer)
+    record_start = _make_awaitable(Control.record_start)
+    record_stop = _make_awaitable(Control.record_stop)
+    describe = _make_awaitable(Control.describe)
+    mesh = _make_awaitable(Control.mesh)
+    stop = _make_awaitable(Control.stop)
 
     async def close(self) -> None:
         """Disconnect; may be called repeatedly."""

@@ -16,10 +16,11 @@ from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
 from softfinger.config.schema import runtime_folder
 from softfinger.drivers.system.discovery import holder
-from softfinger.server.wire.listener import listener_on
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system queues until they are accepted."""
+LISTENING_STATE: Final = "0A"
+"""State of a listening socket in proc_pid_net(5)."""
 
 
 class Bound(NamedTuple):
@@ -193,9 +194,36 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
 
 def _in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
-    who = holder(f"{address}.lock") if scheme == "ipc" else listener_on(int(address.rpartition(":")[2]))
+    who = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
     return AddressInUse(
         f"{key} {endpoint} is in use: stop {who or 'the softfinger or other program that holds it'}, "
         f"or set {key} to {free}"
     )
+
+
+def _find_listener(port: int) -> str:
+    """Return the process that listens on a TCP port, as text for messages; empty if it belongs to another user."""
+    sockets = _list_listening_sockets(port)
+    for folder in Path("/proc").glob("[0-9]*/fd"):
+        try:
+            if any(os.readlink(entry) in sockets for entry in folder.iterdir()):
+                name = (folder.parent / "comm").read_text().strip()
+                return f"process {folder.parent.name} ({name})"
+        except OSError:  # it has exited, or belongs to another user
+            continue
+    return ""
+
+
+def _list_listening_sockets(port: int) -> set[str]:
+    """Return the links in /proc/PID/fd of the sockets that listen on a port."""
+    found = set()
+    for table in ("tcp", "tcp6"):
+        try:
+            lines = Path("/proc/net", table).read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for words in map(str.split, lines):
+            if words[3] == LISTENING_STATE and int(words[1].rpartition(":")[2], 16) == port:
+                found.add(f"socket:[{words[9]}]")
+    return found

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.drivers import quaternions
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.wire.protocol import SCHEMA, nest
 
@@ -105,19 +106,6 @@ def work_of_hand(records: Records) -> float:
     torque = records[:-1, AT.torque : AT.torque + 3]
     position = records[:, AT.probe_position : AT.probe_position + 3]
     quaternion = records[:, AT.probe_orientation : AT.probe_orientation + 4]
-    turn = _rotation_between(quaternion[:-1], quaternion[1:])
+    turn = quaternions.log(quaternions.multiply(quaternion[1:], quaternions.conjugate(quaternion[:-1])))
     work = -(force * np.diff(position, axis=0)).sum(axis=1) - (torque * turn).sum(axis=1)
     return float(work[np.isfinite(work)].sum())
-
-
-def _rotation_between(before: Records, after: Records) -> Records:
-    """Return rotation vectors (n, 3), world, rad, of the shorter rotation between quaternions (n, 4)."""
-    w0, v0 = before[:, :1], before[:, 1:]
-    w1, v1 = after[:, :1], after[:, 1:]
-    real = w1 * w0 + (v1 * v0).sum(axis=1, keepdims=True)
-    vector = w0 * v1 - w1 * v0 - np.cross(v1, v0)  # vector part of after * conjugate(before)
-    vector = np.where(real < 0.0, -vector, vector)
-    sine = np.linalg.norm(vector, axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, np.abs(real))
-    per_sine: Records = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
-    return per_sine * vector

@@ -9,7 +9,7 @@ import pytest
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, describe, load_scene, overridden
+from softfinger.config.load import apply_overrides, build, describe, load_scene
 from softfinger.config.materials import Entry, fingertips, materials, papers
 from softfinger.config.schema import Fingertip, Material, Scene
 
@@ -203,11 +203,11 @@ def test_an_override_reaches_into_a_named_table() -> None:
     thing = {"name": "table", "shape": "plane", "material": "rubber"}
     file = {"fingertip": "human-index", "object": [thing]}
     own = {"object.table.material.friction.kinetic": 0.2, "fingertip.radius_m": 0.008}
-    for scene in (load_scene(file, own), overridden(load_scene(file), own, "override")):
+    for scene in (load_scene(file, own), apply_overrides(load_scene(file), own, "override")):
         assert scene.object[0].material == material_of({"name": "rubber", "friction": {"kinetic": 0.2}})
         assert scene.fingertip == tip_of({"pad": "human-index", "radius_m": 0.008})
     for key, value in (("object.table.material", "wood"), ("object.table.material.name", "wood")):
-        other = overridden(load_scene(file, own), {key: value, "fingertip.pad": "rubber-tip"}, "override")
+        other = apply_overrides(load_scene(file, own), {key: value, "fingertip.pad": "rubber-tip"}, "override")
         assert other.object[0].material == material_of("wood")
         assert other.fingertip == tip_of("rubber-tip")
 

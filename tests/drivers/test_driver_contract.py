@@ -42,7 +42,7 @@ class Recorded(Bench):
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
-        return tuple(self.device.logged().wrench[-1].tolist())
+        return tuple(self.device.read_log().wrench[-1].tolist())
 
     def make(self, case: str) -> None:
         self.recording = "no-such-recording"

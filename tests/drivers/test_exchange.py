@@ -57,7 +57,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
     with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
-    logged = device.logged().wrench
+    logged = device.read_log().wrench
     assert len(logged) > 300
     assert not logged.any()
     assert not rows[:, FORCE : FORCE + 3].any()
@@ -90,7 +90,7 @@ def test_a_push_is_a_faded_sine_along_its_axis() -> None:
     assert not rows[:, [FORCE, FORCE + 2]].any()
     assert np.abs(want).max() > 0.9 * newton
     assert not after[:, FORCE : FORCE + 3].any()
-    logged = device.logged().wrench
+    logged = device.read_log().wrench
     assert np.abs(logged[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max()
     assert not logged[-1].any()
 
@@ -113,7 +113,7 @@ def test_an_exception_during_a_push_ends_with_zero() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    logged = device.logged().wrench
+    logged = device.read_log().wrench
     assert logged.any()
     assert not logged[-1].any()
 

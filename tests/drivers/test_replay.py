@@ -69,7 +69,7 @@ def test_every_wrench_is_logged_with_its_read() -> None:
             servo.read()
             assert servo.write(n, 1.0, 2.0, 3.0, 4.0, 5.0) == OK
         device.stop()
-        read, wrench = device.logged()
+        read, wrench = device.read_log()
     assert read.tolist() == [-1, *range(50), 49]
     assert wrench[0].tolist() == [9.0, 0, 0, 0, 0, 0]
     assert wrench[1:-1].tolist() == [[n, 1.0, 2.0, 3.0, 4.0, 5.0] for n in range(50)]
@@ -136,7 +136,7 @@ def test_two_replays_are_equal() -> None:
             for _ in range(3000):
                 sample = servo.read()[1]
                 servo.write(*(1000.0 * x for x in sample[:3]), *sample[4:7])
-        logs.append(device.logged())
+        logs.append(device.read_log())
     assert logs[0].wrench.tobytes() == logs[1].wrench.tobytes()
     assert logs[0].read.tobytes() == logs[1].read.tobytes()
     assert len(logs[0].wrench) == 3001
@@ -151,7 +151,7 @@ def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
         for n in range(20):
             servo.read()
             servo.write(n / 3.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-    read, wrench = device.logged()
+    read, wrench = device.read_log()
     if ending == ".csv":
         lines = path.read_text().splitlines()
         assert lines[0] == ",".join(FORCE_COLUMNS)

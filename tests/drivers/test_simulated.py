@@ -48,7 +48,7 @@ def test_a_force_moves_the_handle_until_stop() -> None:
         flown = np.diff([servo.read()[1][0] for _ in range(50)])
     # The stop precedes the tick of the last write: the speed is that of 99 ticks.
     np.testing.assert_allclose(flown, 0.099 * 2.0 * 0.001, rtol=1e-9)  # a step of 2e-4 m as a difference of 2e-2 m
-    assert device.logged().wrench[-1].tolist() == [0.0] * 6
+    assert device.read_log().wrench[-1].tolist() == [0.0] * 6
 
 
 def test_a_force_continues_until_the_next_write() -> None:
@@ -107,7 +107,7 @@ def test_two_runs_are_equal_to_the_bit() -> None:
                 sample = servo.read()[1]
                 samples.append(sample)
                 servo.write(*(40.0 * (0.015 - x) for x in sample[:3]), 0.0, 0.0, 0.0)
-            runs.append((np.array(samples).tobytes(), device.logged().wrench.tobytes()))
+            runs.append((np.array(samples).tobytes(), device.read_log().wrench.tobytes()))
     assert runs[0] == runs[1]
 
 

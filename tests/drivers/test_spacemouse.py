@@ -62,7 +62,7 @@ class PuckBench(Bench):
         return self.device
 
     def displayed(self) -> tuple[float, ...]:
-        return tuple(self.device.logged().wrench[-1].tolist())
+        return tuple(self.device.read_log().wrench[-1].tolist())
 
     def make(self, case: str) -> None:
         if case == "lost":
@@ -350,7 +350,7 @@ def test_a_puck_touches_a_scene() -> None:
         records = np.empty((900, RECORD_SIZE))
         assert servo.records.take(records) == 900
         servo.close()
-        assert not device.logged().wrench[-1].any()
+        assert not device.read_log().wrench[-1].any()
     engine, compared = Engine(scene), 0
     for row in records:
         position, orientation = row[AT.probe_position :], row[AT.probe_orientation :]

@@ -106,7 +106,7 @@ TIMELESS = ("replay", "simulated")
 
 def logged(device: Any) -> NDArray[np.float64]:
     """Return the log of a device without an emulated counterpart."""
-    forces = device.logged().wrench[:, :3]
+    forces = device.read_log().wrench[:, :3]
     return rows(np.full(len(forces), np.nan), forces)
 
 

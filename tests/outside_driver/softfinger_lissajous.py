@@ -14,7 +14,7 @@ import numpy as np
 from numba import carray, types
 
 from softfinger.config.limits import COORDINATE_M, MOTION_FREQUENCY_HZ
-from softfinger.config.schema import Coordinate, Table, said, within
+from softfinger.config.schema import Coordinate, Table, doc, within
 from softfinger.drivers.base import OK, WITHHELD, Device, DeviceInfo, DeviceIO
 
 Frequency = Annotated[float, within(MOTION_FREQUENCY_HZ, "cycles per second")]
@@ -29,10 +29,10 @@ SIGNATURE = types.int64(types.CPointer(types.float64), types.CPointer(types.floa
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a rig's [device] table with `driver = "lissajous"`."""
 
-    amplitude_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], said("half the width along x, y, z")] = (
+    amplitude_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("half the width along x, y, z")] = (
         0.01, 0.01, 0.0,
     )  # fmt: skip
-    hz: Annotated[tuple[Frequency, Frequency, Frequency], said("cycles per second along x, y, z")] = (0.5, 0.75, 1.0)
+    hz: Annotated[tuple[Frequency, Frequency, Frequency], doc("cycles per second along x, y, z")] = (0.5, 0.75, 1.0)
     height_m: Annotated[float, within(COORDINATE_M, "height of its centre", 0.01)] = 0.01
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from softfinger.config.schema import ObjectBase, add_shape, said
+from softfinger.config.schema import ObjectBase, add_shape, doc
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
@@ -55,7 +55,7 @@ class BeadsTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="
     """Balls listed in a file."""
 
     shape: ClassVar[str] = "beads"
-    balls_file: Annotated[str, said("a line for each ball: x, y, z and radius, m", "balls.txt")]
+    balls_file: Annotated[str, doc("a line for each ball: x, y, z and radius, m", "balls.txt")]
 
 
 @shape_bodies.register

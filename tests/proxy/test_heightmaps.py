@@ -25,7 +25,7 @@ from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import curvature
 from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from
 from softfinger.proxy.kernels.shapes.heightmap.surface import foot_at, height_at
-from softfinger.proxy.kernels.shapes.heightmap.tiles import tile_at, tiles_across
+from softfinger.proxy.kernels.shapes.heightmap.tiles import is_farther, tile_at, tiles_across
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
@@ -253,7 +253,7 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
         convex += 1
         foot = foot_at(shape, p, *(at + rng.uniform(-half, half) for at in middle))
         square = foot.square * rng.uniform(0.3, 1.0)
-        if is_beyond(p, tile, foot, square):
+        if is_farther(p, tile, foot, square):
             ruled_out += 1
             along = np.linspace(-half, half, 7)
             least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)

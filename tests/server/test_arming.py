@@ -74,7 +74,7 @@ class Run:
                 while not daemon.wait(0.02):
                     during(control, ticks[-1])
                 self.state = control.ask("describe")["state"]
-            self.forces = np.linalg.norm(daemon.devices[0]._device.logged().wrench[:, :3], axis=1)
+            self.forces = np.linalg.norm(daemon.devices[0]._device.read_log().wrench[:, :3], axis=1)
         events = [part.event for part in read_contents(path) if isinstance(part, Event)]
         self.states = [(event["name"], event["cause"]) for event in events if event["kind"] == "state"]
         self.guard = [event["name"] for event in events if event["kind"] == "guard"]

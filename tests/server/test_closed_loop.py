@@ -67,7 +67,7 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
         servo.start()
         assert servo.join(60.0).ending == FINISHED
         servo.close()
-        written = device.logged()
+        written = device.read_log()
     records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, ticks))
     assert np.abs(records[:, FORCE]).max() > 0.1
     assert written.read[:ticks].tolist() == list(range(ticks))

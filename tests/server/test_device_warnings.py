@@ -31,5 +31,5 @@ def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
 def test_a_failing_check_is_published() -> None:
     """An exception in the check is published as an event, and no further warnings are published."""
     told = []
-    DeviceWarnings(list, lambda *_, message: told.append(message)).failed(ValueError("broken"))
+    DeviceWarnings(list, lambda *_, message: told.append(message)).handle_failure(ValueError("broken"))
     assert told == ["warnings of devices are no longer published: broken"]

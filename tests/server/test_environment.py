@@ -111,7 +111,7 @@ def test_a_subclass_defines_reward_and_end() -> None:
         def reward(self, records: Records) -> float:
             return float(records["contact.mode"].max())
 
-        def terminated(self, records: Records) -> bool:
+        def is_terminated(self, records: Records) -> bool:
             return bool(records["contact.mode"].any())
 
     env = Reach("paper-plane", home_m=HOME)

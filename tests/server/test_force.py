@@ -65,10 +65,10 @@ def test_a_suspended_force_returns_unless_inhibited(at: int) -> None:
     """A suspension is not a reason, and clears none."""
     loop = Loop()
     loop.ticks = at
-    with loop.force.suspended():
+    with loop.force.suspend():
         assert loop.switch[IS_REQUESTED] == 0 and loop.force.is_requested
     assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
-    with loop.force.suspended():
+    with loop.force.suspend():
         loop.force.inhibit(UNARMED)
     assert loop.switch[IS_REQUESTED] == 0
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig, load_scene, overridden
+from softfinger.config.load import apply_overrides, build, load_rig, load_scene
 from softfinger.config.sources import list_shipped
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses
@@ -275,7 +275,7 @@ def test_the_wall_force_is_limited_by_the_guard():
 def test_an_unstable_wall_fades(energy):
     """A light hand on a stiff wall with a delay of one tick bounces up to the guard's limit. With an energy limit it
     gets less than twice that energy, and the wall's force is lower."""
-    stiff = overridden(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
+    stiff = apply_overrides(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     limits = lim.UNLIMITED._replace(energy=energy)
     tuning = tuning._replace(guards=(tuning.guards[0]._replace(limits=limits),))

@@ -171,7 +171,7 @@ def test_recordings_add_up(tmp_path: Path) -> None:
             while scraped(daemon)["softfinger_recorded_ticks_total", ()] <= before:
                 assert time.monotonic() < until
             daemon.recordings.end()
-        while (written := daemon.recordings.written()).bytes < sum(file.stat().st_size for file in files):
+        while (written := daemon.recordings.collect_totals()).bytes < sum(file.stat().st_size for file in files):
             assert time.monotonic() < until + 60.0
         found = scraped(daemon)
     assert found["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)

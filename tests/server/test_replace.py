@@ -98,7 +98,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         running.stop()
         assert running.wait(60.0)
         ticks = running.servo.ticks
-        written = device._log.logged().wrench
+        written = device._log.read_log().wrench
     rows = kept.all
     assert rows[:, 0].tolist() == list(range(ticks))
     assert rows[begun, 2].tolist() == missed
@@ -124,7 +124,7 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
         running.stop()
         assert running.wait(WAIT_S)
         (plant,) = running.devices
-        written = np.linalg.norm(plant._log.logged().wrench[:, :3], axis=1)
+        written = np.linalg.norm(plant._log.read_log().wrench[:, :3], axis=1)
     norms = np.linalg.norm(kept.all[:, 3:], axis=1)
     assert norms[:begun].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)

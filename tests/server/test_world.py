@@ -22,7 +22,7 @@ from helpers.allocations import HAS_COMPILER, counted
 from helpers.key_world import KEY, ROLLING, key_world
 
 from softfinger.config import schema
-from softfinger.config.load import load_rig, load_scene, overridden
+from softfinger.config.load import apply_overrides, load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
@@ -188,7 +188,7 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
     """The key starts at the keyframe, rises when the motor's control is set to 0, and returns with a reset."""
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
-    at_home = overridden(scene, {"world.keyframe": "home"}, "test")
+    at_home = apply_overrides(scene, {"world.keyframe": "home"}, "test")
     with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
         samples = heights(running.publisher.endpoint)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from softfinger.server import cli
-from softfinger.tools.bench.commands import FORCE_N, torn
+from softfinger.tools.bench.commands import FORCE_N, count_torn
 
 pytestmark = pytest.mark.real_time
 
@@ -38,4 +38,4 @@ def test_a_torn_set_would_be_seen() -> None:
     rows = np.zeros((4, 6))
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
     rows[3, 3] = 2.0
-    assert torn(rows) == 1
+    assert count_torn(rows) == 1

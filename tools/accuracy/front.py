@@ -99,11 +99,11 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
 
 def sentence(surface: str, motion: str, rate: float, target: float, best: Row | None, group: Sequence[Row]) -> str:
     """Return the recommendation as a sentence."""
-    asked = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
+    question = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
     if best is None:
         least = min(group, key=lambda row: row["max_error_m"])
-        return f"{asked} there is no method: {least['method']} comes to {length(least['max_error_m'])}"
-    return f"{asked} use {best['method']}: {best['ns_per_step']:.0f} ns"
+        return f"{question} there is no method: {least['method']} comes to {length(least['max_error_m'])}"
+    return f"{question} use {best['method']}: {best['ns_per_step']:.0f} ns"
 
 
 def length(meters: float) -> str:

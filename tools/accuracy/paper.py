@@ -127,22 +127,22 @@ def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
     """
     # Two halves, since a rotation of 6.2 rad cannot be distinguished from one of 0.1.
     dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
-    taken: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
+    times: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}
     with progress("timing the methods", ROUNDS) as done:
         for number in range(ROUNDS):
             for name, make in METHODS.items():
-                taken[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
+                times[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
             for name, turns, dt, share in (
                 ("classical", dq, STEP_S, MAX_STEP_SHARE),
                 ("free", dq, STEP_S, 1.0),
                 ("ahead", halves, STEPS * STEP_S / 2.0, 2.0 * MAX_STEP_SHARE),
             ):
                 _, time, counts[name] = time_classical(turns, dt, share, 0.0, blocks)
-                taken[name].append(time / STEPS)
-            taken["reference"].append(reference_ns())
+                times[name].append(time / STEPS)
+            times["reference"].append(reference_ns())
             done(number + 1)
-    ns = {name: float(np.median(values)) for name, values in taken.items()}
+    ns = {name: float(np.median(values)) for name, values in times.items()}
     return {
         "classical_ns_per_step": ns["classical"],
         **{f"{name}_ns_per_step": ns[name] for name in METHODS},

@@ -77,14 +77,14 @@ def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
         thing = table(kind, pitch, Path(folder))
         smooth, rolls = (Engine(scene_of(thing, sticks)) for sticks in (False, True))
     found, cost_us = [], []
-    for way in ways:
-        felt = visit(smooth, way)
-        found.append(differences(way, felt, felt, visit(rolls, way)))
+    for path in ways:
+        records = visit(smooth, path)
+        found.append(differences(path, records, records, visit(rolls, path)))
         for _ in range(PASSES):
             rolls.reset()
             begun = time.perf_counter()
-            rolls.run(way.poses)
-            cost_us.append(1e6 * (time.perf_counter() - begun) / len(way.poses))
+            rolls.run(path.poses)
+            cost_us.append(1e6 * (time.perf_counter() - begun) / len(path.poses))
     largest = {key: max(each[key] for each in found) for key in MEASURES}
     return {"kind": kind, "pitch_m": pitch, **largest, "tick_us": min(cost_us)}
 

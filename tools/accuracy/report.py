@@ -28,9 +28,9 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
     words = f"{on['processor']}, {on['processors']} processors, {on['system']}, Python {on['python']}"
     console.print(f"softfinger accuracy: fingertip {1e3 * result['radius_m']:g} mm; measured on {words}\n")
     for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
-        made = part(result)
-        if made.rows:
-            console.print(made)
+        text = part(result)
+        if text.rows:
+            console.print(text)
     for line in advice(result):
         console.print(line, soft_wrap=True)
 
@@ -48,12 +48,12 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    grid = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for number, name in enumerate(columns):
-        made.add_column(name.replace("_", "\n"), justify="left" if number < left else "right", no_wrap=True)
+        grid.add_column(name.replace("_", "\n"), justify="left" if number < left else "right", no_wrap=True)
     for row in rows:
-        made.add_row(*row)
-    return made
+        grid.add_row(*row)
+    return grid
 
 
 def paper_table(result: dict[str, Any]) -> Any:

@@ -102,38 +102,38 @@ class Listener:
         rows, self._rows = np.array(self._rows).reshape(-1, 6), []
         return rows
 
-    def felt(self) -> bool:
+    def is_felt(self) -> bool:
         """Return whether the device gets the force of the scene, unchanged by the guard."""
         self.take(time.monotonic() + 0.02)
         return bool(self._rows) and self._rows[-1][3] == 0.0 and self._rows[-1][2] > 0.0
 
-    def await_felt(self) -> None:
-        """Wait until `felt` is true."""
+    def wait_until_felt(self) -> None:
+        """Wait until `is_felt` is true."""
         until = time.monotonic() + TURN_S
-        while not self.felt():
+        while not self.is_felt():
             if time.monotonic() > until:
                 raise ConfigError(f"no unchanged force was seen within {TURN_S:g} s: is the machine overloaded?")
 
 
 def run(args: argparse.Namespace) -> int:
     with (
-        tempfile.TemporaryDirectory() as made,
-        daemon(Path(made)) as (process, endpoint, commands),
+        tempfile.TemporaryDirectory() as folder,
+        daemon(Path(folder)) as (process, endpoint, commands),
         subscribe(endpoint) as subscription,
         Control(commands, TURN_S) as control,
     ):
         listener = Listener(subscription)
-        listener.await_felt()
+        listener.wait_until_felt()
         listener.rows()
         quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
-        held, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
+        rows, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
         turned, memory = swapping(listener, control, process.pid, args.swaps)
     # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
     steps = np.diff(np.abs(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
     result = {
-        "ticks_without": len(quiet), "missed_without": missed(quiet),
-        "set_params": len(answers), "ticks": len(held), "missed": missed(held), "torn": torn(held),
-        "changes_felt": int(np.count_nonzero(np.diff(held[:, 5]))),
+        "ticks_without": len(quiet), "missed_without": count_missed(quiet),
+        "set_params": len(answers), "ticks": len(rows), "missed": count_missed(rows), "torn": count_torn(rows),
+        "changes_felt": int(np.count_nonzero(np.diff(rows[:, 5]))),
         "answer_p50_s": float(np.median(answers)),
         "answer_p99_s": float(np.percentile(answers, 99)),
         "swaps": args.swaps, "largest_step_n": float(steps.max()), "slew_n": SLEW_N_PER_S / 1000.0,
@@ -200,16 +200,16 @@ def asking(
 ) -> tuple[Array, Array]:
     """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
     count = max(1, round(rate_hz * seconds))
-    taken = np.zeros(count)
+    durations = np.zeros(count)
     with progress(what, count) as done:
         begun = time.monotonic()
         for number in range(count):
             listener.take(begun + number / rate_hz)
-            asked = time.monotonic()
+            start = time.monotonic()
             ask()
-            taken[number] = time.monotonic() - asked
+            durations[number] = time.monotonic() - start
             done(number + 1)
-    return listener.rows(), taken
+    return listener.rows(), durations
 
 
 def swapping(listener: Listener, control: Control, pid: int, count: int) -> tuple[Array, list[float]]:
@@ -219,18 +219,18 @@ def swapping(listener: Listener, control: Control, pid: int, count: int) -> tupl
     with progress("set_scene", count) as done:
         for number in range(count):
             control.set_scene(pressed if number % 2 else OTHER)
-            listener.await_felt()
+            listener.wait_until_felt()
             memory.append(resident_mb(pid))
             done(number + 1)
     return listener.rows(), memory
 
 
-def missed(rows: Array) -> int:
+def count_missed(rows: Array) -> int:
     """Return the number of deadlines missed in the rows."""
     return int(rows[-1, 4] - rows[0, 4])
 
 
-def torn(rows: Array) -> int:
+def count_torn(rows: Array) -> int:
     """Return the number of ticks with a force of no pair, unchanged by the guard."""
     left_alone = rows[rows[:, 3] == 0.0]
     return int(np.count_nonzero(np.abs(left_alone[:, 2] - FORCE_N) > ROUNDING * FORCE_N))

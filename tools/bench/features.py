@@ -119,13 +119,13 @@ def corner_poses(count: int = BLOCK) -> Array:
     return poses
 
 
-def _carry_poses(here: schema.Scene, there: schema.Scene) -> tuple[Array, Array]:
-    """Return poses (n, 7) that touch the object of `here`, and the same poses relative to that object in `there`."""
-    poses = touching_poses(here)
-    w, *v = there.object[0].orientation_wxyz
+def _carry_poses(first: schema.Scene, second: schema.Scene) -> tuple[Array, Array]:
+    """Return poses (n, 7) that touch the object of `first`, and the same poses relative to that object in `second`."""
+    poses = touching_poses(first)
+    w, *v = second.object[0].orientation_wxyz
     position, scalar, vector = poses[:, :3], poses[:, 3:4], poses[:, 4:]
     across = np.cross(v, position)
-    position = position + 2.0 * (w * across + np.cross(v, across)) + there.object[0].position_m
+    position = position + 2.0 * (w * across + np.cross(v, across)) + second.object[0].position_m
     orientation = w * scalar - vector @ np.array([v]).T, w * vector + scalar * v + np.cross(v, vector)
     return poses, np.hstack([position, *orientation])
 

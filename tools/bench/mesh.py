@@ -54,8 +54,11 @@ def run(args: argparse.Namespace) -> int:
             made["loaded_s"] = time.perf_counter() - begun
             rows.append(made | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             done(len(rows))
-        beside = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
-    result = {"rows": rows, "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, beside, strict=True)]}
+        spheres = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
+    result = {
+        "rows": rows,
+        "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, spheres, strict=True)],
+    }
     show(result, args.json, list(table(result)))
     if args.plot:
         draw(result, args.plot)

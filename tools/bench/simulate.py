@@ -29,20 +29,20 @@ def run(args: argparse.Namespace) -> int:
     ticks, rounds = args.ticks, max(args.rounds, 1)
     if ticks < TICKS_MIN:
         raise ConfigError(f"--ticks {ticks}: too few to measure: {TICKS_MIN} or more")
-    taken: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
-    with tempfile.TemporaryDirectory(dir=args.folder) as made:
-        poses = Path(made, "poses.csv")
+    durations: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        poses = Path(folder, "poses.csv")
         with progress("first run, which compiles kernels that are not cached"):
             with poses.open("wb") as file:
                 file.write(",".join(POSE_COLUMNS).encode() + b"\n")
                 write_csv_rows(file, motion(args.poses, ticks))
-            simulate(args.scene, poses, Path(made, "warm.npz"))
+            simulate(args.scene, poses, Path(folder, "warm.npz"))
         with progress("simulating", rounds * len(SUFFIXES)) as done:
             for turn in range(rounds):
                 for place, ending in enumerate(SUFFIXES):
-                    taken[ending].append(simulate(args.scene, poses, Path(made, f"results{ending}")))
+                    durations[ending].append(simulate(args.scene, poses, Path(folder, f"results{ending}")))
                     done(turn * len(SUFFIXES) + place + 1)
-    rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in taken.items()]
+    rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in durations.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [
         f"  {row['format']:<5}{row['seconds']:7.2f} s, median {row['median_seconds']:.2f}, "
@@ -72,11 +72,11 @@ def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
     ended = subprocess.run(
         [sys.executable, "-m", "softfinger.server.cli", *words], capture_output=True, text=True, check=False
     )
-    taken = time.perf_counter() - begun, children_s() - before
+    duration = time.perf_counter() - begun, children_s() - before
     out.unlink(missing_ok=True)
     if ended.returncode:
         raise ConfigError(f"simulate failed: {ended.stderr.strip()}")
-    return taken
+    return duration
 
 
 def children_s() -> float:

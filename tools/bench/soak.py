@@ -142,23 +142,23 @@ def watch_processes(
     for less than half of the time is left out.
     """
     begun, passed, number = time.monotonic(), 0.0, 0
-    times, seen = list[float](), list[Sizes]()
+    times, samples = list[float](), list[Sizes]()
     stopped = threading.Event()
     with progress("soaking", round(seconds)) as done, signals.stop_on_signal(stopped.set):
         while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):
                 times.append(passed)
-                seen.append({})
+                samples.append({})
                 for name, pid in trees.items():
-                    seen[-1] |= sizes(name, pid)
+                    samples[-1] |= sizes(name, pid)
                 done(int(passed))
             number += 1
             stopped.wait(max(0.0, begun + CHANGE_S * number - time.monotonic()))
             passed = time.monotonic() - begun
     nothing = (np.nan,) * len(FIELDS)
-    names = dict.fromkeys(name for each in seen for name in each)
-    found = {name: np.array([each.get(name, nothing) for each in seen]) for name in names}
+    names = dict.fromkeys(name for each in samples for name in each)
+    found = {name: np.array([each.get(name, nothing) for each in samples]) for name in names}
     return np.array(times), {name: rows for name, rows in found.items() if np.isfinite(rows[:, 0]).mean() > 0.5}
 
 
@@ -284,9 +284,9 @@ def growth(hours: Array, values: Array) -> tuple[float, float]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    beside = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
+    reference = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
     lines = [
-        f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({beside}), "
+        f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({reference}), "
         f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",
         f"  {'':<40}{'MB':>8}{'an hour':>10}{'descriptors':>13}{'threads':>9}",
     ]

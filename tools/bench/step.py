@@ -15,7 +15,7 @@ from softfinger.config.schema import Scene
 from softfinger.config.sources import list_shipped
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
-from softfinger.server.offline.cost import BLOCK, Cost, bare_contact, measure, touching_poses, without_parts
+from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, measure, touching_poses, without_parts
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
@@ -42,7 +42,7 @@ def time_reference(factor: float, count: int, watch: Stopwatch) -> float:
 
 
 def reference_ns() -> float:
-    """Return the present time of one such chain, ns."""
+    """Measure the current duration (ns) of the reference computation, `time_reference`."""
     watch, count = stopwatch(50), 100
     time_reference(0.5, count, watch)
     return float(np.median(watch.ns)) / count
@@ -82,7 +82,11 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
 
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
     poses = corner_poses() if name == CORNER else touching_poses(scene)
-    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", bare_contact(scene))]
+    parts = [
+        ("whole", scene),
+        *((f"without {n}", s) for n, s in without_parts(scene)),
+        ("bare", keep_contact(scene)),
+    ]
     units, costs = measure_in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):
@@ -132,7 +136,7 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
     scenes = feature.without, feature.having
     if feature.poses is not None:
         poses = feature.poses()
-    elif bare_contact(feature.without).object[0] == bare_contact(feature.having).object[0]:
+    elif keep_contact(feature.without).object[0] == keep_contact(feature.having).object[0]:
         poses = (touching_poses(feature.without),) * 2
     else:
         poses = touching_poses(feature.without), touching_poses(feature.having)

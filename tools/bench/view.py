@@ -212,9 +212,9 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
             microseconds(each[what]["blocks"][q]) + "  " for what in ("late", "busy") for q in ("p50", "p99")
         )
         frames = each["frames_per_s"]
-        told = f"{frames['median']:.0f}, least {frames['least']:.0f}" if frames else ""
+        frames_text = f"{frames['median']:.0f}, least {frames['least']:.0f}" if frames else ""
         load = f"{100.0 * each['viewer_load']:5.1f} %" if each["viewer_load"] else ""
-        lines.append(f"  {name:<18} {each['missed_of_1000']:12.2f}   {cells}   {load:<8}   {told}")
+        lines.append(f"  {name:<18} {each['missed_of_1000']:12.2f}   {cells}   {load:<8}   {frames_text}")
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
 
 

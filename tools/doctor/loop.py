@@ -48,12 +48,12 @@ def without_device(rig: Rig) -> Rig:
 
 def settings(rig: Rig) -> list[Check]:
     """Apply each real-time setting in a separate thread, and undo it."""
-    made: list[realtime.Setting] = []
-    thread = threading.Thread(target=lambda: made.extend(_apply(rig)))
+    settings_made: list[realtime.Setting] = []
+    thread = threading.Thread(target=lambda: settings_made.extend(_apply(rig)))
     thread.start()
     thread.join()
     found = []
-    for setting in made:
+    for setting in settings_made:
         needed = rig.servo.realtime == "require" and setting.name in realtime.REQUIRED
         state = STATES[0] if setting.ok else STATES[1 + needed]
         wanted = "granted" + (": the rig requires it" if needed else "")
@@ -103,10 +103,10 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
     """Return the checks for the figures of `tools.bench.loop.evaluate`."""
     period, servo = 1.0 / result["rate_hz"], result["servo"]
     share, late = servo["missed"] / servo["ticks"], servo["late"]["p99"]
-    beside = "no C compiler here to compare with (install gcc)"
+    reference = "no C compiler here to compare with (install gcc)"
     if "c" in result:
-        theirs = result["c"]["late"]["p99"]
-        beside = f"the same loop in C {theirs * 1e6:.0f} us, {theirs / period:.1%}"
+        reference_s = result["c"]["late"]["p99"]
+        reference = f"the same loop in C {reference_s * 1e6:.0f} us, {reference_s / period:.1%}"
     quiet = "stop other programs, reserve a processor for servo.cpu with isolcpus= on the kernel's command line"
     return [
         Check(
@@ -119,7 +119,7 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
         Check(
             "wake-up lateness",
             grade(late / period, LATE_FAIR, LATE_BAD),
-            f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {beside}",
+            f"p99 {late * 1e6:.0f} us, {late / period:.1%} of the period; {reference}",
             f"at most {LATE_FAIR:.0%} of the period; above {LATE_BAD:.0%} a tick does not fit",
             f"correct the faults listed above; {quiet}",
         ),

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from softfinger.drivers import quaternions
 from softfinger.drivers.base import SAMPLE_BUTTONS
 from softfinger.tools.exchange import FORCE, SAMPLE
 from softfinger.tools.measure import Array
@@ -45,14 +46,14 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
 
     Returns None without rows.
     """
-    kept = finite(rows)
-    if len(kept) < 2:
+    valid = finite(rows)
+    if len(valid) < 2:
         return None
-    place = kept[:, SAMPLE : SAMPLE + 3]
-    about = np.array([rotation(kept[0], row) for row in kept]) if turns else None
+    place = valid[:, SAMPLE : SAMPLE + 3]
+    about = np.array([rotation(valid[0], row) for row in valid]) if turns else None
     return {
-        "ticks": len(kept),
-        "not_finite": len(rows) - len(kept),
+        "ticks": len(valid),
+        "not_finite": len(rows) - len(valid),
         "position_m": place.mean(axis=0).tolist(),
         "position_std_m": place.std(axis=0).tolist(),
         "rotation_std_rad": about.std(axis=0).tolist() if about is not None else None,
@@ -61,19 +62,19 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
 
 def by_itself(rows: Array) -> Array:
     """Return the deviation (3,) m of the handle from its middle along each axis while nothing pushed it."""
-    kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
-    if len(kept) == 0:
+    valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    if len(valid) == 0:
         return np.zeros(3)
-    low, high = np.percentile(kept, BY_ITSELF, axis=0)
+    low, high = np.percentile(valid, BY_ITSELF, axis=0)
     return np.asarray(0.5 * (high - low))
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
     """Return the range of the handle: smallest and largest coordinates, m."""
-    kept = finite(rows)[:, SAMPLE : SAMPLE + 3]
-    if len(kept) == 0:
+    valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    if len(valid) == 0:
         return None
-    return {"position_min_m": kept.min(axis=0).tolist(), "position_max_m": kept.max(axis=0).tolist()}
+    return {"position_min_m": valid.min(axis=0).tolist(), "position_max_m": valid.max(axis=0).tolist()}
 
 
 def masks(rows: Array) -> list[int]:
@@ -83,46 +84,34 @@ def masks(rows: Array) -> list[int]:
 
 def rotation(before: Array, after: Array) -> Array:
     """Return the shorter rotation vector (3,) rad, world frame, from the orientation of one row to that of another."""
-    w0, x0, y0, z0 = before[SAMPLE + 3 : SAMPLE + 7]
-    w1, x1, y1, z1 = after[SAMPLE + 3 : SAMPLE + 7]
-    # after times the conjugate of before
-    w = w1 * w0 + x1 * x0 + y1 * y0 + z1 * z0
-    v = np.array([
-        -w1 * x0 + x1 * w0 - y1 * z0 + z1 * y0,
-        -w1 * y0 + y1 * w0 - z1 * x0 + x1 * z0,
-        -w1 * z0 + z1 * w0 - x1 * y0 + y1 * x0,
-    ])  # fmt: skip
-    size = float(np.linalg.norm(v))
-    if size == 0.0:
-        return np.zeros(3)
-    angle: Array = v * (2.0 * atan2(size, abs(w)) / size * (1.0 if w >= 0.0 else -1.0))
-    return angle
+    before, after = before[SAMPLE + 3 : SAMPLE + 7], after[SAMPLE + 3 : SAMPLE + 7]
+    return quaternions.log(quaternions.multiply(after, quaternions.conjugate(before)))
 
 
 def translation_of(rows: Array) -> Array:
     """Return the displacement (3,) m of the handle from the start of a part to its end."""
-    kept = finite(rows)
-    count = max(1, round(ENDS * len(kept)))
-    way: Array = np.median(kept[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(
-        kept[:count, SAMPLE : SAMPLE + 3], axis=0
+    valid = finite(rows)
+    count = max(1, round(ENDS * len(valid)))
+    displacement: Array = np.median(valid[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(
+        valid[:count, SAMPLE : SAMPLE + 3], axis=0
     )
-    return way
+    return displacement
 
 
 def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
     """Return the result of a requested motion. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
-    kept = finite(rows)
-    if len(kept) == 0:
+    valid = finite(rows)
+    if len(valid) == 0:
         return None
     turned = kind == "rotation"
-    vector = rotation(kept[0], kept[-1]) if turned else translation_of(kept)
-    seen = along(vector, TURNED_RAD if turned else MOVED_M)
+    vector = rotation(valid[0], valid[-1]) if turned else translation_of(valid)
+    direction = along(vector, TURNED_RAD if turned else MOVED_M)
     return {
         "asked": asked,
         "kind": kind,
         "expected": expected,
-        "seen": seen,
-        "agrees": seen == expected,
+        "seen": direction,
+        "agrees": direction == expected,
         "vector": vector.tolist(),
         "unit": "rad" if turned else "m",
     }
@@ -152,14 +141,14 @@ def push(
     rows   (n, ROW_SIZE) of the push; the result is None if they have no pose or no force
     own_m  (3,) m, motion of the handle at rest; a response that is not larger cannot be attributed to the push
     """
-    kept = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
+    is_valid = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
     force, place = rows[:, FORCE + axis], rows[:, SAMPLE : SAMPLE + 3]
-    if kept.sum() < 8 or not force.any():
+    if is_valid.sum() < 8 or not force.any():
         return None
     late = 2.0 * np.pi * frequency_hz / rate_hz * np.cumsum(force)
     t = np.linspace(-1.0, 1.0, len(rows))
-    drift = np.stack([np.ones_like(t), t, t * t], axis=1)[kept]
-    basis, motion = (_without(drift, part[kept]) for part in (np.stack([force, late], axis=1), place))
+    drift = np.stack([np.ones_like(t), t, t * t], axis=1)[is_valid]
+    basis, motion = (_without(drift, part[is_valid]) for part in (np.stack([force, late], axis=1), place))
     found, *_ = np.linalg.lstsq(basis, motion, rcond=None)
     fitted = basis @ found
     k = int(np.argmax((fitted**2).sum(axis=0)))

@@ -102,17 +102,17 @@ class Privacy:
 
 def options(given: dict[str, Any]) -> dict[str, Any]:
     """Return the device options of a rig with files without their folders and a shortened serial number."""
-    kept: dict[str, Any] = {}
+    public: dict[str, Any] = {}
     for key, value in given.items():
         if key == "serial":
-            kept[key] = shortened(str(value))
+            public[key] = shortened(str(value))
         elif isinstance(value, dict):
-            kept[key] = options(value)
+            public[key] = options(value)
         elif isinstance(value, str) and "/" in value and not value.startswith("/dev/"):
-            kept[key] = Path(value).name
+            public[key] = Path(value).name
         else:
-            kept[key] = value
-    return kept
+            public[key] = value
+    return public
 
 
 def _file_name(path: str) -> str:

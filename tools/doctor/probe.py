@@ -85,17 +85,17 @@ class Probe(Session):
             "ten seconds: 2 s each at rest, to the right, away from you, up, and for the buttons and turns. "
             "Keep the handle where each motion ends"
         )
-        parts = [self._cued("hold still")]
+        parts = [self._record_motion("hold still")]
         self._rest_of(parts[0])
         wanted = self._translations()
         for one in TRANSLATIONS:
-            rows = self._cued(one.words) if one in wanted else self._record("further options", self._seconds)
+            rows = self._record_motion(one.words) if one in wanted else self._record("further options", self._seconds)
             parts.append(rows)
             asked = self._guided and one in wanted
             found = motions.move(one.words, one.kind, one.expected, rows) if asked else None
             if found is not None:
                 self._report["moves"].append(found)
-        parts.append(self._cued("press each button in turn, and turn the handle"))
+        parts.append(self._record_motion("press each button in turn, and turn the handle"))
         together = join_rows(parts)
         if len(together):
             self._report["exchange"] = figures(together, self._exchange.rate_hz)
@@ -103,7 +103,7 @@ class Probe(Session):
         if force_n is not None:
             self._push_each(force_n)
 
-    def _cued(self, words: str) -> Array:
+    def _record_motion(self, words: str) -> Array:
         if self._guided and self._exchange.ended is None:
             print(words, file=sys.stderr, flush=True)
         return self._record(words, self._seconds)
@@ -116,9 +116,9 @@ class Probe(Session):
         for axis in self._pushed_axes():
             found = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
             if found is not None:
-                self._report["pushes"].append(found | {"felt": self._felt(motions.AXES[axis])})
+                self._report["pushes"].append(found | {"felt": self._ask_direction_felt(motions.AXES[axis])})
 
-    def _felt(self, name: str) -> str:
+    def _ask_direction_felt(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""
         if not self._guided or self._exchange.ended is not None:
             return ""
@@ -135,15 +135,15 @@ class Probe(Session):
 
 def join_rows(parts: list[Array]) -> Array:
     """Join rows of parts; the gaps between the parts are removed from their times."""
-    kept: list[Array] = []
+    all_rows: list[Array] = []
     begins = 0.0
     for rows in parts:
         if len(rows):
             later = rows.copy()
             later[:, START] += begins - rows[0, START]
-            kept.append(later)
+            all_rows.append(later)
             begins = later[-1, START] + float(np.median(np.diff(rows[:, START]))) if len(rows) > 1 else begins
-    return np.concatenate(kept) if kept else parts[0][:0]
+    return np.concatenate(all_rows) if all_rows else parts[0][:0]
 
 
 def glance(report: Mapping[str, Any]) -> list[str]:
@@ -151,6 +151,6 @@ def glance(report: Mapping[str, Any]) -> list[str]:
     if report["device"] is None:
         return []
     text = picture(report)
-    if (seen := report["exchange"]) is not None:
-        text.append(f"  {seen['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
+    if (exchange := report["exchange"]) is not None:
+        text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
     return text

@@ -42,12 +42,12 @@ def answer_questions(report: Report) -> list[dict[str, Any]]:
 
 
 def _exchange(report: Report) -> str | None:
-    if (seen := report["exchange"]) is None:
+    if (exchange := report["exchange"]) is None:
         return None
-    read, write = seen["read"], seen["write"]
+    read, write = exchange["read"], exchange["write"]
     return (
         f"read {_us(read['p50'])} (p99 {_us(read['p99'])}), write {_us(write['p50'])} (p99 {_us(write['p99'])}), "
-        f"{seen['new_samples_hz']:.0f} new samples a second at {report['rate_hz']:g} Hz"
+        f"{exchange['new_samples_hz']:.0f} new samples a second at {report['rate_hz']:g} Hz"
     )
 
 
@@ -62,10 +62,10 @@ def _rotation(report: Report) -> str | None:
 
 
 def _buttons(report: Report) -> str | None:
-    seen = report["buttons"]
-    if seen is None:
+    buttons = report["buttons"]
+    if buttons is None:
         return None
-    return f"masks {', '.join(map(str, seen['masks']))} were seen" if any(seen["masks"]) else "none was seen"
+    return f"masks {', '.join(map(str, buttons['masks']))} were seen" if any(buttons["masks"]) else "none was seen"
 
 
 def _force_sign(report: Report) -> str | None:

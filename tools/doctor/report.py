@@ -158,7 +158,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
 
 def identity(device: discovery.Attached) -> dict[str, Any]:
     """Return a device as the system lists it, for a hidraw node with the report descriptor, read without opening it."""
-    seen: dict[str, Any] = {
+    identified: dict[str, Any] = {
         "bus": device.bus,
         "vendor_id": f"{device.vendor:04x}",
         "product_id": f"{device.product:04x}",
@@ -169,10 +169,10 @@ def identity(device: discovery.Attached) -> dict[str, Any]:
     if device.bus == "hid":
         path = discovery.ROOT / discovery.HIDRAW / Path(device.node).name / "device" / "report_descriptor"
         try:
-            seen["report_descriptor"] = path.read_bytes().hex()
+            identified["report_descriptor"] = path.read_bytes().hex()
         except OSError:
-            seen["report_descriptor"] = ""
-    return seen
+            identified["report_descriptor"] = ""
+    return identified
 
 
 def record(

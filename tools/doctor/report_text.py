@@ -40,8 +40,8 @@ def _format_measured(report: Report) -> list[str]:
         text.append(burst_line(report["without_pauses"]))
     if (rest := report["rest"]) is not None:
         noise = ", ".join(f"{value * 1e6:.1f}" for value in rest["position_std_m"])
-        held = "at rest" if report["guided"] else "at the start, without a request to hold it still"
-        text.append(f"  noise along x, y, z, {held}: {noise} um")
+        handle = "at rest" if report["guided"] else "at the start, without a request to hold it still"
+        text.append(f"  noise along x, y, z, {handle}: {noise} um")
     if (span := report["range"]) is not None:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
         text.append("  was from " + ", ".join(f"{low * 1e3:.1f} to {high * 1e3:.1f}" for low, high in pairs) + " mm")
@@ -51,6 +51,6 @@ def _format_measured(report: Report) -> list[str]:
     if report["buttons"] is not None:
         text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
     for one in report["pushes"]:
-        felt = f"; felt: {one['felt']}" if one.get("felt") else ""
-        text.append(f"  push along {one['axis']}: {one['seen']}{felt}")
+        answer = f"; felt: {one['felt']}" if one.get("felt") else ""
+        text.append(f"  push along {one['axis']}: {one['seen']}{answer}")
     return text

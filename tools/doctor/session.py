@@ -97,8 +97,8 @@ class Session:
             self._report["without_pauses"] = burst_figures(burst)
 
     def _moves(self) -> None:
-        asked = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
-        for one in asked:
+        moves = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
+        for one in moves:
             self._ask(f"{one.words}, within {self._seconds:g} s, and keep it there")
             found = motions.move(one.words, one.kind, one.expected, self._record(one.words, self._seconds))
             if found is not None:
@@ -134,7 +134,7 @@ class Session:
     def _part(self, axis: int) -> Array:
         """Return the component (3,) of a motion or force that the handle supports along an axis."""
         whole = np.eye(3)[axis]
-        return whole if self._freedom is None else self._freedom.displayed(self._freedom.centre, whole)
+        return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
     def _translations(self) -> list[Asked]:
         """Return the motions that the handle can make."""

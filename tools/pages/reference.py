@@ -78,10 +78,10 @@ def experiments() -> str:
 
 An experiment file (TOML) describes trials and answers: [run an experiment](../run-an-experiment.md).
 `softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
-    kept = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
+    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
     return _page(
         head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.markdown("experiment"),
-        "## Files of the folder", "No file of a participant is overwritten.", kept,
+        "## Files of the folder", "No file of a participant is overwritten.", folder_files,
     )  # fmt: skip
 
 
@@ -214,7 +214,7 @@ What can go wrong, what detects it, and what the hand feels. A reaction counts f
 Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
 [injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
 faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught."""
-    seen = json.loads(SEEN_IN.read_text("utf-8"))
+    results = json.loads(SEEN_IN.read_text("utf-8"))
     rows = [
         [
             each.name,
@@ -222,7 +222,7 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
             each.state if each.reaction == "none" else f"{each.reaction}: {each.state}",
             each.recovery,
             ", ".join(f"`{event}`" for event in each.events) or "none",
-            _cases(each, seen),
+            _cases(each, results),
         ]
         for each in HAZARDS
     ]
@@ -232,13 +232,13 @@ Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tic
 emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
 them. Then the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
-    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _seen_rows(seen)))
+    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _seen_rows(results)))
 
 
-def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
+def _seen_rows(results: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each injected fault, with all its drivers."""
     faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for each in seen:
+    for each in results:
         if "driver" in each:
             key = tuple(each[name] for name in ("hazard", "fault", "event", "state", "recovery"))
             faults.setdefault(key, []).append(each)
@@ -252,21 +252,21 @@ def _seen_rows(seen: list[dict[str, Any]]) -> list[list[str]]:
             for count, drivers in sorted(after.items(), key=lambda each: each[0] or 0)
         )
         back = [each["back"] for each in found if each.get("back") is not None]
-        felt = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
-        told = event if event == "none" else f"`{event}`"
-        rows.append([hazard, fault, ticks, told, state, recovery + felt])
+        remaining = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
+        reaction = event if event == "none" else f"`{event}`"
+        rows.append([hazard, fault, ticks, reaction, state, recovery + remaining])
     return rows
 
 
-def _cases(hazard: Hazard, seen: list[dict[str, Any]]) -> str:
+def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
     """Format the number of passed cases of each test of a hazard, with a link to the test."""
-    found = {each["test"]: each for each in seen if each["hazard"] == hazard.name and "test" in each}
-    told = []
+    found = {each["test"]: each for each in results if each["hazard"] == hazard.name and "test" in each}
+    words = []
     for test in hazard.tests:
         file, _, name = test.partition("::")
         counted = f"{found[test]['passed']} of {found[test]['of']}: " if test in found else ""
-        told.append(f"{counted}[{name}](../../{file})")
-    return ", ".join(told)
+        words.append(f"{counted}[{name}](../../{file})")
+    return ", ".join(words)
 
 
 def materials_page() -> str:
@@ -356,8 +356,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="reference", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the pages go")
     folder = parser.parse_args(argv).folder
-    for name, made in PAGES.items():
-        (folder / name).write_text(made(), encoding="utf-8")
+    for name, make_page in PAGES.items():
+        (folder / name).write_text(make_page(), encoding="utf-8")
     return 0
 
 

@@ -79,16 +79,16 @@ def ellipsoid(axes: Any) -> None:
     height = np.sqrt((a * np.sin(turns)) ** 2 + (b * np.cos(turns)) ** 2)
     lean = (a * a - b * b) * np.sin(turns) * np.cos(turns) / height
     # Without slip the contact travels the length of the ellipse, with the element h + h'' of the turn.
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (height[1:] + height[:-1]) * np.diff(turns))]) + np.gradient(
+    arc = np.concatenate([[0.0], np.cumsum(0.5 * (height[1:] + height[:-1]) * np.diff(turns))]) + np.gradient(
         height, turns
     )
     for at in (0, 70, 150):
         t = turns[at]
-        center = np.array([way[at] - lean[at], height[at]])
+        center = np.array([arc[at] - lean[at], height[at]])
         x, y = a * np.cos(TURN), b * np.sin(TURN)
         axes.plot(center[0] + x * np.cos(t) + y * np.sin(t), center[1] - x * np.sin(t) + y * np.cos(t), color=BLUE)
-        _arrow(axes, (way[at], 0.0), center, r"$\rho$" if at == 70 else "", RED)
-    axes.plot(way - lean, height, color=GREY, linestyle="--", linewidth=0.8)
+        _arrow(axes, (arc[at], 0.0), center, r"$\rho$" if at == 70 else "", RED)
+    axes.plot(arc - lean, height, color=GREY, linestyle="--", linewidth=0.8)
     _bare(axes, (-1.6, 4.8), (-0.4, 2.5))
 
 

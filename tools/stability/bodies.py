@@ -227,19 +227,19 @@ def speed_of(engine: Engine) -> float:
     return float(max(np.linalg.norm(velocity[:3]), HALF_M * np.linalg.norm(velocity[3:])))
 
 
-def poses_of(way: Array) -> dict[str, Array]:
+def poses_of(path: Array) -> dict[str, Array]:
     """Return unrotated poses (n, 7) of each finger for centres (n, 2, 3)."""
-    poses = np.zeros((*way.shape[:2], 7))
-    poses[:, :, :3], poses[:, :, 3] = way, 1.0
+    poses = np.zeros((*path.shape[:2], 7))
+    poses[:, :, :3], poses[:, :, 3] = path, 1.0
     return {name: poses[:, at] for at, name in enumerate(FINGERS)}
 
 
-def play(engine: Engine, way: Array) -> Played:
+def play(engine: Engine, path: Array) -> Played:
     """Move the fingertips along centres (n, 2, 3)."""
-    poses = poses_of(way)
-    found = Played(np.zeros(way.shape), np.zeros(way.shape[:2]), np.zeros(len(way)), 0.0)
+    poses = poses_of(path)
+    found = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
-    for tick in range(len(way)):
+    for tick in range(len(path)):
         records = engine.run({name: each[tick : tick + 1] for name, each in poses.items()})
         for at, name in enumerate(FINGERS):
             found.force[tick, at] = records[name]["force"][0]
@@ -260,17 +260,17 @@ def measure(cell: Cell) -> Found:
     found = Found(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if found.depth_m > 2.0 * RADIUS_M:
         return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
-    there = way_there(cell)
-    stay = np.repeat(there[-1:], round(STAY_S / DT), axis=0)
+    forward = way_there(cell)
+    stay = np.repeat(forward[-1:], round(STAY_S / DT), axis=0)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            way = np.concatenate([there, stay, there[::-1]])
-            cycle = play(begin(cell, Path(folder)), way)
+            path = np.concatenate([forward, stay, forward[::-1]])
+            cycle = play(begin(cell, Path(folder)), path)
             engine = begin(cell, Path(folder))
-            engine.run(poses_of(np.concatenate([there, stay])))
+            engine.run(poses_of(np.concatenate([forward, stay])))
             engine.data.qvel[:] = KNOCK
             knock = speed_of(engine)
-            after = play(engine, np.repeat(there[-1:], round(WATCH_S / DT), axis=0))
+            after = play(engine, np.repeat(forward[-1:], round(WATCH_S / DT), axis=0))
         except SafetyStop as error:
             return found._replace(reason=str(error))
     third, last = (float(after.speed[-to:][:QUARTER].max()) for to in (2 * QUARTER, QUARTER))
@@ -279,7 +279,7 @@ def measure(cell: Cell) -> Found:
         grown=last / third if third > 0.0 else 1.0,
         ripple_n=float(np.linalg.norm(np.diff(after.force[-QUARTER:], axis=0), axis=2).max()),
         slips=slips(cycle.mode[LEG:-LEG]) + slips(after.mode),
-        given_j=float(np.sum(cycle.force[:-1] * np.diff(way, axis=0))),
+        given_j=float(np.sum(cycle.force[:-1] * np.diff(path, axis=0))),
         unbalanced_n=max(cycle.unbalanced, after.unbalanced),
     )
     touching = after.mode[-1, : 2 if cell.case == "hold" else 1] != FREE

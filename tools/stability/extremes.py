@@ -124,7 +124,7 @@ def press(depth: float, radius: float = R, way: float = 0.0, count: int = TICKS)
     return samples
 
 
-def even(count: int, dt: float = 0.001) -> Array:
+def even_steps(count: int, dt: float = 0.001) -> Array:
     return np.full(count, dt)
 
 
@@ -165,56 +165,64 @@ def cases() -> Iterator[Case]:
 
 def on_a_plane() -> Iterator[Case]:
     """Yield motions, parameters, times and damaged poses."""
-    yield Case("no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even(TICKS), expects=slides)
+    yield Case(
+        "no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even_steps(TICKS), expects=slides
+    )
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
         poses[:, 3:] = turns_about(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
-        yield Case("rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even(TICKS))
+        yield Case(
+            "rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even_steps(TICKS)
+        )
     poses = press(0.001)
     poses[:, 3:] = turns_about(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
-    yield Case("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even(TICKS), expects=never_slides)
+    yield Case("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even_steps(TICKS), expects=never_slides)
     poses = press(0.001)
     poses[:, 3:] = turns_about(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
-    yield Case("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even(TICKS))
+    yield Case("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even_steps(TICKS))
     for radius in (1e-5, 1e3):
         model = scene(radius=radius)
         poses = press(0.1 * radius, radius, radius)
-        yield Case("fingertip radius", f"r = {radius:g} m", model, poses, even(TICKS), expects=touches_and_leaves)
+        yield Case("fingertip radius", f"r = {radius:g} m", model, poses, even_steps(TICKS), expects=touches_and_leaves)
     for stiffness in (1e-3, 1e6):
         model = scene(stiffness=stiffness)
         poses = press(0.001, way=0.01)
-        yield Case("stiffness", f"K = {stiffness:g} N/m", model, poses, even(TICKS), expects=touches_and_leaves)
+        yield Case("stiffness", f"K = {stiffness:g} N/m", model, poses, even_steps(TICKS), expects=touches_and_leaves)
     poses = press(0.001, way=0.01)
-    yield Case("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even(TICKS), expects=slides)
-    yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even(TICKS), expects=never_slides)
+    yield Case("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even_steps(TICKS), expects=slides)
+    yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even_steps(TICKS), expects=never_slides)
     for rate in (8000.0, 50.0):
-        yield Case("period", f"T = 1/{rate:g} s", scene(), poses, even(TICKS, 1.0 / rate), False, slides, 1.0 / rate)
+        yield Case(
+            "period", f"T = 1/{rate:g} s", scene(), poses, even_steps(TICKS, 1.0 / rate), False, slides, 1.0 / rate
+        )
     missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
     yield Case("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
-    yield Case("no time passes", "dt = 0", scene(), poses, even(TICKS, 0.0), expects=touches_and_leaves)
+    yield Case("no time passes", "dt = 0", scene(), poses, even_steps(TICKS, 0.0), expects=touches_and_leaves)
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
     yield Case("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         broken = press(0.001)
         broken[100:300:7, 1] = value
-        yield Case("broken position", words, scene(), broken, even(TICKS), True, zero_refused)
+        yield Case("broken position", words, scene(), broken, even_steps(TICKS), True, zero_refused)
     for norm in (0.0, 1e-3, nan, inf, 1e200):
         broken = press(0.001)
         broken[100:300:7, 3] = norm
-        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even(TICKS), True, zero_refused)
+        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even_steps(TICKS), True, zero_refused)
     for norm in (0.51, 1.99):
         uneven = press(0.001)
         uneven[::2, 3] = norm
-        yield Case("quaternion", f"of norm {norm:g}", scene(), uneven, even(TICKS), expects=never_slides)
+        yield Case("quaternion", f"of norm {norm:g}", scene(), uneven, even_steps(TICKS), expects=never_slides)
     tiny = press(0.001)
     tiny[:, 4:] = 5e-324
-    yield Case("subnormal numbers", "in the quaternion", scene(), tiny, even(TICKS), expects=never_slides)
+    yield Case("subnormal numbers", "in the quaternion", scene(), tiny, even_steps(TICKS), expects=never_slides)
     hops = np.random.default_rng(3).uniform(-1.0, 1.0, (TICKS, 3)) * 10.0 ** np.linspace(-3.0, 6.0, TICKS)[:, None]
     poses = press(0.001)
     poses[:, :3] = hops
-    yield Case("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even(TICKS))
+    yield Case("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even_steps(TICKS))
     poses = press(1.0)
-    yield Case("deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even(TICKS), expects=clamp_sample)
+    yield Case(
+        "deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even_steps(TICKS), expects=clamp_sample
+    )
 
 
 def on_other_objects() -> Iterator[Case]:
@@ -223,18 +231,20 @@ def on_other_objects() -> Iterator[Case]:
         ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
         poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))
         words = f"r = {radius:g} m on R = {other:g} m"
-        yield Case("curvature", words, scene(ball, radius=radius), poses, even(TICKS), expects=touches_and_leaves)
+        yield Case("curvature", words, scene(ball, radius=radius), poses, even_steps(TICKS), expects=touches_and_leaves)
     for sign in (1.0, -1.0):
         poses = press(0.001)
         poses[:, 3:] = turns_about(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
-        yield Case("gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even(TICKS))
+        yield Case(
+            "gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even_steps(TICKS)
+        )
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
         poses = press(0.001, way=0.004)
         poses[:, :2] += np.asarray(place) - 0.001
         poses[:, 3:] = turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
         words = f"of a box, rolled over its {words}"
-        yield Case("sharp object", words, scene(BLOCK), poses, even(TICKS), expects=touches_and_leaves)
+        yield Case("sharp object", words, scene(BLOCK), poses, even_steps(TICKS), expects=touches_and_leaves)
 
     for count in (2, 3):
         poses = press(0.001, way=0.003)
@@ -242,7 +252,7 @@ def on_other_objects() -> Iterator[Case]:
         poses[:, count - 1 : 2] += 0.05
         words = f"{count} walls at once, turning"
         poses[:, 3:] = turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
-        yield Case("several contacts", words, scene(*WALLS), poses, even(TICKS))
+        yield Case("several contacts", words, scene(*WALLS), poses, even_steps(TICKS))
 
 
 def clamp_sample(records: Array) -> str:
@@ -285,19 +295,19 @@ def broken_rules(records: Array, period: float) -> int:
     with np.errstate(invalid="ignore", over="ignore"):
         force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
         torque = np.linalg.norm(records[:, AT.torque : AT.torque + 3], axis=1)
-        kept = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
-        kept &= np.isin(records[:, AT.contact_mode], (0.0, 1.0, 2.0)) & (
+        is_within = (force <= FORCE_MAX_N * (1.0 + ROUNDING)) & (torque <= TORQUE_MAX_NM * (1.0 + ROUNDING))
+        is_within &= np.isin(records[:, AT.contact_mode], (0.0, 1.0, 2.0)) & (
             records[:, AT.servo_guard] % (2 * NOT_FINITE) < NOT_FINITE
         )
-        kept &= np.isfinite(records).all(axis=1)
+        is_within &= np.isfinite(records).all(axis=1)
         for at, size, slew in (
             (AT.force, force, GUARD.force_slew_n_per_s),
             (AT.torque, torque, GUARD.torque_slew_nm_per_s),
         ):
             change = np.linalg.norm(np.diff(records[:, at : at + 3], axis=0), axis=1)
             # Change from the last tick, or from zero after a release of the force.
-            kept[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
-        return int(np.count_nonzero(~kept))
+            is_within[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
+        return int(np.count_nonzero(~is_within))
 
 
 def try_extremes() -> list[Finding]:

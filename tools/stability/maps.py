@@ -98,9 +98,9 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None
         scale = 1e-3  # N/m to N/mm
         axes.set(xscale="log" if log else "linear", yscale="log")
         for number, variant in enumerate(variants):
-            here = [row for row in rows if row["map"] == name and row["variant"] == variant]
-            x = [row[key] for row in here]
-            found = [row["limit_n_per_m"] for row in here]
+            panel = [row for row in rows if row["map"] == name and row["variant"] == variant]
+            x = [row[key] for row in panel]
+            found = [row["limit_n_per_m"] for row in panel]
             y = [np.nan if limit is None else scale * limit for limit in found]
             (lines[f"{variant}: found"],) = axes.plot(x, y, "o" if number == 0 else ".-", color=f"C{number}")
         line = cases_of(name, case, LINE_POINTS)

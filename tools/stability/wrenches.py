@@ -62,9 +62,9 @@ def cases() -> Iterator[Case]:
         broken[BROKEN_AT, component] = value
         yield Case(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
     yield Case("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
-    held = even.copy()
-    held[RAMP_TICKS] = 0.05
-    yield Case("10 N after a pause of 50 ms", step, held, climbs)
+    constant = even.copy()
+    constant[RAMP_TICKS] = 0.05
+    yield Case("10 N after a pause of 50 ms", step, constant, climbs)
     asleep = even.copy()
     asleep[2 * RAMP_TICKS] = 1.0
     yield Case("1 N held over a pause of 1 s", STEADY, asleep, lambda out, bits: fades_in(out, 2 * RAMP_TICKS))

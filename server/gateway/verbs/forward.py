@@ -100,6 +100,6 @@ def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> 
 
 def bind(endpoint: str, flag: str, stack: ExitStack) -> Bound:
     """Bind the endpoint; `stack` frees it."""
-    made = listen(endpoint, flag, public=True)
-    stack.enter_context(made.files)
-    return made
+    bound = listen(endpoint, flag, public=True)
+    stack.enter_context(bound.files)
+    return bound

@@ -10,10 +10,10 @@ from softfinger.server.keys import make_pair
 
 def run(args: argparse.Namespace) -> int:
     """Create the pairs and print their files; returns 0."""
-    made = {name: make_pair(args.folder, name) for name in args.names}
+    pairs = {name: make_pair(args.folder, name) for name in args.names}
     if args.json:
-        print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in made.items()}))
+        print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in pairs.items()}))
     else:
-        for public, secret in made.values():
+        for public, secret in pairs.values():
             print(f"{public}: public key: copy it to the other side\n{secret}: secret key: do not share it")
     return 0

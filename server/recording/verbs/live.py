@@ -18,7 +18,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.recorder import Recorder, RecorderState
-from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, no_telemetry_text, record_of, subscribe
+from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, record_of, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, SCENE_TOPICS, finger_of
 
@@ -231,7 +231,7 @@ def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
             # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
                 return samples
-    raise NoTelemetry(no_telemetry_text(job.addresses.telemetry, job.timeout_s))
+    raise NoTelemetry(explain_no_telemetry(job.addresses.telemetry, job.timeout_s))
 
 
 def _description(job: RecordingJob) -> dict[str, Any]:

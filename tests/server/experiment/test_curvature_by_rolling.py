@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.sources import EXPERIMENTS
+from softfinger.drivers import quaternions
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.hands import interpolate_path, quaternion
+from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.masses import load_changed_scene
 from softfinger.server.experiment.schema import ONE
 
@@ -31,7 +32,7 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[ONE], experiment.turn[ONE]
     times = np.arange(0.0, 1.5, 0.005)
-    poses = np.array([[*interpolate_path(path, t), *quaternion(interpolate_path(turns, t))] for t in times])
+    poses = np.array([[*interpolate_path(path, t), *quaternions.exp(interpolate_path(turns, t))] for t in times])
     name = experiment.factor[0].scenes[condition]
     values = {"object.sphere.radius_m": radius_m, "object.sphere.position_m.2": -radius_m}
     scene = load_changed_scene(folder / name if name.endswith(".toml") else name, values, "a test")
@@ -72,7 +73,7 @@ def test_without_rolling_the_same_movement_drags() -> None:
 @pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.0), (-1.0, 2.0, 0.3), (1e-9, 0.0, 0.0)])
 def test_a_rotation_vector_turns_as_the_kernels_have_it(rotation: tuple[float, float, float]) -> None:
     """The quaternion equals that of the kernels up to rounding."""
-    assert quaternion(rotation) == pytest.approx(exp(rotation), abs=4e-16)
+    assert quaternions.exp(rotation).tolist() == pytest.approx(exp(rotation), abs=4e-16)
 
 
 def test_a_turn_needs_a_motion() -> None:

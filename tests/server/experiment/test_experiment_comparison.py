@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import optimize, stats
-from test_experiment_design import small
+from test_trial_order import small
 
 from softfinger.server.experiment.analysis import ALL, excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.programs import Program
-from test_experiment_design import small
+from test_trial_order import small
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from test_experiment_design import small
+from test_trial_order import small
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene

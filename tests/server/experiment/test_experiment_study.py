@@ -14,17 +14,17 @@ from typing import Any
 import msgspec
 import pytest
 from PIL import Image
-from test_experiment_design import file, small
 from test_experiment_session import drawn
+from test_trial_order import file, small
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.daemon import RunOptions
-from softfinger.server.experiment.design import plan_trials
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load
 from softfinger.server.experiment.session import Stopped
+from softfinger.server.experiment.trial_order import plan_trials
 
 pytestmark = pytest.mark.plain
 

@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 import pytest
-from test_experiment_design import small
+from test_trial_order import small
 
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.observer import SimulatedObserver

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
-from test_experiment_design import small
+from test_trial_order import small
 
 from softfinger.config.errors import DeviceLost
 from softfinger.config.schema import Rig

@@ -12,7 +12,7 @@ import pytest
 from helpers.recorded import EPOCH_S, about, event, printed, recorded, run
 
 from softfinger.config.errors import Different
-from softfinger.config.load import describe, load_rig, load_scene, overridden
+from softfinger.config.load import apply_overrides, describe, load_rig, load_scene
 from softfinger.drivers.base import HELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -38,7 +38,7 @@ SETTLE_TICKS = 499
 def replayed(path: Path, **changes: float) -> Outcome:
     scene = load_scene("paper-plane")
     past = load_run(path, FIELDS)
-    scene = overridden(scene, changes, "test") if changes else scene
+    scene = apply_overrides(scene, changes, "test") if changes else scene
     return compare(past, replay(past, scene, load_rig("replay")), _recorded_values(past), TOLERANCE)
 
 
@@ -138,7 +138,7 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
     """Return a run whose stiffness changes at a tick in free space."""
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
-    softer = overridden(scene, {STIFFNESS: stiffness}, "test")
+    softer = apply_overrides(scene, {STIFFNESS: stiffness}, "test")
     after = simulate(make_tuning(softer, load_rig("replay").guard), poses, 1000.0)
     assert run()[tick, AT.contact_mode] == FREE
     records = np.vstack([run()[:tick], after[tick:]])
@@ -230,7 +230,7 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["replay", str(path), "--json"]) == 0
     assert printed(capsys.readouterr().out)["equal"] is True
 
-    softer = describe(overridden(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
+    softer = describe(apply_overrides(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
     other = recorded(tmp_path / "b.mcap", run(), scene=softer)
     picture = tmp_path / "b.svg"
     assert cli.main(["replay", str(other), "--json", "--plot", str(picture)]) == Different.exit_code

@@ -52,7 +52,7 @@ def test_a_paddle_displays_the_force_along_its_arc(
     freedom = make_subspace(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
     assert freedom is not None
     # rounding of positions of 1 m over steps of 90 nm
-    np.testing.assert_allclose(freedom.displayed(place(angle), force), (force @ way) * way, atol=1e-7)
+    np.testing.assert_allclose(freedom.project_force(place(angle), force), (force @ way) * way, atol=1e-7)
 
 
 @pytest.mark.plain

@@ -63,7 +63,7 @@ class PlannedTrial(NamedTuple):
     staircase: int = 0
 
 
-def conditions(experiment: ExperimentFile) -> list[Condition]:
+def list_conditions(experiment: ExperimentFile) -> list[Condition]:
     """Return all combinations of the factors' levels; the level of the last factor changes fastest."""
     combinations = []
     for levels in itertools.product(*(factor.levels for factor in experiment.factor)):
@@ -90,7 +90,7 @@ def williams(count: int, row: int) -> list[int]:
 def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTrial]:
     """Return the trials of a participant, practice first."""
     rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
-    count = len(conditions(experiment))
+    count = len(list_conditions(experiment))
     blocks = [_block(experiment, condition, rng) for condition in range(count)]
     match experiment.design.order:
         case "random":
@@ -112,7 +112,7 @@ def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTri
     return [trial._replace(number=k) for k, trial in enumerate(planned, 1)]
 
 
-def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
+def describe_session(experiment: ExperimentFile) -> list[tuple[str, str]]:
     """Return rows of name and text that describe a session for the participant."""
     trials, trial = plan_trials(experiment, 1), experiment.trial
     touches = 1 + (experiment.task.kind == "compare")
@@ -120,7 +120,7 @@ def summary(experiment: ExperimentFile) -> list[tuple[str, str]]:
     every = experiment.design.break_every
     return [
         ("scene, rig", f"{experiment.scene}, {experiment.rig}"),
-        ("conditions", "; ".join(condition.name for condition in conditions(experiment))),
+        ("conditions", "; ".join(condition.name for condition in list_conditions(experiment))),
         ("trials", f"{len(trials)}, {experiment.design.practice} of them practice; {experiment.procedure.kind}"),
         ("lasts", f"{minutes:.0f} min and the answers" + (f", a break after each {every} trials" if every else "")),
     ]
@@ -170,7 +170,7 @@ def _insert_catch_trials(
     if experiment.catch is None:
         return list(trials)
     after = Counter[int]()
-    for condition in range(len(conditions(experiment))):
+    for condition in range(len(list_conditions(experiment))):
         numbers = [trial.number for trial in trials if trial.condition == condition and not trial.practice]
         after.update(int(k) for k in rng.choice(numbers, round(experiment.catch.rate * len(numbers)), replace=False))
     first = iter(rng.permutation(after.total()) % 2 == 0)

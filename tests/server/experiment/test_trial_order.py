@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.design import conditions, plan_trials, williams
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import number_blocks
+from softfinger.server.experiment.trial_order import list_conditions, plan_trials, williams
 
 pytestmark = pytest.mark.plain
 
@@ -43,7 +43,7 @@ def test_all_combinations_occur_equally_often() -> None:
     """Two factors of 3 and 2 levels give 6 conditions, each with 4 trials of each of 3 levels."""
     both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
     experiment = file(factor=both)
-    assert len(conditions(experiment)) == 6
+    assert len(list_conditions(experiment)) == 6
     count = Counter((trial.condition, trial.level) for trial in plan_trials(experiment, 1))
     assert len(count) == 18 and set(count.values()) == {4}
 
