@@ -270,18 +270,14 @@ class Page:
         now = time.monotonic()
         if now - self._text_updated_s > TEXT_S and self._newest and not self._paused.value:
             self._text_updated_s = now
-            self._state_text.content = "".join(
-                format_tick_html(name, row, self.fingers[name].state, self.fingers[name].gap_m)
-                + (
-                    TEXT_HTML.format(self._low_dof_devices[name].format_html(row))
-                    if name in self._low_dof_devices
-                    else ""
-                )
-                for name, row in self._newest.items()
-            ) + TEXT_HTML.format(
-                f"arrow: {self._newtons_per_cm:g} N/cm"
-                + (f"<br>the daemon prepares: {html.escape(self.preparing)}" if self.preparing else "")
-            )
+            parts = []
+            for name, row in self._newest.items():
+                parts.append(format_tick_html(name, row, self.fingers[name].state, self.fingers[name].gap_m))
+                if name in self._low_dof_devices:
+                    parts.append(TEXT_HTML.format(self._low_dof_devices[name].format_html(row)))
+            preparing = f"<br>the daemon prepares: {html.escape(self.preparing)}" if self.preparing else ""
+            parts.append(TEXT_HTML.format(f"arrow: {self._newtons_per_cm:g} N/cm{preparing}"))
+            self._state_text.content = "".join(parts)
         if now - self._plotted_s > PLOT_S and not self._paused.value:
             self._plotted_s = now
             self._plots.show()
