@@ -52,15 +52,15 @@ FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
 NOTIFICATION_S: Final = 12.0
 """Duration of a notification: long enough to read three lines twice."""
+PROMPT_WIDTH: Final = 640
+"""Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
-[style*="right: 0px"][style*="z-index: 5"] {
-  width: 640px !important; right: 50% !important; transform: translateX(50%);
-}
+[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
 @media (min-width: 1800px) { [style*="right: 0px"][style*="z-index: 5"] { zoom: 1.6; } }
 </style>"""
-"""Centres and widens the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
+"""Centres the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
 
 
 _push: Final = AsyncMessageBuffer.push
@@ -134,6 +134,7 @@ class Page:
         for part in (self._state_text, self._paused, self.tabs):
             part.visible = False
         self.server.gui.add_html(PROMPT_STYLE)
+        self.server.gui.main_panel.set_width(PROMPT_WIDTH)
 
     def add_views(self) -> None:
         """Add the tabs for view settings and plots; call after the data source has added its tabs."""

@@ -206,7 +206,6 @@ def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, i
         CM * mesh.vertices,
         mesh.faces,
         color=colour,
-        opacity=0.88,
         flat_shading=mesh.flat,
         side="back" if inside else "double",  # of a hollow object, only the far wall
         cast_shadow=False,
