@@ -222,12 +222,15 @@ class LivePage:
         self._send(f"drive {object_index}", "drive", params)
 
     def _reset_world(self) -> None:
-        self._send("world", "reset_world", {})
+        self._commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
 
     def _switch_force(self, event: Any) -> None:
-        value = event.target.value
-        self._send(
-            "force", "arm" if value == "on" else "disarm", {}, lambda _: self._page.show_message(f"force {value}")
+        method = "arm" if event.target.value == "on" else "disarm"
+        self._commands.submit(
+            "force",
+            Request(
+                method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
+            ),
         )
 
     def _set_params(self, name: str, values: dict[str, Any]) -> None:
