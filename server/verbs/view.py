@@ -34,8 +34,8 @@ def run(args: argparse.Namespace) -> int:
     from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.door.process import log_address
     from softfinger.server.viewer.live import LivePage
-    from softfinger.server.viewer.participant import ParticipantPage
     from softfinger.server.viewer.playback import RecordedPage, load
+    from softfinger.server.viewer.prompt import ParticipantPage
 
     recording = None if args.recording is None else load(args.recording, args.scene)
     if args.host == PAGE_HOST:  # probably on the machine of a servo, which may run without real-time priority

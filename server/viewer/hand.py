@@ -232,8 +232,7 @@ class Hand:
         return DRAG_MODES[self._drag_mode.value] if is_in_list(self._drag_mode) else "move"
 
     def _chosen_finger(self) -> str:
-        only = len(self._fingers) < 2 or self._finger.value not in self._fingers
-        return next(iter(self._fingers), "") if only else str(self._finger.value)
+        return str(self._finger.value) if self._finger.value in self._fingers else next(iter(self._fingers), "")
 
     def _moved_fingers(self) -> list[str]:
         """Return the fingers that keys and a drag move."""
@@ -269,9 +268,8 @@ class Hand:
 
     def _on_drag(self, finger: str, event: Any, mode: str) -> None:
         if event.phase == "start":
-            targets = self._targets_of(
-                {finger, *self._moved_fingers()} if finger in self._moved_fingers() else {finger}
-            )
+            moved = self._moved_fingers()
+            targets = self._targets_of({finger, *moved} if finger in moved else {finger})
             if finger in targets:
                 self._active_drags[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._active_drags or finger not in self._fingers:
@@ -281,25 +279,16 @@ class Hand:
         starts, grabbed = self._active_drags[finger]
         start = starts[finger]
         eye, pointer = np.array(event.client.camera.position) / CM, np.array(event.end_position) / CM
-        target = drag_target(
-            start, eye, grabbed, pointer, "move" if mode == "pinch" else mode, self._fingers[finger].radius
-        )
+        one_mode = "move" if mode == "pinch" else mode
+        target = drag_target(start, eye, grabbed, pointer, one_mode, self._fingers[finger].radius)
         if target is not None:
             self.send_target(finger, target)
-            displacement, rotation = (
-                target.position - start.position,
-                product(target.orientation, inverse(start.orientation)),
-            )
+            displacement = target.position - start.position
+            rotation = product(target.orientation, inverse(start.orientation))
             for other in starts.keys() & self._fingers.keys() - {finger}:
-                other_start = starts[other]
-                motion = (
-                    mirror_motion(displacement, other_start.position - start.position)
-                    if mode == "pinch"
-                    else displacement
-                )
-                self.send_target(
-                    other, Target(other_start.position + motion, product(rotation, other_start.orientation))
-                )
+                position, orientation = starts[other]
+                motion = mirror_motion(displacement, position - start.position) if mode == "pinch" else displacement
+                self.send_target(other, Target(position + motion, product(rotation, orientation)))
             if finger == self._chosen_finger():
                 self._update_sliders()
         if event.phase == "end":
@@ -315,18 +304,13 @@ class Hand:
             self._update_sliders()
             return
         x, y, z, *angles = (slider.value for slider in self._sliders)
-        rotation = from_angles(*(radians(angle) for angle in angles))
-        self.hold_then(
-            partial(
-                self._apply_control, "sliders", Target(np.array([x, y, z]) / 1000.0, rotation), self._update_handles
-            )
-        )
+        pose = Target(np.array([x, y, z]) / 1000.0, from_angles(*(radians(angle) for angle in angles)))
+        self.hold_then(partial(self._apply_control, "sliders", pose, self._update_handles))
 
     def _apply_control(self, control: str, pose: Target, update_others: Callable[[], None]) -> None:
         """Move the chosen finger to the pose shown by sliders or handles, and update the other ones."""
-        self.send_target(
-            self._chosen_finger(), Target(pose.position + self._target_offsets.get(control, 0.0), pose.orientation)
-        )
+        position = pose.position + self._target_offsets.get(control, 0.0)
+        self.send_target(self._chosen_finger(), Target(position, pose.orientation))
         update_others()
 
     def _on_gizmo(self, event: Any) -> None:
@@ -369,7 +353,4 @@ class Hand:
 def _move_towards_centre(targets: dict[str, Target], distance_m: float) -> dict[str, Target]:
     """Return the targets moved by `distance_m` towards their common centre."""
     centre = np.mean([target.position for target in targets.values()], axis=0)
-    return {
-        name: Target(move_towards(target.position, centre, distance_m), target.orientation)
-        for name, target in targets.items()
-    }
+    return {name: Target(move_towards(at, centre, distance_m), turn) for name, (at, turn) in targets.items()}

@@ -29,7 +29,7 @@ from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
 from softfinger.server.viewer.tuning import Tuning
-from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver
+from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver, ignore
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
@@ -114,7 +114,7 @@ class LivePage:
         """Request the daemon's description."""
         self._since_request_s = 0.0
         self._prompt.request()
-        self._commands.submit("describe", Request("describe", {}, self._store_description, lambda text: None))
+        self._commands.submit("describe", Request("describe", {}, self._store_description))
 
     def _store_description(self, description: dict[str, Any]) -> None:
         self._description = description
@@ -142,9 +142,8 @@ class LivePage:
         for object_index, obj in enumerate(scene.object):
             if isinstance(obj, Filed):
                 on_mesh = partial(self._store_mesh, self._scene_number, object_index)
-                self._commands.submit(
-                    f"mesh {object_index}", Request("mesh", {"object": object_index}, on_mesh, self._page.show_message)
-                )
+                request = Request("mesh", {"object": object_index}, on_mesh, self._page.show_message)
+                self._commands.submit(f"mesh {object_index}", request)
         self._orientable_fingers = {
             finger["name"] for finger in description["fingers"] if finger["device"]["sensed_dof"] >= ORIENTATION_DOF
         }
@@ -194,6 +193,10 @@ class LivePage:
         elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"] in SCENE_COMMANDS):
             self._request_description()
 
+    def _send(self, name: str, method: str, params: dict[str, Any], on_result: Callable[[Any], None] = ignore) -> None:
+        """Queue a command whose refusal is shown."""
+        self._commands.submit(name, Request(method, params, on_result, self._show_refusal))
+
     def _lead_hand(self, finger: str, target: Target | None) -> None:
         params: dict[str, Any] = {"finger": finger} if finger else {}
         if target is None:
@@ -202,7 +205,7 @@ class LivePage:
             params["position_m"] = [float(x) for x in target.position]
             if finger in self._orientable_fingers:  # other devices refuse an orientation
                 params["orientation_wxyz"] = list(target.orientation)
-        self._commands.submit(f"hand {finger}", Request("hand", params, lambda result: None, self._show_refusal))
+        self._send(f"hand {finger}", "hand", params)
 
     def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
         def on_held(answer: Held) -> None:
@@ -212,15 +215,12 @@ class LivePage:
             on_failure()
             self._show_refusal(text)
 
-        self._commands.submit(
-            f"hold {finger}", Request("hold", {"finger": finger} if finger else {}, on_held, on_refused)
-        )
+        params = {"finger": finger} if finger else {}
+        self._commands.submit(f"hold {finger}", Request("hold", params, on_held, on_refused))
 
     def _drive_object(self, object_index: int, pose: PoseTuple) -> None:
         params = {"object": object_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
-        self._commands.submit(
-            f"drive {object_index}", Request("drive", params, lambda result: None, self._show_refusal)
-        )
+        self._send(f"drive {object_index}", "drive", params)
 
     def _reset_world(self) -> None:
         self._scene_commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
@@ -235,19 +235,16 @@ class LivePage:
         )
 
     def _set_params(self, name: str, values: dict[str, Any]) -> None:
-        self._commands.submit(
-            name, Request("set_params", values, lambda result: self._request_description(), self._show_refusal)
-        )
+        self._send(name, "set_params", values, lambda _: self._request_description())
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
         self._page.show_message(PREPARING)
-        self._scene_commands.submit(
-            name, Request("set_scene", values, lambda result: self._page.show_message(""), self._show_refusal)
-        )
+        request = Request("set_scene", values, lambda _: self._page.show_message(""), self._show_refusal)
+        self._scene_commands.submit(name, request)
 
     def _show_refusal(self, text: str) -> None:
         self._page.show_message(text, "Not done:")
-        self._tuning.restore()
+        self._tuning.show()
         self._object_controls.restore()
 
     def close(self) -> None:

@@ -52,15 +52,15 @@ FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
 NOTIFICATION_S: Final = 12.0
 """Duration of a notification: long enough to read three lines twice."""
+PROMPT_WIDTH: Final = 640
+"""Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
-[style*="right: 0px"][style*="z-index: 5"] {
-  width: 640px !important; right: 50% !important; transform: translateX(50%);
-}
+[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
 @media (min-width: 1800px) { [style*="right: 0px"][style*="z-index: 5"] { zoom: 1.6; } }
 </style>"""
-"""Centres and widens the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
+"""Centres the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
 
 
 _push: Final = AsyncMessageBuffer.push
@@ -134,6 +134,7 @@ class Page:
         for part in (self._state_text, self._paused, self.tabs):
             part.visible = False
         self.server.gui.add_html(PROMPT_STYLE)
+        self.server.gui.main_panel.set_width(PROMPT_WIDTH)
 
     def add_views(self) -> None:
         """Add the tabs for view settings and plots; call after the data source has added its tabs."""
@@ -270,18 +271,14 @@ class Page:
         now = time.monotonic()
         if now - self._text_updated_s > TEXT_S and self._newest and not self._paused.value:
             self._text_updated_s = now
-            self._state_text.content = "".join(
-                format_tick_html(name, row, self.fingers[name].state, self.fingers[name].gap_m)
-                + (
-                    TEXT_HTML.format(self._low_dof_devices[name].format_html(row))
-                    if name in self._low_dof_devices
-                    else ""
-                )
-                for name, row in self._newest.items()
-            ) + TEXT_HTML.format(
-                f"arrow: {self._newtons_per_cm:g} N/cm"
-                + (f"<br>the daemon prepares: {html.escape(self.preparing)}" if self.preparing else "")
-            )
+            parts = []
+            for name, row in self._newest.items():
+                parts.append(format_tick_html(name, row, self.fingers[name].state, self.fingers[name].gap_m))
+                if name in self._low_dof_devices:
+                    parts.append(TEXT_HTML.format(self._low_dof_devices[name].format_html(row)))
+            preparing = f"<br>the daemon prepares: {html.escape(self.preparing)}" if self.preparing else ""
+            parts.append(TEXT_HTML.format(f"arrow: {self._newtons_per_cm:g} N/cm{preparing}"))
+            self._state_text.content = "".join(parts)
         if now - self._plotted_s > PLOT_S and not self._paused.value:
             self._plotted_s = now
             self._plots.show()

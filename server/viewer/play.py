@@ -146,23 +146,14 @@ class Play:
 
     def _try_lift(self, stage: Stage) -> str:
         assert self._scene is not None and self._bodies is not None
-        object_index = next(
-            (
-                object_index
-                for object_index, obj in enumerate(self._scene.object)
-                if isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body)
-            ),
-            None,
-        )
         sides = self._hand.sides()
-        if object_index is None or len(sides) < 2:
-            return self._request_box_scene()
-        obj = self._scene.object[object_index]
-        assert isinstance(obj, schema.Box)
-        half = half_width(obj.size_m, self._bodies.poses[object_index][1])
-        box = Box(lambda: self._box_centre(object_index), half, self._actions.reset_world)
-        self._start(lift(stage, sides[0], sides[1], box))
-        return ""
+        for object_index, obj in enumerate(self._scene.object):
+            if len(sides) > 1 and isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body):
+                half = half_width(obj.size_m, self._bodies.poses[object_index][1])
+                box = Box(partial(self._box_centre, object_index), half, self._actions.reset_world)
+                self._start(lift(stage, sides[0], sides[1], box))
+                return ""
+        return self._request_box_scene()
 
     def _box_centre(self, object_index: int) -> Array:
         assert self._bodies is not None

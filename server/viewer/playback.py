@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -16,8 +15,8 @@ from softfinger.config.load import build, load_scene
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.reader import Event, Note, Ticks, World, read_contents
-from softfinger.server.recording.results import read_results
+from softfinger.server.recording.contents import read_recording
+from softfinger.server.recording.reader import Event, Note, Ticks, World
 from softfinger.server.surface_meshes import Mesh
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
@@ -73,38 +72,40 @@ def load(recording: str, scene: str | None) -> Recording:
     RecordingError, ConfigError
         If the recording or the scene cannot be read, or their fingers differ.
     """
-    path = Path(recording)
+    blocks: dict[str, list[Ticks]] = {}
     notes: dict[str, Any] = {}
-    events: tuple[dict[str, Any], ...] = ()
-    worlds: tuple[dict[str, Any], ...] = ()
-    if path.suffix.lower() == ".mcap":
-        fingers, notes, events, worlds = _mcap(path)
-    elif path.suffix.lower() in (".csv", ".npz"):
-        try:
-            fingers = {"": read_results(path)}
-        except RecordingError:  # no results: poses, or an invalid file
-            fingers = {"": np.asarray(run_recording(path, scene or DEFAULT_SCENE))}
-    else:
+    events: list[dict[str, Any]] = []
+    worlds: list[dict[str, Any]] = []
+    for part in read_recording(recording):
+        match part:
+            case Ticks():
+                blocks.setdefault(part.finger, []).append(part)
+            case Note():
+                notes[part.name] = part.value
+            case Event():
+                events.append(part.event)
+            case World():
+                worlds.append(part.world)
+    if not blocks:
+        raise RecordingError(f"{recording}: has no tick")
+    if next(iter(blocks.values()))[0].column("force") is None:  # poses
         fingers = {"": np.asarray(run_recording(recording, scene or DEFAULT_SCENE))}
+    else:
+        fingers = {name: np.concatenate([part.records() for part in parts]) for name, parts in blocks.items()}
+        count = min(map(len, fingers.values()))
+        fingers = {name: rows[:count] for name, rows in fingers.items()}
     if scene is None and "scene" in notes:
-        rendered_scene = build(schema.Scene, notes["scene"], f"{path}: scene")
+        rendered_scene = build(schema.Scene, notes["scene"], f"{recording}: scene")
     else:
         rendered_scene = load_scene(scene or DEFAULT_SCENE)
     names = {each.name for each in rendered_scene.fingers}
     if names != set(fingers) and not (len(names) == 1 and set(fingers) == {""}):
-        raise RecordingError(f"{path}: has fingers {sorted(fingers)}, and the scene {sorted(names)}: give its --scene")
-    rate = notes.get("rate_hz", 1000.0)
-    name = str(notes.get("scene_name", scene or DEFAULT_SCENE))
-    return Recording(
-        fingers,
-        rendered_scene,
-        name,
-        float(rate),
-        _find_scene_start(notes, fingers, float(rate)),
-        events,
-        worlds,
-        notes,
-    )
+        raise RecordingError(
+            f"{recording}: has fingers {sorted(fingers)}, and the scene {sorted(names)}: give its --scene"
+        )
+    rate_hz, name = float(notes.get("rate_hz", 1000.0)), str(notes.get("scene_name", scene or DEFAULT_SCENE))
+    start = _find_scene_start(notes, fingers, rate_hz)
+    return Recording(fingers, rendered_scene, name, rate_hz, start, tuple(events), tuple(worlds), notes)
 
 
 def _find_scene_start(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> SceneStart:
@@ -113,29 +114,6 @@ def _find_scene_start(notes: dict[str, Any], fingers: dict[str, Array], rate_hz:
         return parse_scene_start(notes)
     first = next(iter(fingers.values()))[0]
     return SceneStart(int(first[AT.tick]), int(first[AT.servo_missed]), 1.0 / rate_hz, own_clock=False)
-
-
-def _mcap(
-    path: Path,
-) -> tuple[dict[str, Array], dict[str, Any], tuple[dict[str, Any], ...], tuple[dict[str, Any], ...]]:
-    blocks: dict[str, list[Array]] = {}
-    notes: dict[str, Any] = {}
-    events: list[dict[str, Any]] = []
-    worlds: list[dict[str, Any]] = []
-    for part in read_contents(path):
-        if isinstance(part, Ticks):
-            blocks.setdefault(part.finger, []).append(part.records())
-        elif isinstance(part, Note):
-            notes[part.name] = part.value
-        elif isinstance(part, Event):
-            events.append(part.event)
-        elif isinstance(part, World):
-            worlds.append(part.world)
-    if not blocks:
-        raise RecordingError(f"{path}: has no tick")
-    fingers = {name: np.concatenate(each) for name, each in blocks.items()}
-    count = min(len(rows) for rows in fingers.values())
-    return {name: rows[:count] for name, rows in fingers.items()}, notes, tuple(events), tuple(worlds)
 
 
 class Player:

@@ -1,4 +1,4 @@
-"""Prompt of an experiment on the page: text, progress, and buttons, keys or a field for the answer."""
+"""Prompts of an experiment: text, progress, and controls for the answer; the page of a participant shows only them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from softfinger.server.viewer.wire import CommandQueue, Request
+from softfinger.server.gateway.addresses import Addresses
+from softfinger.server.keys import ClientKeys
+from softfinger.server.viewer.page import Page
+from softfinger.server.viewer.roles import ALLOWED, Role
+from softfinger.server.viewer.scripts import run_script
+from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver
 from softfinger.server.wire.client_requests import parse_number
 from softfinger.server.wire.commands import Prompt, Prompted
+from softfinger.server.wire.protocol import EVENT
 
 TEXT: Final = (
     '<div style="padding: 0.5em 0.75em; font-size: {size}em; line-height: 1.5; overflow-wrap: anywhere">'
@@ -25,6 +31,9 @@ LARGE_MAX: Final = 3
 """Up to this number, each choice has a large button; more choices share a row."""
 PROMPT_ORDER: Final = -1.0
 """Order of the prompt: above all other controls."""
+TEXT_SIZE: Final = 1.5
+"""Text size of a participant's page relative to other pages: participants sit behind a device."""
+REQUEST_PERIOD_S: Final = 1.0
 
 
 class PromptPanel:
@@ -50,13 +59,8 @@ class PromptPanel:
         can_answer: bool = True,
         size: float = 1.0,
     ) -> None:
-        self._gui, self._commands, self._on_refused, self._can_answer, self._size = (
-            gui,
-            commands,
-            on_refused,
-            can_answer,
-            size,
-        )
+        self._gui, self._commands, self._on_refused = gui, commands, on_refused
+        self._can_answer, self._size = can_answer, size
         self._folder = gui.add_folder(None, order=PROMPT_ORDER, visible=False)
         with self._folder:
             self._text = gui.add_html("")
@@ -72,7 +76,7 @@ class PromptPanel:
 
     def request(self) -> None:
         """Request the prompt; `step` shows it."""
-        self._commands.submit("prompt", Request("get_prompt", {}, self._store, lambda text: None))
+        self._commands.submit("prompt", Request("get_prompt", {}, self._store))
 
     def handle_event(self, event: dict[str, Any]) -> None:
         """Request the prompt again after an event about a new prompt, an answer, or a new daemon."""
@@ -104,13 +108,10 @@ class PromptPanel:
         """Add the controls for the answer."""
         gui = self._gui
         with self._folder:
-            if prompt.number is not None:
-                field, button = gui.add_text("your number", ""), gui.add_button("answer")
-                button.on_click(lambda event: self._send_answer(parse_number(field.value), number))
-                return [field, button]
-            if prompt.text_length:
-                field, button = gui.add_text("your answer", ""), gui.add_button("answer")
-                button.on_click(lambda event: self._send_answer(field.value, number))
+            if prompt.number is not None or prompt.text_length:
+                parse, kind = (parse_number, "number") if prompt.number is not None else (str, "answer")
+                field, button = gui.add_text(f"your {kind}", ""), gui.add_button("answer")
+                button.on_click(lambda event: self._send_answer(parse(field.value), number))
                 return [field, button]
             if len(prompt.choices) > LARGE_MAX:
                 buttons = gui.add_button_group("", prompt.choices)
@@ -131,8 +132,9 @@ class PromptPanel:
 
     def _send_answer(self, value: str | float, number: int) -> None:
         """Send the answer unchecked: the daemon validates it."""
-        params = {"value": value, "prompt": number}
-        self._commands.submit("answer", Request("answer", params, lambda result: None, self._on_refused))
+        self._commands.submit(
+            "answer", Request("answer", {"value": value, "prompt": number}, on_error=self._on_refused)
+        )
 
 
 def format_screen(prompt: Prompt) -> str:
@@ -157,3 +159,31 @@ def assign_keys(choices: tuple[str, ...]) -> dict[str, str]:
     if all(NUMBER.fullmatch(choice) for choice in choices):
         return {choice: choice for choice in choices} if set(choices) <= set(DIGITS) else {}
     return dict(zip(DIGITS, choices, strict=False))
+
+
+class ParticipantPage:
+    """Data source of a page from a daemon, which may start later; call `step` for each frame."""
+
+    def __init__(self, page: Page, daemon: Addresses, keys: ClientKeys | None = None) -> None:
+        self._telemetry = TelemetryReceiver(daemon.telemetry, keys, (EVENT,))
+        self._commands = CommandQueue(daemon.command_endpoint(), keys, allowed_methods=ALLOWED[Role.PARTICIPANT])
+        page.show_only_prompts()
+        run_script(page.server.gui, "noise")
+        self._prompt = PromptPanel(
+            page.server.gui, self._commands, lambda text: page.show_message(text, "Not done:"), size=TEXT_SIZE
+        )
+        self._since_request_s = REQUEST_PERIOD_S
+
+    def step(self, dt: float) -> None:
+        """Show the data received in the last `dt` s."""
+        self._since_request_s += dt
+        if not self._prompt.is_known and self._since_request_s > REQUEST_PERIOD_S:
+            self._since_request_s = 0.0
+            self._prompt.request()
+        for event in self._telemetry.take().events:
+            self._prompt.handle_event(event)
+        self._prompt.step()
+
+    def close(self) -> None:
+        for part in (self._telemetry, self._commands):
+            part.close()

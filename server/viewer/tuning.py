@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 from softfinger.config import schema
 from softfinger.config.load import describe
@@ -15,28 +15,20 @@ NO_ROLLING: Final = "none"
 Change = Callable[[str, dict[str, Any]], None]
 
 
-class Knob:
+class Knob(NamedTuple):
     """Slider of one number of a material: `read` returns it, or None without one; `keys` returns the change."""
 
-    def __init__(
-        self,
-        slider: Any,
-        read: Callable[[schema.Material], float | None],
-        keys: Callable[[schema.Material, float], dict[str, float]],
-    ) -> None:
-        self.slider, self._read, self._keys = slider, read, keys
+    slider: Any
+    read: Callable[[schema.Material], float | None]
+    keys: Callable[[schema.Material, float], dict[str, float]]
 
     def show(self, material: schema.Material) -> None:
         """Set the slider to the material's value."""
-        value = self._read(material)
+        value = self.read(material)
         self.slider.disabled = value is None
         if value is not None:
             self.slider.max = max(self.slider.max, 2.0 * value)
             self.slider.value = value
-
-    def changed_keys(self, material: schema.Material) -> dict[str, float]:
-        """Return the keys, relative to the material, and the values set by the slider."""
-        return self._keys(material, float(self.slider.value))
 
 
 def _friction(material: schema.Material, static: float) -> dict[str, float]:
@@ -54,7 +46,7 @@ class Tuning:
         self._scene: schema.Scene | None = None
         self._name = ""
         self._object = gui.add_dropdown("object", ("",), visible=False)
-        self._object.on_update(lambda event: self._show())
+        self._object.on_update(lambda event: self.show())
         self._knobs = {
             "stiffness": Knob(
                 gui.add_slider("stiffness, N/m", 0.0, 3000.0, 10.0, 0.0),
@@ -91,16 +83,13 @@ class Tuning:
         if self._object.options != names:
             self._object.options = names
         self._object.visible = len(names) > 1
-        self._show()
-
-    def restore(self) -> None:
-        """Show the current values again after a command was refused."""
-        self._show()
+        self.show()
 
     def _object_index(self) -> int:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
-    def _show(self) -> None:
+    def show(self) -> None:
+        """Show the current values, also after a command was refused."""
         if self._scene is None:
             return
         for knob in self._knobs.values():
@@ -117,17 +106,17 @@ class Tuning:
         if event.client is None or self._scene is None:  # set by this program, not by a person
             return
         if not is_on_slider(self._knobs[name].slider):
-            self._show()
+            self.show()
             return
-        object_index = self._object_index()
-        changed_keys = self._knobs[name].changed_keys(self._scene.object[object_index].material)
-        self._params(name, {f"object.{object_index}.material.{key}": value for key, value in changed_keys.items()})
+        object_index, knob = self._object_index(), self._knobs[name]
+        changed = knob.keys(self._scene.object[object_index].material, float(knob.slider.value))
+        self._params(name, {f"object.{object_index}.material.{key}": value for key, value in changed.items()})
 
     def _on_rolling(self, event: Any) -> None:
         if event.client is None or self._scene is None:
             return
         if not is_in_list(self._rolling):
-            self._show()
+            self.show()
             return
         scene, method = describe(self._scene), self._rolling.value
         if method == NO_ROLLING:
@@ -138,6 +127,6 @@ class Tuning:
 
     def _on_scene(self, event: Any) -> None:
         if not is_in_list(self._scene_list):
-            self._show()
+            self.show()
         elif event.client is not None and self._scene_list.value != self._name:
             self._set_scene("scene", {"scene": self._scene_list.value})

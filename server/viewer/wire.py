@@ -86,13 +86,17 @@ def _drain(queue: deque[Any]) -> list[Any]:
     return [queue.popleft() for _ in range(len(queue))]
 
 
+def ignore(answer: Any) -> None:
+    """Ignore a result or an error."""
+
+
 class Request(NamedTuple):
     """Command, and the functions to call with its result or its error."""
 
     method: str
     params: dict[str, Any]
-    on_result: Callable[[Any], None]
-    on_error: Callable[[str], None]
+    on_result: Callable[[Any], None] = ignore
+    on_error: Callable[[str], None] = ignore
 
 
 class CommandQueue:

@@ -112,15 +112,8 @@ class PageProcess:
 
         The token is written to standard input, because other users can read arguments.
         """
-        command = [
-            sys.executable,
-            "-m",
-            "softfinger.server.cli",
-            *self._arguments,
-            *self._log_options,
-            "--print-address",
-        ]
-        command = [*command, "--until-eof", *options]
+        words = [*self._arguments, *self._log_options, "--print-address", "--until-eof", *options]
+        command = [sys.executable, "-m", "softfinger.server.cli", *words]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert process.stdin is not None
         with suppress(BrokenPipeError):

@@ -19,10 +19,9 @@ from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import PLANE_M, Mesh, surface_mesh
 from softfinger.server.viewer.nodes.below import PlaneSurface, Projection, TriangleSurface
-from softfinger.server.viewer.nodes.board import add_board
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
-from softfinger.server.viewer.nodes.relief import add_relief
+from softfinger.server.viewer.nodes.unlit import add_board, add_relief
 
 BOARD_SQUARES: Final = 13
 """Squares per side of a plane's board, one centimetre each."""
@@ -207,7 +206,6 @@ def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, i
         CM * mesh.vertices,
         mesh.faces,
         color=colour,
-        opacity=0.88,
         flat_shading=mesh.flat,
         side="back" if inside else "double",  # of a hollow object, only the far wall
         cast_shadow=False,

@@ -15,17 +15,7 @@ from softfinger.server.surface_meshes import cone
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
-from softfinger.server.viewer.nodes.looks import (
-    CM,
-    CONE,
-    GHOST,
-    NORMAL,
-    PLUMB,
-    SKIN,
-    TORSION,
-    Colour,
-    Looks,
-)
+from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 
 Array = NDArray[np.float64]
@@ -136,9 +126,8 @@ class FingerNodes:
         self._shadow = add_shadow(api, f"{self._node}/shadow", CM * min(self._radii))
 
     def _lines(self, node: str, segments: Array, colour: Any, thickness: float) -> Any:
-        return self._api.add_line_segments(
-            f"{self._node}/{node}", segments, colour, thickness=thickness, thickness_units="screen"
-        )
+        node = node if node.startswith("/") else f"{self._node}/{node}"
+        return self._api.add_line_segments(node, segments, colour, thickness=thickness, thickness_units="screen")
 
     def show(self, rows: Array, looks: Looks, newtons_per_cm: float) -> None:
         """Draw new ticks (n, RECORD_SIZE): the latest as a picture with arrows of the given scale, all as a trace."""
@@ -151,13 +140,9 @@ class FingerNodes:
         self._ghost.position, self._ghost.wxyz = CM * probe, orientation
         self._ghost.visible = self._separation.visible = is_separate and looks.ghost
         self._separation.points = CM * np.array([[probe, proxy]])
-        earlier = (
-            rows[max(len(rows) - STATE_TICKS, 0)]
-            if len(rows) > 1
-            else self._last_row
-            if self._last_row is not None
-            else row
-        )
+        earlier = row if self._last_row is None else self._last_row
+        if len(rows) > 1:
+            earlier = rows[max(len(rows) - STATE_TICKS, 0)]
         self.state, self._last_row = classify_contact(earlier, row, self.radius), row
         self._show_wrench(row, mode, looks, newtons_per_cm)
         self._show_gap(proxy if is_separate else probe)
@@ -207,9 +192,8 @@ class FingerNodes:
 
     def _show_cone(self, row: Array, is_shown: bool, newtons_per_cm: float) -> None:
         object_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
-        friction = (
-            self._scene.object[object_index].material.friction if 0 <= object_index < len(self._scene.object) else None
-        )
+        objects = self._scene.object
+        friction = objects[object_index].material.friction if 0 <= object_index < len(objects) else None
         self._cone.visible = is_shown and friction is not None and normal_force > MIN_DRAWN_FORCE_N
         if not self._cone.visible or friction is None:
             return
@@ -250,44 +234,34 @@ class FingerNodes:
             finger_point, up = row[_xyz(AT.contact_finger_point)], row[_xyz(AT.contact_normal)]
             position, orientation = self._bodies.poses[object_index]
             above = row[_xyz(AT.contact_point)] + TRACE_HEIGHT_M * up - position
-            finger_point = finger_point * (
-                1.0 + 2.0 * TRACE_HEIGHT_M / max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
-            )
+            length = max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
+            finger_point = finger_point * (1.0 + 2.0 * TRACE_HEIGHT_M / length)
             colour = COLOURS[classify_contact(before, row, self.radius) if len(rows) > 1 else self.state]
             has_new_segments |= trace.add(rotate(inverse(orientation), above), colour)
             has_new_segments |= self._tip_trace.add(finger_point, colour)
-        self._tip_trace_node.visible = is_shown
-        for trace, node in self._object_traces.values():
+        for trace, node in self._traces():
             node.visible = is_shown
             if has_new_segments:
                 node.points, node.colors = CM * trace.segments, trace.colours
-        if has_new_segments:
-            self._tip_trace_node.points, self._tip_trace_node.colors = (
-                CM * self._tip_trace.segments,
-                self._tip_trace.colours,
-            )
 
     def _object_trace(self, object_index: int) -> tuple[Trace, Any]:
         if object_index not in self._object_traces:
             trace, name = Trace(STEP_M), self._node.replace("/", "-")
-            node = self._api.add_line_segments(
-                f"/objects/{object_index}/trace{name}",
-                trace.segments,
-                trace.colours,
-                thickness=3.5,
-                thickness_units="screen",
-            )
-            self._object_traces[object_index] = (trace, node)
+            node = f"/objects/{object_index}/trace{name}"
+            self._object_traces[object_index] = (trace, self._lines(node, trace.segments, trace.colours, 3.5))
         return self._object_traces[object_index]
+
+    def _traces(self) -> list[tuple[Trace, Any]]:
+        return [(self._tip_trace, self._tip_trace_node), *self._object_traces.values()]
 
     def _break_lines(self, object_index: int) -> None:
         self._touched_object = object_index
-        for trace in (self._tip_trace, *(trace for trace, _ in self._object_traces.values())):
+        for trace, _ in self._traces():
             trace.break_line()
 
     def clear_traces(self) -> None:
         """Clear the traces."""
-        for trace, node in (*self._object_traces.values(), (self._tip_trace, self._tip_trace_node)):
+        for trace, node in self._traces():
             trace.clear()
             node.points = trace.segments
 

@@ -146,11 +146,8 @@ class Trace:
         if np.linalg.norm(point - self._last) < self._min_distance:
             return False
         last_segment = (self._count - 1) % len(self._segments)
-        if (
-            self._can_extend
-            and self._is_extension(last_segment, point)
-            and (self._colours[last_segment, 0] == colour).all()
-        ):
+        is_same_colour = (self._colours[last_segment, 0] == colour).all()
+        if self._can_extend and is_same_colour and self._is_extension(last_segment, point):
             self._segments[last_segment, 1] = point
         else:
             segment = self._count % len(self._segments)
@@ -166,8 +163,5 @@ class Trace:
         length = float(np.linalg.norm(chord))
         deviation = float(np.linalg.norm(np.cross(end - start, chord))) / max(length, self._min_distance)
         forward = float(np.dot(end - start, point - end)) >= 0.0
-        return (
-            forward
-            and length < MAX_SEGMENT_STEPS * self._min_distance
-            and deviation < MAX_DEVIATION_STEPS * self._min_distance
-        )
+        longest, farthest = MAX_SEGMENT_STEPS * self._min_distance, MAX_DEVIATION_STEPS * self._min_distance
+        return forward and length < longest and deviation < farthest

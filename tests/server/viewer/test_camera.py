@@ -16,7 +16,7 @@ from softfinger.server.viewer.nodes.bodies import visual_geoms
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, MAP
-from softfinger.server.viewer.nodes.relief import LIGHT, shade_vertices
+from softfinger.server.viewer.nodes.unlit import LIGHT, shade_vertices
 
 pytestmark = pytest.mark.plain
 

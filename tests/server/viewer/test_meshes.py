@@ -91,6 +91,7 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
     )
     assert len(drawn.faces) == 500
+    assert drawn.opacity is None, "browsers draw transparent surfaces in an order that hides parts of the shadow"
     gone = parse_scene(tmp_path / "gone.ply")
     page.change(gone, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)

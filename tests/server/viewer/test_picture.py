@@ -18,7 +18,6 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.surface_meshes import Mesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.nodes.board import squares
 from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 from softfinger.server.viewer.nodes.fingertip import finger, nail
 from softfinger.server.viewer.nodes.glyphs import (
@@ -36,6 +35,7 @@ from softfinger.server.viewer.nodes.glyphs import (
 )
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.nodes.unlit import squares
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
 pytestmark = pytest.mark.plain
