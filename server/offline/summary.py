@@ -138,7 +138,7 @@ def _elastic_rows(item: Mesh, elastic: Elastic) -> list[tuple[str, str]]:
         ("  largest displacement", f"{1000.0 * softest * force:.3g} mm at {force:g} N, of the points below"),
     ]  # fmt: skip
     for point, compliance in zip(report.points, report.compliances, strict=True):
-        place = ", ".join(f"{1000.0 * value:.3g}" for value in point)
+        place = ", ".join(f"{round(1000.0 * value, 3) + 0.0:g}" for value in point)
         rows.append((f"  at ({place}) mm", f"{elastic.youngs_pa / compliance:.4g} N/m along the normal"))
     return rows
 

@@ -117,6 +117,24 @@ def test_without_the_extra_one_line_names_it(
             assert ("solution of other values" in lines[0]) == (content is text)
 
 
+def test_check_prints_the_stiffness_at_five_points(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "press-a-pad"]) == 0
+    printed = capsys.readouterr().out
+    places = [line.split("at (")[1].split(") mm")[0] for line in printed.splitlines() if "along the normal" in line]
+    assert places == ["0, 0, 20", "-30, -30, 20", "-30, 30, 20", "30, -30, 20", "30, 30, 20"]
+    assert "estimated error 2.7 %" in printed and "largest displacement" in printed and "quality" in printed
+
+
+def test_a_body_without_a_fixed_region_is_refused_before_it_is_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = (FOLDERS[Scene] / "press-a-pad.toml").read_text("utf-8").replace('{ region = "below", z_m = 0.0001 }', "")
+    (tmp_path / "pad.toml").write_text(scene.replace('"press-a-pad.', f'"{FOLDERS[Scene]}/press-a-pad.'), "utf-8")
+    assert main(["check", str(tmp_path / "pad.toml")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2 and "elastic.fixed: has no region" in lines[1], lines
+
+
 def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:
     engine, depth, length = Engine("bend-a-strip"), 0.004, 0.09
     poses = np.tile([0.0, 0.0, 0.01 - depth, 1.0, 0.0, 0.0, 0.0], (40, 1))  # until the damping has decayed

@@ -1,5 +1,6 @@
 """Displacements of elastic bodies against closed forms, and bodies that cannot be used."""
 
+import logging
 from math import log2, pi
 from pathlib import Path
 from typing import Any
@@ -250,10 +251,14 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         ({"reach": [{"region": "below", "z_m": -1.0}]}, "no vertex of the surface"),
     ],
 )
-def test_bad_bodies_are_refused_in_one_line(tmp_path: Path, changes: Any, message: str) -> None:
+def test_bad_bodies_are_refused_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: Any, message: str
+) -> None:
+    caplog.set_level(logging.INFO)
     with pytest.raises(ConfigError, match=message) as refused:
         body_of(pad(tmp_path, **changes))
     assert "\n" not in str(refused.value)
+    assert [record.message for record in caplog.records if record.name.startswith("skfem")] == []
 
 
 def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
