@@ -12,7 +12,7 @@ import pytest
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Elastic, Mesh, Scene
 from softfinger.config.sources import FOLDERS
-from softfinger.drivers.poses import load_poses
+from softfinger.drivers.poses import SHIPPED, load_poses
 from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.deformed import Deformed
 from softfinger.proxy.elastic.loads import contact_loads
@@ -115,6 +115,15 @@ def test_without_the_extra_one_line_names_it(
             lines = [line for line in printed.err.splitlines() if not line.endswith("not usable") and line.strip()]
             assert len(lines) == 1 and "pip install 'softfinger[elastic]'" in lines[0], printed.err
             assert ("solution of other values" in lines[0]) == (content is text)
+
+
+def test_a_recording_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (SHIPPED / "press-a-pad.csv").read_text("utf-8").splitlines(keepends=True)
+    (tmp_path / "poses.csv").write_text("".join([lines[0], *lines[100:108]]), "utf-8")  # pressed, then dragged
+    recording, scene = str(tmp_path / "a.mcap"), ["--scene", "press-a-pad"]
+    assert main(["simulate", *scene, "--poses", str(tmp_path / "poses.csv"), "--out", recording]) == 0
+    assert main(["replay", recording, *scene, "--against", recording, "--tolerance", "0"]) == 0
+    assert "71 of 71 ticks compared, 0 differ" in capsys.readouterr().out
 
 
 def test_check_prints_the_stiffness_at_five_points(capsys: pytest.CaptureFixture[str]) -> None:
