@@ -173,7 +173,8 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
         u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
     slope = ZERO
-    if body.material.friction is None:  # of the surface at rest, even with damping: else slow cycles would make energy
+    # The surface at rest determines the slope even with damping. Otherwise slow cycles would generate energy.
+    if body.material.friction is None:
         at = slope_at(spot, spot, rows)
         matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
         slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
