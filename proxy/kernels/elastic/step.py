@@ -1,4 +1,4 @@
-"""Contact step on an elastic surface: the rigid step with the probe shift_pose by the displacement of the surface.
+"""Contact step on an elastic surface: the rigid step with the probe shifted by the displacement of the surface.
 
     f_i = F(p_i - u_i),    u_i = sum_j C(x_i, x_j) f_j
 
