@@ -31,9 +31,9 @@ class Report(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Surface (vertices, m, and triangles), its vertices that give, their compliance, and figures.
+    """Surface (vertices, m, and triangles), its compliant vertices, their compliance, and figures.
 
-    nodes       (n,)       indices of vertices
+    nodes       (n,)       indices of the compliant vertices
     compliance  (n n 9,)   see `compliance.Solution`
     bending     (n 3 2,)   see `compliance.Solution`
     """

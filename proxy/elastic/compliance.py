@@ -107,7 +107,7 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     count = loads[0].shape[1]
     together = hstack(loads).tocsr()[solid.free].tocsc()  # component by component
     blocks, bending = np.empty((count, count, 3, 3)), np.empty((2, 3 * count))
-    back, gradient = together.T, _surface_gradient(solid)[:, solid.free]
+    back, gradient = together.T, surface_gradient(solid)[:, solid.free]
     # Loads that begin in the same fronts are solved together, so that the others are skipped.
     first = np.minimum.reduceat(solid.factors.number[together.indices], together.indptr[:-1])
     parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
@@ -118,7 +118,9 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
         axis, patch = np.divmod(part, count)
         blocks.transpose(2, 0, 3, 1)[:, :, axis, patch] = (back @ moved).reshape(3, count, len(part))
         for strip in range(0, len(part), STRIP):
-            bending[:, part[strip : strip + STRIP]] = _largest_parts(gradient, moved[:, strip : strip + STRIP])
+            bending[:, part[strip : strip + STRIP]] = largest_rotation_and_strain(
+                gradient, moved[:, strip : strip + STRIP]
+            )
 
     solved = 0
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:  # the kernels release the interpreter lock
@@ -132,7 +134,7 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     return Solution(blocks, bending.reshape(2, 3, count).transpose(2, 1, 0))
 
 
-def _surface_gradient(solid: Solid) -> Any:
+def surface_gradient(solid: Solid) -> Any:
     """Return the sparse matrix (9 m, N) of the mean displacement gradients [k, i, j] = du_i / dx_j.
 
     It is that of the m tetrahedra with a face on the surface.
@@ -155,7 +157,7 @@ def _surface_gradient(solid: Solid) -> Any:
     return csr_matrix((np.concatenate(values), indices), shape=(9 * len(outer), solid.basis.N))
 
 
-def _largest_parts(gradient: Any, moved: Doubles) -> Doubles:
+def largest_rotation_and_strain(gradient: Any, moved: Doubles) -> Doubles:
     """Return the largest rotation, rad, and strain of each of the displacements (N, k): (2, k)."""
     g = (gradient @ moved).reshape(-1, 3, 3, moved.shape[1])
     mirrored = g.transpose(0, 2, 1, 3)

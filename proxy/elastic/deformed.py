@@ -112,7 +112,7 @@ class Deformed:
         return nodes, shares
 
     def _spot(self, point: Doubles) -> tuple[Doubles, Doubles]:
-        """Return nodes (3,), -1 where they do not give, and weights of a point on the surface."""
+        """Return nodes (3,), -1 at rigid vertices, and weights of a point on the surface."""
         triangles = self._body.surface.triangles
         a, b, c = (self._body.surface.vertices[triangles[:, corner]] for corner in range(3))
         ab, ac = b - a, c - a

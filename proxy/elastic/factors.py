@@ -2,7 +2,7 @@
 
 The unknowns are ordered by nested dissection of their positions (George, 1973), and eliminated in dense fronts (Duff
 and Reid, 1983). LAPACK does the arithmetic. The fronts are stored in a temporary file, so that memory is needed for one
-front per thread; the page cache of the system makes reading cheap. A body of 1000 nodes takes 31 s and 0.8 GB, with
+front per thread; the page cache of the system makes reading cheap. A body of 1000 nodes takes 31 s and 0.7 GB, with
 SciPy's SuperLU 61 s and 2.2 GB: it does not use the symmetry. Of CHOLMOD there is no wheel, and that of Pardiso needs
 MKL.
 """

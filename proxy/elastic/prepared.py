@@ -136,7 +136,7 @@ def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     """Mesh and solve a body. Raises ConfigError or ValueError if that is not possible."""
     volume = volume_of(thing, elastic.resolution_m)
     triangles = boundary(volume)
-    nodes = _yielding(volume, triangles, elastic)
+    nodes = _compliant_nodes(volume, triangles, elastic)
     solid = solid_of(volume, elastic)
     normals = vertex_normals(volume.vertices, triangles)
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
@@ -161,8 +161,8 @@ def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     return Body(surface, place, ReadOnly(found), ReadOnly(bending), report)
 
 
-def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
-    """Return the vertices of the surface that can be pressed in."""
+def _compliant_nodes(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
+    """Return the compliant vertices of the surface: outside of `fixed`, and inside of `reach` if that is given."""
     nodes = np.unique(triangles)
     points = volume.vertices[nodes]
     chosen = ~region_holds(elastic.fixed, points)
@@ -173,14 +173,14 @@ def _yielding(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elas
         raise ValueError("reach: it contains no vertex of the surface outside of `fixed`")
     if len(nodes) > limits.ELASTIC_NODES.high:
         raise ValueError(
-            f"{len(nodes):,} vertices of the surface give, at most {int(limits.ELASTIC_NODES.high):,} can: take a "
-            "larger resolution_m, or name the part that is touched in `reach`"
+            f"{len(nodes):,} compliant surface vertices, at most {int(limits.ELASTIC_NODES.high):,} are supported: use "
+            "a larger resolution_m, or limit `reach` to the touched part"
         )
     return nodes
 
 
 def _spread(points: Doubles) -> NDArray[np.int64]:
-    """Return up to five indices of points, each as far as possible from those before."""
+    """Return the indices of up to five points, each as far as possible from the previous ones."""
     chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin())]
     distance = ((points - points[chosen[0]]) ** 2).sum(axis=1)
     while len(chosen) < min(PROBES, len(points)):

@@ -7,6 +7,7 @@ K is that of Young's modulus 1 Pa: displacements are inversely proportional to i
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -48,6 +49,7 @@ class Solid:
             from skfem.models.elasticity import lame_parameters, linear_elasticity
         except ImportError as missing:
             raise ValueError(f"{missing.name} is not installed: pip install 'softfinger[elastic]'") from missing
+        logging.getLogger("skfem").setLevel(logging.WARNING)  # it reports each of its steps
         self.volume: Final = volume
         mesh = skfem.MeshTet(np.ascontiguousarray(volume.vertices.T), np.ascontiguousarray(volume.tetrahedra.T))
         # MeshTet may order the vertices of a tetrahedron, but not the vertices themselves.

@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
-from softfinger.config.schema import DeviceConfig, Object, Rig, Scene, Servo, World
+from softfinger.config.schema import DeviceConfig, Mesh, Object, Rig, Scene, Servo, World
 from softfinger.server.offline.summary import object_rows
 
 
@@ -27,7 +27,7 @@ def part_faults(config: Any, file: str) -> list[str]:
 
 def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
     for item in scene.object if is_usable(scene.object) else ():
-        if is_complete(item) and is_usable(item.shape) and not _has_complaint(item, "file"):
+        if is_complete(item) and is_usable(item.shape) and not _has_complaint(item, "file") and not _is_faulty_body(item):
             yield partial(_check_object, item)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
         yield partial(_check_world, scene.world)
@@ -50,6 +50,11 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 def _has_complaint(table: Any, key: str) -> bool:
     """Return True if the check of a table itself reports a key."""
     return any(name == key for name, *_ in table.faults())
+
+
+def _is_faulty_body(item: Object) -> bool:
+    """Return True if the table of an elastic body is itself faulty, so that it cannot be solved."""
+    return isinstance(item, Mesh) and item.elastic is not None and any(item.elastic.faults())
 
 
 def _check_object(item: Object) -> None:

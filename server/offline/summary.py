@@ -137,12 +137,13 @@ def _elastic_rows(item: Mesh, elastic: Elastic) -> list[tuple[str, str]]:
     error = "not estimated: the file has one mesh" if report.error is None else f"{100.0 * report.error:.2g} %"
     rows = [
         ("  elastic", _values(elastic)),
-        ("  volume mesh", f"{report.tetrahedra:,} tetrahedra of {report.vertices:,} vertices, {report.nodes:,} give; "
+        ("  volume mesh",
+         f"{report.tetrahedra:,} tetrahedra of {report.vertices:,} vertices, {report.nodes:,} compliant; "
          f"quality {report.worst_quality:.2g} at worst, {report.mean_quality:.2g} on average; estimated error {error}"),
         ("  largest displacement", f"{1000.0 * softest * force:.3g} mm at {force:g} N, of the points below"),
     ]  # fmt: skip
     for point, compliance in zip(report.points, report.compliances, strict=True):
-        place = ", ".join(f"{1000.0 * value:.3g}" for value in point)
+        place = ", ".join(f"{round(1000.0 * value, 3) + 0.0:g}" for value in point)
         rows.append((f"  at ({place}) mm", f"{elastic.youngs_pa / compliance:.4g} N/m along the normal"))
     return rows
 

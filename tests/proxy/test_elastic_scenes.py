@@ -12,7 +12,7 @@ import pytest
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Elastic, Mesh, Scene
 from softfinger.config.sources import FOLDERS
-from softfinger.drivers.poses import load_poses
+from softfinger.drivers.poses import SHIPPED, load_poses
 from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.deformed import Deformed
 from softfinger.proxy.elastic.loads import contact_loads
@@ -115,6 +115,33 @@ def test_a_missing_extra_is_named_in_one_line(
             lines = [line for line in printed.err.splitlines() if not line.endswith("not usable") and line.strip()]
             assert len(lines) == 1 and "pip install 'softfinger[elastic]'" in lines[0], printed.err
             assert ("solution for other values" in lines[0]) == (content is text)
+
+
+def test_a_recording_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = (SHIPPED / "press-a-pad.csv").read_text("utf-8").splitlines(keepends=True)
+    (tmp_path / "poses.csv").write_text("".join([lines[0], *lines[100:108]]), "utf-8")  # pressed, then dragged
+    recording, scene = str(tmp_path / "a.mcap"), ["--scene", "press-a-pad"]
+    assert main(["simulate", *scene, "--poses", str(tmp_path / "poses.csv"), "--out", recording]) == 0
+    assert main(["replay", recording, *scene, "--against", recording, "--tolerance", "0"]) == 0
+    assert "71 of 71 ticks compared, 0 differ" in capsys.readouterr().out
+
+
+def test_check_prints_the_stiffness_at_five_points(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "press-a-pad"]) == 0
+    printed = capsys.readouterr().out
+    places = [line.split("at (")[1].split(") mm")[0] for line in printed.splitlines() if "along the normal" in line]
+    assert places == ["0, 0, 20", "-30, -30, 20", "-30, 30, 20", "30, -30, 20", "30, 30, 20"]
+    assert "estimated error 2.7 %" in printed and "largest displacement" in printed and "quality" in printed
+
+
+def test_a_body_without_a_fixed_region_is_refused_before_it_is_solved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = (FOLDERS[Scene] / "press-a-pad.toml").read_text("utf-8").replace('{ region = "below", z_m = 0.0001 }', "")
+    (tmp_path / "pad.toml").write_text(scene.replace('"press-a-pad.', f'"{FOLDERS[Scene]}/press-a-pad.'), "utf-8")
+    assert main(["check", str(tmp_path / "pad.toml")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2 and "elastic.fixed: has no region" in lines[1], lines
 
 
 def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:

@@ -1,5 +1,6 @@
 """Displacements of elastic bodies compared with closed forms, and refused bodies."""
 
+import logging
 from math import log2, pi
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,13 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity  # noqa: 
 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
-from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals  # noqa: E402
+from softfinger.proxy.elastic.compliance import (  # noqa: E402
+    largest_rotation_and_strain,
+    patch_loads,
+    solve_patches,
+    surface_gradient,
+    vertex_normals,
+)
 from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
@@ -160,6 +167,17 @@ def test_every_part_of_a_body_is_solved_separately() -> None:
         Solid(far, NU, lambda x: np.repeat((x[:, 2:] < 1e-9) & (x[:, :1] < 0.04), 3, axis=1))
 
 
+def test_rotation_and_strain_of_the_surface_are_those_of_known_displacements() -> None:
+    """Of a small turn by 1 mrad about an axis, and of a stretch by 0.002 along x: one part each, the other is 0."""
+    solid = Solid(fill(*box(0.03, 0.03, 0.004), 0.006), NU, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
+    turn, places = 1e-3 * np.array([2.0, -1.0, 2.0]) / 3.0, solid.basis.mesh.p.T
+    moved = np.zeros((solid.basis.N, 2))
+    moved[solid.basis.nodal_dofs.T, 0] = np.cross(turn, places)
+    moved[solid.basis.nodal_dofs[0], 1] = 0.002 * places[:, 0]
+    found = largest_rotation_and_strain(surface_gradient(solid), moved)
+    assert found == pytest.approx(np.array([[1e-3, 0.0], [0.0, 0.002]]), abs=1e-12)
+
+
 def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
     """On a body thinner than the radius of the patch: the lower face bears none of the load."""
     volume = fill(*box(0.03, 0.03, 0.004), 0.006)
@@ -250,10 +268,14 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         ({"reach": [{"region": "below", "z_m": -1.0}]}, "no vertex of the surface"),
     ],
 )
-def test_bad_bodies_are_refused_in_one_line(tmp_path: Path, changes: Any, message: str) -> None:
+def test_bad_bodies_are_refused_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: Any, message: str
+) -> None:
+    caplog.set_level(logging.INFO)
     with pytest.raises(ConfigError, match=message) as refused:
         body_of(pad(tmp_path, **changes))
     assert "\n" not in str(refused.value)
+    assert [record.message for record in caplog.records if record.name.startswith("skfem")] == []
 
 
 def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:

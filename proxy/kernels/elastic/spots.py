@@ -33,7 +33,7 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 class Spot(NamedTuple):
     """Contact point on a facet, in the object frame.
 
-    nodes    of its corners, -1 where they do not give
+    nodes    of its corners, -1 at rigid vertices
     weights  barycentric
     slopes   gradients (3,) 1/m of the weights with the position of the probe; 0 while the contact sticks
     load     (3,) N    on the object
@@ -67,7 +67,7 @@ def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
 
 @jit
 def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
-    """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 if it does not give."""
+    """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 at a rigid vertex."""
     found = mat3.ZEROS
     if node >= 0:
         for j in range(3):

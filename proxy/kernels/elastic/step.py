@@ -1,4 +1,4 @@
-"""Contact step on an elastic surface: the rigid step with the probe shift_pose by the displacement of the surface.
+"""Contact step on an elastic surface: the rigid step with the probe shifted by the displacement of the surface.
 
     f_i = F(p_i - u_i),    u_i = sum_j C(x_i, x_j) f_j
 
@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.elastic.spots import (
     spot_of,
 )
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type, chosen_by
+from softfinger.proxy.kernels.jit.dispatch import chosen_by
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic, Surface
@@ -109,32 +109,18 @@ def surface_after(
     return Surface(displacement, moved, rate, turn_out_of(body.pose, displacement), beyond)
 
 
-@by_type
-def tilt(law: Any, contact: Contact, force: Vec3) -> Any:
-    """Return the part (3,) N of the force that comes from the slope of the deformed surface: none with friction.
-
-    A contact without friction conserves energy only with it. With friction the contact dissipates more than a slope
-    below the coefficient of friction returns.
-    """
-
-
-@tilt.of(None)
-def tilt_without_friction(law: None, contact: Contact, force: Vec3) -> Vec3:
-    return force if contact.mode != FREE else ZERO
-
-
-@tilt.otherwise
-def no_tilt(law: Any, contact: Contact, force: Vec3) -> Vec3:
-    return ZERO
-
-
 @jit
 def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
-    """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added."""
+    """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
+
+    slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves
+           energy only with it. A contact with friction has none: it dissipates more than a slope below the coefficient
+           of friction returns.
+    """
     moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
     if contact.mode == FREE:
         return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
-    force = tilt(body.material.friction, contact, turn_out_of(body.pose, slope))
+    force = turn_out_of(body.pose, slope)
     one, two, three = contact.contacts
     one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
     two = replace(two, "point", vec3.add(two.point, moved))
@@ -186,10 +172,12 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             break
         moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
         u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
-    # With damping, too, the slope is that of the surface at rest: else slow cycles would make energy.
-    at = slope_at(spot, spot, rows)
-    matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
-    slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
+    slope = ZERO
+    # The surface at rest determines the slope even with damping. Otherwise slow cycles would generate energy.
+    if body.material.friction is None:
+        at = slope_at(spot, spot, rows)
+        matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
+        slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
     surface = surface_after(scene, finger, last, u, contact, bending_under(elastic, spot), dt)
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
@@ -246,10 +234,12 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         (a, b, c, d), _ = linearize_both(elastic, x, y, rows, gain)
         change_u, change_v = solve_both(a, b, c, d, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
-    (a, b, c, d), gradients = linearize_both(elastic, x, y, rows, 1.0)  # as for one finger
-    slope_u, slope_v = solve_both(
-        mat3.transpose(a), mat3.transpose(c), mat3.transpose(b), mat3.transpose(d), gradients[0], gradients[1]
-    )
+    slope_u, slope_v = ZERO, ZERO
+    if body.material.friction is None:  # as for one finger
+        (a, b, c, d), gradients = linearize_both(elastic, x, y, rows, 1.0)
+        slope_u, slope_v = solve_both(
+            mat3.transpose(a), mat3.transpose(c), mat3.transpose(b), mat3.transpose(d), gradients[0], gradients[1]
+        )
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
     bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)

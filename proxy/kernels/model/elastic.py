@@ -11,7 +11,7 @@ class Elastic(NamedTuple):
 
     compliance  (nodes nodes 9,)  row-major: block a, b is the displacement (3,) of a under unit loads (3,) on b, in the
                                   object frame, m/N times 1 Pa
-    nodes       (vertices,)       int64: node at a vertex of the mesh, -1 where it does not give
+    nodes       (vertices,)       int64: node at a vertex of the mesh, -1 if it is rigid
     number                        number of nodes
     softness    1/Pa              1/E
     damping     s                 time constant of a displacement
