@@ -29,6 +29,7 @@ from softfinger.proxy.kernels.contact.rest.among import (
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import loop_each
 from softfinger.proxy.kernels.model import (
     NONE,
     ActiveSet,
@@ -143,7 +144,7 @@ def approach_among_several(
 
 @jit
 def friction_of_contact(
-    finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion
+    predicted: Prediction, finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
@@ -158,12 +159,7 @@ def friction_of_contacts(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
     """Compute the friction of each contact."""
-    one, two, three = approach.predicted
-    return (
-        friction_of_contact(finger, objects, approach, one, motion),
-        friction_of_contact(finger, objects, approach, two, motion),
-        friction_of_contact(finger, objects, approach, three, motion),
-    )
+    return loop_each(friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
 
 
 @by_multipoint
