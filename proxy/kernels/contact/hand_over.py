@@ -11,7 +11,7 @@ from typing import Any
 from softfinger.proxy.kernels.contact.rest.active_set import loads_of
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import loop_each, replace
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import material_of
@@ -94,13 +94,13 @@ def merge_contact(objects: Any, taker: ContactState, giver: ContactState, weight
 
 @jit
 def contact_after_hand_over(
-    constraint: Constraint, share: float, objects: Any, contacts: Contacts, losses: Vec3
+    objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float
 ) -> ContactState:
     """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
-    share       current load share of the constraint
     contacts    of the last tick, moved with their objects
     losses      of these contacts, see `load_share_lost`
+    share       current load share of the constraint
     """
     body, normal, push = constraint
     if body < 0.0:
@@ -149,4 +149,8 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         load_share_lost(active, shares, contacts[1]),
         load_share_lost(active, shares, contacts[2]),
     )
-    return loop_each(contact_after_hand_over, (active, shares), objects, contacts, losses)
+    return (
+        contact_after_hand_over(objects, contacts, losses, active[0], shares[0]),
+        contact_after_hand_over(objects, contacts, losses, active[1], shares[1]),
+        contact_after_hand_over(objects, contacts, losses, active[2], shares[2]),
+    )

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, han
 from softfinger.proxy.kernels.contact.rest.cutting_planes import pushed_at
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import loop_each, replace
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
     ActiveSet,
     Constraint,
@@ -65,7 +65,7 @@ def lag_of(contacts: Contacts) -> Vec3:
 
 
 @jit
-def move_contact(contact: ContactState, objects: Any) -> ContactState:
+def move_contact(objects: Any, contact: ContactState) -> ContactState:
     """Return the contact moved with its object."""
     if contact.body < 0.0:
         return contact
@@ -77,7 +77,11 @@ def move_contact(contact: ContactState, objects: Any) -> ContactState:
 
 @jit
 def move_contacts(objects: Any, contacts: Any) -> Contacts:
-    return loop_each(move_contact, (contacts,), objects)
+    return (
+        move_contact(objects, contacts[0]),
+        move_contact(objects, contacts[1]),
+        move_contact(objects, contacts[2]),
+    )
 
 
 @jit
@@ -144,7 +148,7 @@ def apply_lever(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
 
 @jit
 def predict(
-    contact: ContactState, method: Any, objects: Any, radius: float, center: Vec3, shear: Shear
+    method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, shear: Shear
 ) -> tuple[Prediction, Vec3, float]:
     """Compute the deflection of a sticking contact after the motions of probe, object and fingertip.
 
@@ -184,8 +188,9 @@ def continue_several(
     active, _ = pushed_at(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
-    first, second, third = loop_each(predict, (contacts,), scene.rolling, shapes, radius, center, shear)
-    (one, roll1, theta), (two, roll2, _), (three, roll3, _) = first, second, third
+    one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
+    two, roll2, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
+    three, roll3, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
     rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1), contacts[1].share, roll2)
     return Approach(
         start=state.center,

@@ -29,7 +29,6 @@ from softfinger.proxy.kernels.contact.rest.among import (
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import loop_each
 from softfinger.proxy.kernels.model import (
     NONE,
     ActiveSet,
@@ -144,7 +143,7 @@ def approach_among_several(
 
 @jit
 def friction_of_contact(
-    predicted: Prediction, finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
+    finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion
 ) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
@@ -159,7 +158,12 @@ def friction_of_contacts(
     finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> tuple[ContactForces, ContactForces, ContactForces]:
     """Compute the friction of each contact."""
-    return loop_each(friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
+    one, two, three = approach.predicted
+    return (
+        friction_of_contact(finger, objects, approach, one, motion),
+        friction_of_contact(finger, objects, approach, two, motion),
+        friction_of_contact(finger, objects, approach, three, motion),
+    )
 
 
 @by_multipoint

@@ -24,7 +24,6 @@ from softfinger.proxy.kernels.friction.contact_patch import contact_patch, windi
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import loop_each
 from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
@@ -64,7 +63,7 @@ class FrictionShare(NamedTuple):
 
 
 @jit
-def load_of(constraint: Constraint, finger: Finger, objects: Any, motion: ProbeMotion, touches: bool) -> float:
+def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> float:
     """Return the normal force of a constraint, N, 0 without one."""
     if constraint.body < 0.0:
         return 0.0
@@ -121,8 +120,8 @@ def friction_share_on(approach: Approach, forces: Any, after: Contacts, constrai
 
 @jit
 def share_of_wrench(
-    constraint: Constraint, finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any,
-    settled: Settled, ease: float,
+    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Settled,
+    constraint: Constraint, ease: float,
 ) -> Share:  # fmt: skip
     """Compute the wrench of one constraint; `ease` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
@@ -166,10 +165,12 @@ def outcome_of_several(
 ) -> Outcome:  # fmt: skip
     """Sum the wrenches of the contacts, and collect their states."""
     probe, active, began = motion.probe, settled.active, approach.began
-    load1, load2, load3 = loop_each(load_of, (active,), finger, objects, motion, began)
-    load, before = load1 + load2 + load3, sum_of_loads(forces)
+    load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
+    load, before = load + load_of(finger, objects, active[2], motion, began), sum_of_loads(forces)
     ease = load / before if before > load else 1.0
-    one, two, three = loop_each(share_of_wrench, (active,), finger, objects, motion, approach, forces, settled, ease)
+    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], ease)
+    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], ease)
+    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], ease)
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)

@@ -122,26 +122,6 @@ def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-de
 
 
 @intrinsic
-def loop_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-def]
-    """Return `map_each` for tuples with elements of one type: a loop, with the kernel compiled into it once."""
-    given = tuple(of.dtype for of in each) + tuple(map(types.unliteral, rest))
-    made, count = kernel.get_call_type(typing_context, given, {}), len(each[0])
-    result = types.UniTuple(made.return_type, count)
-
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        others = cgutils.unpack_tuple(builder, args[2])
-        rows = [cgutils.alloca_once_value(builder, of) for of in cgutils.unpack_tuple(builder, args[1])]
-        results = cgutils.alloca_once(builder, context.get_value_type(result))
-        with cgutils.for_range(builder, context.get_constant(types.intp, count)) as loop:
-            elements = [builder.load(cgutils.gep(builder, row, 0, loop.index)) for row in rows]
-            value = context.get_function(kernel, made)(builder, [*elements, *others])
-            builder.store(value, cgutils.gep(builder, results, 0, loop.index))
-        return builder.load(results)
-
-    return result(kernel, each, types.Tuple(tuple(map(types.unliteral, rest)))), generate
-
-
-@intrinsic
 def fold_each(typing_context, kernel, each, start):  # type: ignore[no-untyped-def]
     """Reduce a tuple from its last element to the first: `start = kernel(element, start)`; return the last result."""
     start = types.unliteral(start)
@@ -198,8 +178,6 @@ if PLAIN:
 
     def map_each(kernel: Any, each: Any, *rest: Any) -> Any:
         return tuple(kernel(*elements, *rest) for elements in zip(*each, strict=True))
-
-    loop_each = map_each
 
     def fold_each(kernel: Any, each: Any, start: Any) -> Any:
         for element in reversed(each):
