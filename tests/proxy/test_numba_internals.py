@@ -183,12 +183,7 @@ def test_a_function_of_scalars_is_resolved_once() -> None:
 
 def test_a_compilation_sends_no_events_of_locks() -> None:
     """`_lock`, `_cblist`: none while a kernel is compiled, and as before afterwards."""
-
-    @decorators.entry
-    def treble(x: float) -> float:
-        return 3.0 * x
-
-    kernel: Any = treble
+    kernel: Any = numba.njit(**decorators.OPTIONS)(lambda x: 3.0 * x)
     with event.install_recorder("numba:llvm_lock") as of_lock, event.install_recorder("numba:compile") as of_compiler:
         kernel.compile((types.float64,))
         llvm.parse_assembly("")
