@@ -6,6 +6,7 @@ Verified with numba 0.67 and 0.68. With another version, a failure here shows wh
 from __future__ import annotations
 
 import gc
+import operator
 import subprocess
 import sys
 from typing import Any
@@ -15,6 +16,7 @@ import numba
 import numpy as np
 import pytest
 from numba import types
+from numba.core import event
 from numba.core.registry import cpu_target
 
 from softfinger.proxy.kernels.jit import decorators
@@ -163,6 +165,32 @@ def test_an_inlined_kernel_must_not_return_a_value_or_none() -> None:
 
     with pytest.raises(numba.TypingError, match="return a flag and a value"):
         call(1.0)
+
+
+def test_a_function_of_scalars_is_resolved_once() -> None:
+    """`resolve_function_type`: numba's answer, the same object for the same types; of tuples numba is asked again."""
+    context = cpu_target.typing_context
+    context.refresh()
+    cached = numba_internals.ScalarSignatures(context)
+    add = context.resolve_value_type(operator.add)
+    for kind in (types.float64, types.int64, types.boolean):
+        given = (add, (kind, kind), {})
+        assert cached.resolve_function_type(*given) == context.resolve_function_type(*given)
+        assert cached.resolve_function_type(*given) is cached.resolve_function_type(*given)
+    pair = types.UniTuple(types.float64, 2)
+    assert cached.resolve_function_type(add, (pair, pair), {}).return_type == types.UniTuple(types.float64, 4)
+
+
+def test_a_compilation_sends_no_events_of_locks() -> None:
+    """`_lock`, `_cblist`: none while a kernel is compiled, and as before afterwards."""
+    kernel: Any = numba.njit(**decorators.OPTIONS)(lambda x: 3.0 * x)
+    with event.install_recorder("numba:llvm_lock") as of_lock, event.install_recorder("numba:compile") as of_compiler:
+        kernel.compile((types.float64,))
+        llvm.parse_assembly("")
+    (begin, _), (end, _) = of_compiler.buffer[0], of_compiler.buffer[-1]
+    times = [time for time, _ in of_lock.buffer]
+    assert times and not any(begin < time < end for time in times)
+    assert kernel(2.0) == 6.0
 
 
 def test_garbage_collection_skips_the_objects_of_a_compilation() -> None:
