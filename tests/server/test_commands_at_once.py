@@ -222,7 +222,7 @@ def share_without(device: FaultyDevice) -> float:
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
     """While the GIL is blocked for 1 s, the device gets zero after the heartbeat's 0.3 s, or after a `disarm` sent
-    before by a client that sends more requests than it may. Python could start only at the end of that
+    before by a client that sends more requests than it may, to arm. Python could start only at the end of that
     time. A heartbeat restores the force in the first case, `arm` in the second."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
@@ -242,7 +242,7 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             assert next(other.answers(WAIT_S)) == "connected"
             assert eventually(lambda: forced(device))
             for number in range(BURST + 1):
-                other.send("get_state", {}, str(number))
+                other.send("arm", {}, str(number))
             other.send("disarm", {}, "off")
             assert share_without(device) > 0.45
             assert "off" in other.answers(WAIT_S) and not forced(device)
