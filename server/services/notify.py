@@ -22,6 +22,9 @@ log: Final = logging.getLogger(__name__)
 POLL_S: Final = 0.05
 """Interval of the check for ticks, and so the largest delay of READY."""
 
+SEND_S: Final = 0.1
+"""Time for which a message waits: a service manager that hangs must not delay the end of the daemon."""
+
 
 class Notify(Worker):
     """Service that notifies systemd of a servo; start it before the servo and stop it after the servo.
@@ -42,8 +45,8 @@ class Notify(Worker):
             if ticks == reported_ticks or now < due:
                 continue
             state = ["WATCHDOG=1", f"STATUS={ticks} ticks, {self._servo.missed} missed"]
-            self._send(*state, *([] if ready else ["READY=1"]))
-            ready, reported_ticks, due = True, ticks, now + self._period_s
+            ready = self._send(*state, *([] if ready else ["READY=1"])) or ready
+            reported_ticks, due = ticks, now + self._period_s
 
     def stop(self) -> None:
         super().stop()
@@ -52,12 +55,16 @@ class Notify(Worker):
     def handle_failure(self, error: Exception) -> None:
         """Do nothing: without a sign of life, systemd ends the daemon."""
 
-    def _send(self, *state: str) -> None:
+    def _send(self, *state: str) -> bool:
+        """Send a message; return False if a service manager that hangs, has exited or restarts does not accept it."""
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as to:
+            to.settimeout(SEND_S)
             try:
                 to.sendto("\n".join(state).encode(), self._address)
-            except OSError as error:  # a service manager that has exited or is restarting
+            except OSError as error:
                 log.debug("systemd was not notified of %s: %s", state, error)
+                return False
+        return True
 
 
 def _address(name: str) -> str:

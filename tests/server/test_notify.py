@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -18,7 +19,7 @@ from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers import registry
 from softfinger.server.app import Daemon
-from softfinger.server.services.notify import _watchdog_s
+from softfinger.server.services.notify import Notify, _watchdog_s
 
 pytestmark = pytest.mark.real_time
 
@@ -78,6 +79,15 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]
     one = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
     yield one
     one.close()
+
+
+def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) -> None:
+    """The message of the end is dropped if earlier ones fill the socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as earlier, contextlib.suppress(BlockingIOError):
+        earlier.setblocking(False)
+        while True:
+            earlier.sendto(b"WATCHDOG=1", manager.environment["NOTIFY_SOCKET"].replace("@", "\0"))
+    Notify(None, manager.environment).stop()  # it reads no tick of a servo
 
 
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import ctypes
 import errno
 import fcntl
 import os
+import struct
 import subprocess
 import sys
 import termios
@@ -46,11 +47,14 @@ def watched(name: str, fd: int, told: bytes) -> str:
 
 
 def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
-    """While the port is exclusive no other process can open it; afterwards the next daemon can."""
+    """What the port has not sent is dropped before. While the port is exclusive no other process can open it;
+    afterwards the next daemon can."""
     far, near = port
     name = os.ttyname(near)
+    fcntl.ioctl(far, termios.TIOCPKT, struct.pack("i", 1))  # each read has a byte of status
     assert watched(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
-    assert os.read(far, 100) == watcher.WRITES * ZERO
+    assert os.read(far, 100)[0] & termios.TIOCPKT_FLUSHWRITE
+    assert os.read(far, 100) == bytes([termios.TIOCPKT_DATA]) + watcher.WRITES * ZERO
     opened = [sys.executable, "-c", f"import os; os.open({name!r}, os.O_RDWR | os.O_NOCTTY)"]
     assert subprocess.run(opened, preexec_fn=as_an_ordinary_user, check=False).returncode == 0
 

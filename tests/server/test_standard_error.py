@@ -1,0 +1,33 @@
+"""Lines on standard error that nobody reads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+
+import pytest
+
+from softfinger.server.standard_error import write_line
+
+pytestmark = pytest.mark.plain
+
+
+def test_lines_that_nobody_reads_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the pipe is full no write waits; the first line after that follows the number of dropped lines."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)  # a write that would wait raises instead
+    with open(reader, "rb", buffering=0) as heard, open(writer, "w") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, bytes(select.PIPE_BUF))
+        write_line("first")
+        write_line("second", wait_s=0.01)
+        while select.select([heard], [], [], 0.0)[0]:
+            heard.read(select.PIPE_BUF)
+        write_line("third")
+        assert heard.read(200) == b"(2 lines are missing here: they were not read in time)\nthird\n"
+        write_line("fourth")
+        assert heard.read(200) == b"fourth\n"
