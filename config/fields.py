@@ -53,6 +53,10 @@ def doc(meaning: str, example: Any = None) -> Meta:
     return Meta(description=meaning, examples=None if example is None else [example])
 
 
+said = doc
+"""Earlier name of `doc`, used by drivers and shapes of other packages."""
+
+
 _UNITS: Final = {
     "_kg_per_m3": "kg/m^3",
     "_rad_per_s": "rad/s",

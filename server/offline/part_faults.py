@@ -27,7 +27,12 @@ def part_faults(config: Any, file: str) -> list[str]:
 
 def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
     for item in scene.object if is_usable(scene.object) else ():
-        if is_complete(item) and is_usable(item.shape) and not _has_complaint(item, "file") and not _is_faulty_body(item):
+        if (
+            is_complete(item)
+            and is_usable(item.shape)
+            and not _has_complaint(item, "file")
+            and not _is_faulty_body(item)
+        ):
             yield partial(_check_object, item)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
         yield partial(_check_world, scene.world)
