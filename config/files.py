@@ -47,7 +47,7 @@ def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
         found = os.fstat(fd)
         _check_kind(found.st_mode, "read")
         if size_max is not None and found.st_size > size_max:
-            raise OSError(errno.EFBIG, f"has {found.st_size:,} bytes, at most {size_max:,} are allowed that are read")
+            raise OSError(errno.EFBIG, f"has {found.st_size:,} bytes, at most {size_max:,} are allowed")
     except BaseException:
         os.close(fd)
         raise

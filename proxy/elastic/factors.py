@@ -96,7 +96,7 @@ class Factors:
         count, columns = len(front.own), len(front.own) + len(front.beyond)
         found = np.empty((columns, count))
         if os.preadv(self._file.fileno(), [found.data], front.offset) != found.nbytes:
-            raise OSError("a temporary file was cut off")
+            raise OSError("a temporary file is truncated")
         return found[:count].T, found[count:].T
 
     def _eliminate(self, part: Whole) -> tuple[Whole, Doubles]:

@@ -56,7 +56,7 @@ def load(key: str, folder: Folder = FOLDER) -> CachedArrays | None:
             # Read, not mapped: later changes of the file must not affect a process that renders.
             memory = _allocate(os.fstat(file.fileno()).st_size)
             if file.readinto(memory) != len(memory):  # type: ignore[attr-defined]
-                raise Unsound("it was cut off")
+                raise Unsound("it is truncated")
             with contextlib.suppress(OSError):  # in another user's folder; only the time of last use is lost
                 os.utime(file.fileno())
         return _read(key, memory)
@@ -112,7 +112,7 @@ def _read(key: str, memory: mmap.mmap) -> CachedArrays:
         raise Unsound("its head is damaged")
     header = json.loads(head)
     if header["key"] != key or len(memory) != _FIXED + length + header["bytes"]:
-        raise Unsound("it is another's, or was cut off")
+        raise Unsound("it belongs to another mesh or is truncated")
     return CachedArrays(
         {name: _array(memory, _FIXED + length, each) for name, each in header["arrays"].items()}, header["values"]
     )

@@ -328,7 +328,7 @@ def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path, monkeypat
     path = tmp_path / "file"
     path.write_bytes(bytes(100))
     assert files.read_input(path, 100) == bytes(100)
-    with pytest.raises(OSError, match="has 100 bytes, 99 are the most"):
+    with pytest.raises(OSError, match="has 100 bytes, at most 99 are allowed"):
         files.read_input(path, 99)
     with pytest.raises(OSError, match="has more than 99 bytes"):
         files.read_input("/proc/self/environ", 99) if len(Path("/proc/self/environ").read_bytes()) > 99 else None

@@ -178,7 +178,7 @@ def test_missing_nodes_are_diagnosed(root: Path) -> None:
     assert diagnose(bare, find_claim(bare)).state == "node"
     assert "usbhid" in diagnose(bare, find_claim(bare)).remedy
     bare = at("/dev/bus/usb/001/002", 0x16C0, 0x0483, bus="usb")
-    assert "not a serial port" in diagnose(bare, find_claim(bare)).reason
+    assert "no serial port" in diagnose(bare, find_claim(bare)).reason
     assert "cdc_acm" in diagnose(bare, find_claim(bare)).remedy
 
 
@@ -239,7 +239,7 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     node.write_bytes(b"")
     found = diagnose(arm, find_claim(arm))
     assert found.state == "usable"
-    assert "not a hidraw node" in found.reason
+    assert "no hidraw node" in found.reason
     assert "install --system " in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"))
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)

@@ -189,7 +189,7 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
-    assert "it was cut off" in refusal(path, stl()[:-70])
+    assert "it is truncated" in refusal(path, stl()[:-70])
     assert "has 15 bytes, fewer than the head of an STL file" in refusal(path, b"<!doctype html>")
     assert "states 10 triangles, but 85 bytes follow" in refusal(path, stl(count=10))
     assert "decimal commas" in refusal(path, TEXT.replace(".", ",").encode())

@@ -219,7 +219,7 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     assert re.search(r"inside +inside = true does nothing here: it has 3 open edges, .*close", capsys.readouterr().out)
     (tmp_path / "ball.stl").write_bytes(stl_binary(BALL)[:-7])
     assert main(["check", str(scene)]) == 2
-    assert "object 'part': file:" in (output := capsys.readouterr().err) and "it was cut off" in output
+    assert "object 'part': file:" in (output := capsys.readouterr().err) and "it is truncated" in output
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         ("a.ply", ply_text(Mesh(BALL.vertices[:3] * [1, 0, 0], np.array([[0, 1, 2]]))), "has no triangle with an area"),
         ("a.ply", FILES["ply by hand"][1][:-30], "it is truncated or damaged"),
         ("a.ply", FILES["ply"][1][:-1], "it is truncated or damaged"),
-        ("a.stl", FILES["stl"][1][:-1], "it was cut off"),
+        ("a.stl", FILES["stl"][1][:-1], "it is truncated"),
         ("a.stl", FILES["stl text"][1][:-500], "has no endsolid at its end: it is truncated"),
         ("a.glb", FILES["glb"][1][:-1], "is damaged or not a GLB file"),
     ],

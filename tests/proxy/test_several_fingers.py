@@ -220,7 +220,7 @@ def test_engine_addresses_fingers_by_name(pair_of_engines: tuple[Engine, dict[st
         (np.zeros((3, 7)), "the fingers thumb, index: give `run` poses of each by its name"),
         ({"thumb": np.ones((3, 7))}, "poses of thumb are not those of the scene's fingers: thumb, index"),
         ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring are not those"),
-        ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "as many of each, not 3 of thumb, 2 of index"),
+        ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "the same number of poses, not 3 of thumb, 2 of index"),
         ({"thumb": np.ones((3, 7)), "index": np.full((3, 7), np.nan)}, "pose 0 is"),
     ],
 )

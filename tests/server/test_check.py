@@ -195,4 +195,4 @@ def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("[fingertip]\nradius_m = 0.01\n" + "".join(objects))
     done = called("check", str(tmp_path / "scene.toml"))
     assert done.returncode == 2
-    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it was cut off", done.stderr)
+    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it is truncated", done.stderr)

@@ -169,7 +169,7 @@ def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureF
     """The first error in order is raised and the others are logged. A hanging device gets a plain zero, an intact one
     does not."""
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not come back for 0\.2 s"):
+    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
         shutdown.stop_all([device(hangs), device(broken), device(sound)])
     assert "could not be stopped (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
     assert hangs.handles == [77] and broken.handles == [77] and sound.handles == [0]

@@ -75,4 +75,4 @@ def test_a_failed_zero_is_reported() -> None:
     said = watched(name, near, b"")
     os.close(near)
     why = f"zero force could not be written to {name}: {os.strerror(errno.EIO)}"
-    assert said == f"softfinger watcher: the daemon has ended: {why}\n"
+    assert said == f"softfinger watcher: the daemon has died: {why}\n"

@@ -122,7 +122,7 @@ import ctypes, sys
 sys.path.insert(0, sys.argv[1])
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.key_world import ROLLING, RUBBER
-from softfinger.config.load import load_rig, load_scene, overridden
+from softfinger.config.load import load_rig, load_scene
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 shim = ctypes.CDLL(None)

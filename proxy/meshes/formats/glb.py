@@ -68,7 +68,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     if magic != b"glTF" or version != 2:
         raise ValueError(f"is not a GLB file of glTF 2.0: it starts with {data[:8]!r}")
     if size > len(data):
-        raise ValueError(f"is damaged or not a GLB file: {size:,} bytes, and has {len(data):,}: it was cut off")
+        raise ValueError(f"is damaged or not a GLB file: {size:,} bytes, but has {len(data):,}: it is truncated")
     length, kind = struct.unpack_from("<II", data, 12)
     if kind != _JSON:
         raise ValueError("is damaged or not a GLB file: its first chunk is not JSON")

@@ -257,7 +257,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
         ("../outside.png", "outside the folder of the experiment"),
         (str(outside), "outside the folder of the experiment"),
         ("link.png", "outside the folder of the experiment"),
-        ("text.png", "is not an image: give a PNG, JPEG or WebP"),
+        ("text.png", "is not an image: use a PNG, JPEG or WebP"),
         ("large.png", "at most 98304"),
         ("gone.png", "cannot be read"),
     ):

@@ -266,7 +266,7 @@ def test_commands_that_are_missing_or_fail_are_reported(
     monkeypatch.setenv("PATH", f"{tools}:/bin")
     run_all([("userdel-of-nowhere", "x"), ("udevadm", "control", "--reload"), ("systemctl", "daemon-reload")])
     assert capsys.readouterr().out.splitlines() == [
-        "not run, for userdel-of-nowhere is not here: userdel-of-nowhere x",
+        "not run, because userdel-of-nowhere is not installed: userdel-of-nowhere x",
         "ran udevadm control --reload: no udev runs here",
         "ran systemctl daemon-reload",
     ]
