@@ -153,7 +153,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
             "/dev/hidraw0 has different reports from the rig: the device reports input 32 bytes, output 64 bytes; "
             "the rig describes input 64 bytes, output 64 bytes: correct ",
         ),
-        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has other reports than the rig: .* announces input 32 b"),
+        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has different reports from the rig: .* reports input 32 b"),
         (
             "node", {"descriptor": "06abff0a0002a10175"}, 4,
             "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut",
@@ -209,8 +209,8 @@ def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_pa
 @pytest.mark.parametrize(
     ("board", "rig", "said"),
     [
-        ("lpc1768-14", "woodenhaptics-2015", 'announces input 14 .*: set reports to "woodenhaptics-v2-lpc1768", whose'),
-        ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'announces input 8 .*: set reports to "woodenhaptics-v1", whose'),
+        ("lpc1768-14", "woodenhaptics-2015", 'reports input 14 .*: set reports to "woodenhaptics-v2-lpc1768", whose'),
+        ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'reports input 8 .*: set reports to "woodenhaptics-v1", whose'),
     ],
 )
 def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
