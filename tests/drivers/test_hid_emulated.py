@@ -153,7 +153,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
             "/dev/hidraw0 has different reports from the rig: the device reports input 32 bytes, output 64 bytes; "
             "the rig describes input 64 bytes, output 64 bytes: correct ",
         ),
-        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has different reports from the rig: .* reports input 32 b"),
+        ("usb", {"descriptor": OTHER_DESCRIPTOR}, 4, "1-1:1.0 has different reports from the rig: .* input 32 b"),
         (
             "node", {"descriptor": "06abff0a0002a10175"}, 4,
             "its report descriptor is damaged: item 0x75 at byte 8 of 9 is cut",
