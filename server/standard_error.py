@@ -13,19 +13,25 @@ from typing import Final
 
 LAST_WAIT_S: Final = 1.0
 """Time for which the last line of a program waits."""
+PIECE: Final = 1000
+"""Characters of one write, at most 4 bytes each: a pipe that poll(2) reports as writable takes 4096 bytes at once."""
 
 _lost_lines = 0
 
 
 def write_line(text: str, wait_s: float = 0.0) -> None:
-    """Write a line, or drop it if standard error takes none within `wait_s`; a later line gives the number dropped."""
+    """Write a line, or drop what standard error does not take within `wait_s`; a later line counts dropped lines."""
     global _lost_lines
-    if not is_writable(wait_s):
-        _lost_lines += 1
-        return
-    lost, _lost_lines = _lost_lines, 0
-    print(f"({lost} lines are missing here: they were not read in time)\n{text}" if lost else text, file=sys.stderr)
-    sys.stderr.flush()
+    lost = f"({_lost_lines} lines are missing here: they were not read in time)\n" if _lost_lines else ""
+    line = f"{lost}{text}\n"
+    for start in range(0, len(line), PIECE):
+        if not is_writable(wait_s):
+            _lost_lines += 1
+            return
+        sys.stderr.write(line[start : start + PIECE])
+        sys.stderr.flush()
+    if lost:
+        _lost_lines = 0
 
 
 def is_writable(wait_s: float = 0.0) -> bool:

@@ -110,25 +110,9 @@ class Publisher(Closeable):
             undo.callback(self._switch.close)
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
-            files = [
-                self._relay.file,
-                self._relay.bell,
-                self._switch.file,
-                *(entrance.fd for entrance in self._endpoints.entrances),
-            ]
-            has_commands = any(entrance.name == COMMANDS for entrance in self._endpoints.entrances)
-            self._commands: Final = (
-                Link(
-                    COMMANDS,
-                    self._setup_commands,
-                    files,
-                    self._report_restart,
-                    self._switch.count_handled,
-                    SILENT_MAX_S,
-                )
-                if has_commands
-                else None
-            )
+            files = [self._relay.file, self._relay.bell, self._switch.file]
+            files += [entrance.fd for entrance in self._endpoints.entrances]
+            self._commands: Final = self._open_commands(files)
             if self._commands is not None:
                 undo.callback(self._commands.close, 0.0)
             self._link: Final = Link(TELEMETRY, self._setup_telemetry, files, self._report_restart)
@@ -136,6 +120,13 @@ class Publisher(Closeable):
         self._links: Final = [self._link] if self._commands is None else [self._link, self._commands]
         self.tap: Final = self._relay.tap
         """Records passed on by the relay, for one thread of this process."""
+
+    def _open_commands(self, files: list[int]) -> Link | None:
+        """Start the process of commands; None if they are off."""
+        if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
+            return None
+        on_handled = self._switch.count_handled
+        return Link(COMMANDS, self._setup_commands, files, self._report_restart, on_handled, SILENT_MAX_S)
 
     def _setup_telemetry(self, send: Send) -> None:
         # The first process misses no tick; peers of an earlier process have missed the ticks since its end.

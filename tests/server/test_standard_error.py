@@ -29,5 +29,10 @@ def test_lines_that_nobody_reads_are_dropped_and_counted(monkeypatch: pytest.Mon
             heard.read(select.PIPE_BUF)
         write_line("third")
         assert heard.read(200) == b"(2 lines are missing here: they were not read in time)\nthird\n"
+        write_line(1_000_000 * "x")  # longer than the pipe, such as a traceback
+        while select.select([heard], [], [], 0.0)[0]:
+            heard.read(select.PIPE_BUF)
+        write_line("fourth")
+        assert heard.read(200) == b"(1 lines are missing here: they were not read in time)\nfourth\n"
         write_line("fourth")
         assert heard.read(200) == b"fourth\n"

@@ -172,8 +172,7 @@ def stick_slip_by_law(
     Sliding ends when the slip has stopped or reversed. With a limit surface, the moment about the normal reduces the
     cone, and friction and torsion slip together.
 
-    Source: Salvietti et al. (2013), section 3.2, after Yin et al. (2005). Differs from its literal conditions, which
-    fail after a counter-tilt of a microradian; see docs/decisions/0003-state-machine.md.
+    Source: Salvietti et al. (2013), section 3.2, changed by docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
     whole_limit, kinetic_limit = cone(law, given.normal_force, given.slip_speed)
@@ -191,18 +190,13 @@ def stick_slip_by_law(
         limit = kinetic_limit
 
     if limit >= 0.0:
-        slide_result = slide(torsion, law, stiffness, limit, breaking, given)
-        deflection, spin, twist, length = (
-            slide_result.deflection,
-            slide_result.spin,
-            slide_result.twist,
-            slide_result.length,
-        )
+        result = slide(torsion, law, stiffness, limit, breaking, given)
+        deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
-        slips = slide_result.slip > ROUNDING * length
+        slips = result.slip > ROUNDING * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
-        speed = slide_result.slip / given.dt if given.dt > 0.0 else 0.0
+        speed = result.slip / given.dt if given.dt > 0.0 else 0.0
         if cause != CAUSE_NONE:
             slip_speed = speed
         else:

@@ -178,7 +178,7 @@ def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: 
 
 @jit
 def corner_near(corners: Corners, foot: Foot) -> int:
-    """Return the corner at a foot point or, on an edge, closer to it than BESIDE; -1 for none."""
+    """Return the index of the corner at a foot point, or within BESIDE of one on an edge; -1 if there is none."""
     if foot.feature >= 3:
         return foot.feature - 3
     for i in range(3):
