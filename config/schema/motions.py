@@ -24,7 +24,7 @@ Axis = Annotated[
 
 
 class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid"):
-    """Sinusoidal motion about the rest pose."""
+    """Sinusoidal motion about the pose of the object."""
 
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
@@ -56,7 +56,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
 
 
 class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
-    """Pose set by the command `drive`; until then at rest."""
+    """Pose set by the command `drive`. Before the first command the object does not move."""
 
     kind: ClassVar[str] = "driven"
 

@@ -74,8 +74,8 @@ class Rest(NamedTuple):
 
     center  (3,) m  the proxy
     active          constraints that support it
-    late            True if it is not at rest: on the path to its rest position, or unmoved if no better point was found
-                    to be outside
+    late            True before the rest position is reached: the proxy is on its path, or did not move because no
+                    better point outside was found
     budget          remaining budget, below 0 if it was exhausted
     """
 

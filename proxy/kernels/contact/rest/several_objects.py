@@ -1,4 +1,4 @@
-"""Rest position of the proxy among several objects, including the triangles of a mesh, without friction."""
+"""Rest position of the proxy on several objects or triangles of a mesh, without friction."""
 
 from math import sqrt
 from typing import Any
@@ -183,9 +183,9 @@ def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Ve
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """Return `rest_on_curved` on a mesh, across the edges of facets.
+    """Slide over the facets of a mesh to the rest position of `rest_on_curved`.
 
-    The flag is False if a proxy without deflection is not yet at rest.
+    Returns centre, active constraints, and False if a proxy without deflection needs further steps.
     """
     rounds, square = SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
