@@ -199,6 +199,16 @@ def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
     assert exact == pytest.approx(1.0 - alpha * speed, abs=0.5 * (c * speed) ** 2)
 
 
+@pytest.mark.parametrize("name", list(LAWS))
+def test_a_finger_that_leaves_fast_is_not_pulled(name: str) -> None:
+    """f_N is 0 at outward speeds above K d / B or 1 / c, and the closed form at slower ones."""
+    (law,) = normal_laws(build(Scene, paper_mapping(**smooth(LAWS[name])), "normal"))
+    for depth in (1e-6, 1e-3, 5e-3):
+        for outwards in (0.0, 0.1, 0.6, 10.0, 1e3):
+            expected = force(LAWS[name], depth, -outwards)
+            assert normal_force_of(law, depth, outwards) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
 # --- invariants ------------------------------------------------------------------------------------
 
 
