@@ -68,8 +68,7 @@ def tmp_path(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture(autouse=True)
 def _no_device_of_another_test() -> Iterator[None]:
-    """Prevent the next test's program from stopping a device that an earlier test left hanging and that is still
-    referenced."""
+    """Prevent the next test's program from stopping a device that an earlier test left hanging."""
     yield
     open_devices.devices.clear()
 
@@ -119,8 +118,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[object]:
-    """Enable the garbage collector again, less frequent and without the imported objects: visiting every test and
-    module took a fifth of the CPU time of plain tests."""
+    """Enable the garbage collector again without the imported objects: visiting them took a fifth of the CPU time."""
     result = yield
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
@@ -153,8 +151,7 @@ def sample_cases(items: list[pytest.Item]) -> None:
 
 
 def skip_servo_loops(items: list[pytest.Item]) -> None:
-    """Skip tests that run a servo loop if kernels are plain Python, since it needs machine code. `make test` runs them
-    in a separate process."""
+    """Skip tests that run a servo loop, which needs machine code, if kernels are plain Python."""
     if "numba" not in sys.modules or not sys.modules["numba"].config.DISABLE_JIT:
         return
     for item in items:

@@ -101,10 +101,7 @@ def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, i
 
 @numba.njit(**OPTIONS)
 def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out: Any, whole: Any) -> int:
-    """Measure driver and direct calls (`calls`) alternately.
-
-    Fills `out` (n, 2) ns and `whole`, complete ticks of the driver; returns n, or the tick in which the driver failed.
-    """
+    """Measure driver and direct `calls` alternately into `out` (n, 2) ns; return n, or the tick of a failure."""
     sample, wrench, timespec, buffer = memory
     io, bare = calls
     for n in range(len(out)):
@@ -151,8 +148,7 @@ def _library_write(handle, wrench):
 
 @numba.cfunc(IO_SIGNATURE)
 def _libusb_read(handle, sample):
-    """The driver's block, whose transfers are used. A reply received here is one the driver awaits and vice versa, so
-    neither keeps a pending one."""
+    """The driver's block, whose transfers are used: a reply received here is one the driver awaits and vice versa."""
     word = int64_at(handle)
     word[AT.timespec], word[AT.timespec + 1] = 0, 0
     arguments = (word[AT.context], int64_at(handle + 8 * AT.timespec), int64_at(0))
@@ -307,8 +303,7 @@ def spacemouse(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def haply(_: Path) -> Iterator[Case]:
-    """An Inverse3 on the emulated service, with 0.5 ms before each tick in which its thread receives the next state.
-    The bare call wakes an idle thread."""
+    """An Inverse3 on the emulated service, whose thread receives the next state 0.5 ms before each tick."""
     other, one, ended = os.eventfd(0), np.ones(1, np.int64), threading.Event()
 
     def sleeper() -> None:
@@ -340,8 +335,7 @@ CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
 
 
 def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
-    """Return seconds (n, 2) of each tick, of the driver and of the bare calls; and the fraction of the driver's ticks
-    with a new sample and a complete write."""
+    """Return seconds (n, 2) of each tick of driver and bare calls, and the fraction of complete ticks."""
     out = np.zeros((ticks, 2), np.int64)
     wrench = np.array([*FORCE, 0.0, 0.0, 0.0])
     memory = (np.zeros(SAMPLE_SIZE), wrench, np.zeros(2, np.int64), np.zeros(BUFFER, np.uint8))
@@ -361,8 +355,7 @@ def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
 
 
 def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
-    """Return medians and their difference with its range over parts of the run, s, and the fraction of complete
-    ticks."""
+    """Return medians, their difference with its range over the run, s, and the fraction of complete ticks."""
     parts = [np.median(part, axis=0) for part in np.array_split(seconds, min(PARTS, len(seconds)))]
     between = [float(driver - bare) for driver, bare in parts]
     driver, bare = (float(value) for value in np.median(seconds, axis=0))

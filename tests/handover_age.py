@@ -50,8 +50,7 @@ FORCES: Final = 1000
 
 
 class End(NamedTuple):
-    """A device, and the forces its stand-in has received: (k, 2) time (s, monotonic clock) and force along z (N). The x
-    (m) of the stand-in's pose is the fraction of the clock's second."""
+    """A device, and the received forces (k, 2): s of the monotonic clock, N along z. Its x is the clock's fraction."""
 
     device: Device
     taken: Callable[[], NDArray[np.float64]]

@@ -176,8 +176,7 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
 
 
 def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
-    """Return p50, p99 and maximum of a tick, us. Each tick counts with its shortest time, so that a stall of the
-    machine matters only if it affects the same tick every time."""
+    """Return p50, p99 and maximum of a tick, us, each by its shortest time, which no stall lengthens."""
     tree, times = build_scene(scene), np.zeros((TURNS, len(poses)))
     parameters = packed(tree)
     for turn in range(TURNS):
@@ -190,8 +189,7 @@ def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
 
 
 def in_socket(ticks: int, radius: float) -> Array:
-    """Return poses (ticks, 7) of a hand that starts at the centre of a socket and crosses its wall in all
-    directions."""
+    """Return poses (ticks, 7) of a hand that crosses the wall of a socket from its centre in all directions."""
     ways = wander(6, ticks, 2.0 * radius)
     return posed((ways - ways[0]) * np.minimum(np.arange(ticks) / 200.0, 1.0)[:, None])
 

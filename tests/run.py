@@ -212,8 +212,7 @@ def quick(words: Sequence[str], covered: bool) -> list[Running]:
 
 
 def outcome(ended: Sequence[Running]) -> tuple[dict[str, int], bool]:
-    """Return the numbers of passed, failed and skipped tests from pytest's last lines, and whether all parts
-    succeeded."""
+    """Return the numbers of passed, failed and skipped tests, and whether all parts succeeded."""
     counts = {"passed": 0, "failed": 0, "skipped": 0}
     for part in ended:
         for number, word in re.findall(r"(\d+) (\w+)", part.report[-1] if part.report else ""):

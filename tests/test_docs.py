@@ -52,8 +52,7 @@ def test_exit_codes_are_those_of_the_errors():
 
 
 def commands(text: str) -> list[list[str]]:
-    """Return the words of each `softfinger ...` on its own line, inside or outside a fence, without comments and
-    redirections."""
+    """Return the words of each `softfinger ...` on its own line, without comments and redirections."""
     found = re.findall(r"^    .*$", text, re.MULTILINE)
     for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
         found += body.splitlines()
@@ -74,8 +73,7 @@ def test_every_command_in_readme_and_docs_is_one():
 
 @pytest.mark.real_time
 def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
-    """Each command succeeds. Commands for a daemon get a running one; commands that run until Ctrl-C run for a
-    second."""
+    """Commands for a daemon get a running one; those that run until Ctrl-C run for a second."""
     ran = []
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my-scene.toml").write_text(re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1])
@@ -168,8 +166,7 @@ def test_lists_are_lists_on_the_site_too():
 
 @pytest.mark.plain
 def test_the_worked_walk_is_true(tmp_path):
-    """Each function of docs/how-it-works.md is in the file that it links to, and the forces are those of the first
-    tick."""
+    """Each function is in the file that it links to, and the forces are those of the first tick."""
     rows = table(HOW, "The worked walk")
     assert 10 <= len(rows) <= 15
     for _, link, _ in rows:

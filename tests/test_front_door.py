@@ -225,8 +225,7 @@ def pressing(engine: Engine) -> float:
 
 @pytest.mark.plain
 def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
-    """Objects are addressed by name and by index, in contact; results are bit-equal to a new engine with these
-    values."""
+    """By name and by index, in contact; results are bit-equal to a new engine with these values."""
     changes = {STIFFNESS: 500.0, "coupling.stiffness_n_per_m": 700.0}
     poses = np.tile([*PRESSED, *UPRIGHT], (50, 1))
     poses[:, 0] = np.linspace(0.0, 0.002, 50)
@@ -269,8 +268,7 @@ def test_set_compiles_nothing(engine: Engine) -> None:
 
 
 def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
-    """During 10 s of a constant pose after a drag, the filtered velocity decays to exactly 0. Subnormal values would
-    slow down every tick."""
+    """The filtered velocity decays to exactly 0: subnormal values would slow down every tick."""
     engine.reset()
     poses = np.tile([*PRESSED, *UPRIGHT], (10_300, 1))
     poses[:300, :3] += np.linspace((-0.0013, 0.0007, 0.0002), (0.0, 0.0, 0.0), 300)

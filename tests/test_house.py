@@ -86,8 +86,7 @@ def test_each_reason_for_less_coverage_is_of_a_file() -> None:
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    """The text that an entry of tests/mutants.toml replaces occurs exactly once, and the tests that should detect it
-    exist."""
+    """The text that an entry replaces occurs exactly once, and its tests exist."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
         assert each.keys() == {"file", "old", "new", "mistake", "tests"} and each["tests"], each
         text = (ROOT / each["file"]).read_text("utf-8")

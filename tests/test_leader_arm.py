@@ -215,8 +215,7 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
-    """Poses continue, but the servo with the force does not confirm its zero: the run ends, and the error explains the
-    stop."""
+    """The servo with the force does not confirm its zero: the run ends, and the error explains it."""
     with emulated() as arm:
         device = leader.open_device(arm_options(arm, urdf, timeout_s=0.1), RATE_HZ)
         servo = Servo(device)

@@ -198,8 +198,7 @@ def test_the_package_page_needs_no_file_beside_it(wheel: Path) -> None:
 
 
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
-    """The daemon runs for a second on its shipped scene and recording, in an empty folder. Kernels of this checkout may
-    be used, since the sources are equal."""
+    """For a second on the shipped scene, in an empty folder; kernels of this checkout may be used."""
     rig = tmp_path / "rig.toml"
     device = '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n'
     rig.write_text(f'{device}[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')

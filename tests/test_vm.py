@@ -1,7 +1,4 @@
-"""Tests of the virtual machine's configuration that run without one.
-
-The machine is started manually, so a moved module or changed setting of the tests must not break it unnoticed.
-"""
+"""Configuration of the virtual machine, tested without starting one."""
 
 from __future__ import annotations
 

@@ -422,8 +422,7 @@ def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> l
 
 
 def test_each_finger_is_moved_by_its_device() -> None:
-    """Fingers and devices are paired by name, in any order and with unused devices; a single finger also with
-    [device]."""
+    """Fingers and devices are paired by name, in any order; a single finger may also have [device]."""
     both = [("thumb", "[devices.thumb]"), ("index", "[devices.index]")]
     assert paired(FINGERS, ["index", "other", "thumb"]) == both
     assert paired([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
@@ -447,8 +446,7 @@ def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, dev
 
 
 def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
-    """Both together are a fault; names follow the rules of fingers; a fault names its section; overrides of `device`
-    apply to every device."""
+    """Both together are a fault that names its section; overrides of `device` apply to every device."""
     one, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
     assert [
         "cannot be combined with [devices]" in said for said in faults_of(Rig, rig() | {"devices": {"thumb": one}})
@@ -503,8 +501,7 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
-    """Keys of the likely kind, values that no kind accepts, unknown keys and keys required by all kinds are
-    reported."""
+    """Keys of the likely kind, values that no kind accepts, unknown keys and missing required keys are reported."""
     bad = scene()
     bad["object"] = [
         {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},

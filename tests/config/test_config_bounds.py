@@ -55,8 +55,7 @@ def repeated(part: str) -> str:
     ids=["bare", "quoted", "literal", "table", "array of tables", "inline", "after a string"],
 )
 def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
-    """Time and memory of tomllib grow with the square of the number of a key's parts: such a key is refused before
-    parsing."""
+    """tomllib's time and memory grow with the square of a key's parts, so a long key is refused before parsing."""
     path = tmp_path / "long.toml"
     path.write_text("# first\n" + text)
     with pytest.raises(ConfigError, match=rf"long\.toml, line [23]: a key of more than {PARTS_MAX} parts"):
@@ -64,8 +63,7 @@ def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_the_longest_key_is_read() -> None:
-    """The limit counts the parts of one key: the maximum is read, one more is refused; tomllib agrees on what a key
-    is."""
+    """The maximum number of parts is read, one more is refused; tomllib agrees on the extent of a key."""
     longest = ".".join(["a"] * PARTS_MAX)
     assert parse_toml(f"{longest} = 1", "t") == tomllib.loads(f"{longest} = 1")
     with pytest.raises(ConfigError, match="parts"):

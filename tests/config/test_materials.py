@@ -53,8 +53,7 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_torsion_follows_its_formula(name: str) -> None:
-    """Torsional stiffness is 16/3 G a^3 with the moduli of pad and material in series, friction length 2/3 mu a, for a
-    = 6 mm and a pad of 45 kPa."""
+    """Stiffness is 16/3 G a^3 with the moduli of pad and material in series, friction length 2/3 mu a."""
     soft = {"rubber": 600e3, "silicone": 200e3, "skin": 45e3, "foam": 30e3, "sponge": 10e3}
     modulus = 1.0 / (1.0 / 45e3 + (1.0 / soft[name] if name in soft else 0.0))
     material = material_of(name)
@@ -107,8 +106,7 @@ def test_sources_have_valid_dois() -> None:
 
 
 def test_finger_pad_depth_follows_hertz() -> None:
-    """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of the fingertip `human-index`, whose modulus is within the measured
-    range."""
+    """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of `human-index`, whose modulus is within the measured range."""
     material, tip = material_of("finger-pad"), tip_of("human-index")
     assert material.normal is not None and tip.patch is not None and tip.radius_m is not None
     reduced = 4.0 * tip.patch.shear_modulus_pa
@@ -144,8 +142,7 @@ def test_the_human_pads_have_one_patch_at_1_n() -> None:
 
 
 def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
-    """For (1 - s^k)^(1/k) the mean distance from the centre is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k); for 1 - s^2 it is
-    8/15."""
+    """For (1 - s^k)^(1/k) it is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k), which is 8/15 for 1 - s^2."""
     patch = tip_of("human-index-paraboloid").patch
     assert patch is not None and patch.pressure_exponent is not None
     k = patch.pressure_exponent
@@ -198,8 +195,7 @@ def test_a_described_scene_does_not_ask_the_library() -> None:
 
 
 def test_an_override_reaches_into_a_named_table() -> None:
-    """An override changes a single value of a named table, both of a mapping and of a built scene; another name
-    replaces all values."""
+    """An override changes one value of a named table of a mapping or a scene; another name replaces all values."""
     thing = {"name": "table", "shape": "plane", "material": "rubber"}
     file = {"fingertip": "human-index", "object": [thing]}
     own = {"object.table.material.friction.kinetic": 0.2, "fingertip.radius_m": 0.008}

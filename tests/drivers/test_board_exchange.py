@@ -1,7 +1,4 @@
-"""The exchange shared by all board drivers, call by call, on a scripted board and a scripted clock.
-
-The emulated boards of the other tests answer in real time, which cannot show limits to the nanosecond.
-"""
+"""Exchange of all board drivers, call by call, on a scripted board and clock: limits to the nanosecond."""
 
 from __future__ import annotations
 
@@ -217,8 +214,7 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
 
 
 def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
-    """The first read discards queued samples, then wakes the board at once and every AWAITING ns. The sample that
-    follows has the time since opening."""
+    """The first read discards queued samples, then wakes the board at once and every AWAITING ns."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
     board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
@@ -251,8 +247,7 @@ def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
 
 @pytest.mark.parametrize(("misread", "status"), [(0, TIMEOUT), (7, TIMEOUT), (8, PROTOCOL), (9, PROTOCOL)])
 def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
-    """The read fails once TIMEOUT_NS have passed: PROTOCOL if at least as many bytes as an answer were misread since
-    the start of the wait, otherwise TIMEOUT."""
+    """After TIMEOUT_NS the read fails with PROTOCOL if an answer's bytes were misread, otherwise with TIMEOUT."""
     board.word[BOARD.misread_bytes] = 100
     begun = board.word[BOARD.misread_bytes]
     real = board_exchange.drain
@@ -280,8 +275,7 @@ def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, boa
 
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
-    """The read waits RESUME_WAIT_NS and one poll more, then repeats the old sample. The board counts as silent until
-    the next sample, but the pause does not count toward the time-out."""
+    """The read waits RESUME_WAIT_NS and one poll more; the pause does not count toward the time-out."""
     board.heard()
     board.now += 150 * MS
     begun, before = board.now, board.sample.copy()

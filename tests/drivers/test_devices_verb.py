@@ -208,8 +208,7 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
 
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
-    """The debug channel of a Teensy is not claimed. An LPC1768 is claimed by the rigs of its firmware, or by all rigs
-    with its ids if the system has no descriptor."""
+    """A Teensy's debug channel is not claimed; without a descriptor an LPC1768 is claimed by all rigs with its ids."""
     teensy, *_ = BOARDS.values()
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
     claim = find_claim(raw)

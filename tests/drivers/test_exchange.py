@@ -164,8 +164,7 @@ def test_a_hanging_device_is_stopped() -> None:
 
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
-    """A new compilation calls neither allocator nor interpreter. Its five calls through pointers are the device's two
-    functions, the two empty ones and the last zero."""
+    """No allocator and no interpreter; the pointers are the device's two functions, two empty ones, the last zero."""
     compile_exchange()
     (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
     fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]

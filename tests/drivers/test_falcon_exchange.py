@@ -1,7 +1,4 @@
-"""Exchange with a Falcon, call by call, on a scripted libusb and clock: packets, replies, silences and cancellations.
-
-Limits are checked to the nanosecond, which the stand-in in C cannot do.
-"""
+"""Exchange with a Falcon, call by call, on a scripted libusb and clock: limits to the nanosecond."""
 
 from __future__ import annotations
 

@@ -152,8 +152,7 @@ RECORDED = {
 
 
 def test_motors_turn_as_in_recorded_packets() -> None:
-    """With the shipped rig each count has the recorded sign. The recording lacks the knob's position, but within 2 cm
-    of the centre the signs do not depend on it."""
+    """With the shipped rig each count has the recorded sign, which within 2 cm of the centre is everywhere the same."""
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():

@@ -1,7 +1,4 @@
-"""Falcon driver on a stand-in for libusb with adjustable delays.
-
-Behaviour that needs the real libusb is in test_falcon_emulated.py.
-"""
+"""Falcon driver on a stand-in for libusb with adjustable delays; test_falcon_emulated.py uses the real libusb."""
 
 from __future__ import annotations
 
@@ -84,8 +81,7 @@ def columns(records: np.ndarray, at: int, number: int = 3) -> np.ndarray:
 
 
 def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: FalconBench) -> None:
-    """Press, slide and release: each tick has a new reply, sensed positions equal the knob's, and modes and forces
-    equal the engine's for these positions."""
+    """Each tick has a new reply with the knob's position; modes and forces equal the engine's."""
     stub.update(**STROKE)
     with bench.open() as device:
         stub["logged"] = 0
@@ -195,8 +191,7 @@ def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> 
 def test_faults_leave_no_transfer_pending(
     fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
 ) -> None:
-    """Each fault ends the servo with its status. All transfers are freed, motors are zero if the bus still accepts
-    packets, and no packet is pending once the fault is removed."""
+    """Each fault ends the servo with its status; all transfers are freed and no packet is pending."""
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -281,8 +276,7 @@ def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
 def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
     timeout_s: float, stub: UsbStub, bench: FalconBench
 ) -> None:
-    """The device does not receive a force whose packet hung: `stop` cancels the packet and sends zero when the device
-    accepts packets again, also with a `timeout_s` longer than the duration of the stop."""
+    """`stop` cancels a hung packet and sends zero when the device accepts packets, for any `timeout_s`."""
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -402,8 +396,7 @@ def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) 
 
 @pytest.mark.scaled
 def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int, int], int]) -> None:
-    """Noise, truncated and damaged packets and impossible counts between valid replies: each position belongs to the
-    counts of a complete packet by the stand-in's kinematics, or is NaN and no force follows it."""
+    """Each position belongs to the counts of a complete packet, or is NaN and no force follows it."""
     number = cases(20_000, 1_000_000)
     with bench.open() as device:
         stub.update(still=1, fuzz=1)
@@ -418,8 +411,7 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
 
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
-    """Both are open at once in two loops of one process, each exchange is with its knob, and closing one does not
-    affect the second. Without a serial number none is opened."""
+    """In two loops of one process each exchange is with its knob; without a serial number none is opened."""
     stub.update(z=0.03)
     stub[1, "attached"] = 1
     stub[1, "z"], stub[1, "x"] = 0.045, 0.02

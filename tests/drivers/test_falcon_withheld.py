@@ -63,8 +63,7 @@ def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
 
 
 def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
-    """A silence of 60 ms ends the force with zeros; then the force increases from zero by the ramp. No packet exceeds
-    the previous by more than the guard's slew limit."""
+    """A silence of 60 ms ends the force with zeros; then it ramps from zero, within the guard's slew limit."""
     with running(stub, RAMP_S):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         before = len(pull(stub)) - 1

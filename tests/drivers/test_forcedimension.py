@@ -118,8 +118,7 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBen
 
 
 def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
-    """By default nothing moves, gravity is not compensated and the threshold is unchanged; expert calls happen only in
-    expert mode. After closing, force is off and brakes are on, as the maker's library leaves them."""
+    """Nothing moves, no setting changes; after closing, force is off and brakes are on as the library leaves them."""
     with bench.open():
         seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
         assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
@@ -231,8 +230,7 @@ def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) ->
 
 
 def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench) -> None:
-    """The library documents frames for devices with a wrist. An omega.3 without one is read by its position in a single
-    call; with a wrist a failed frame is a failure."""
+    """An omega.3 is read by its position in one call; with a wrist a failed frame is a failure."""
     stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     with bench.open() as device:
         servo = Servo(device)
@@ -317,8 +315,7 @@ def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBenc
 
 
 def test_a_device_is_identified_without_force(stub: Stub) -> None:
-    """`devices --ask` reports model, serial number, system type and calibration without motion or force, and closes the
-    device. A device of another program is busy."""
+    """`devices --ask` reports the device without motion or force and closes it, or reports it as busy."""
     claim = Claim("forcedimension", "usb", 0x1451, None)
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
@@ -517,8 +514,7 @@ def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
 
 
 def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
-    """A guarded reading and saturated motors give STALE and are counted; the pose is the previous one. A guarded force
-    gives HELD, because the device keeps the previous force."""
+    """A guarded reading and saturated motors give STALE; a guarded force gives HELD. All are counted."""
     with bench.open() as device:
         servo = Servo(device)
         stub.update(guard_reads=4, guard_writes=5, reads=0, writes=0)
@@ -570,8 +566,7 @@ def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> N
 
 
 def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
-    """A mirrored or stretched matrix gives an orientation of NaN, and a NaN position is passed on; the guard rejects
-    both, but the read succeeds. A matrix off by rounding is accepted."""
+    """A mirrored or stretched matrix gives NaN, a matrix off by rounding is accepted, a NaN position is passed on."""
     for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
         stub[name] = value
         with bench.open() as device:

@@ -26,10 +26,7 @@ FORCE, ERROR, CAUSE = 5, 9, 14
 
 
 class Library:
-    """Scripted library, and an armed driver's block that calls it.
-
-    gives  results of the functions by name; 0 by default
-    """
+    """Scripted library with `results` by name (0 by default), and an armed driver's block that calls it."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
@@ -185,8 +182,7 @@ def test_a_device_that_is_closed_is_lost(library: Library) -> None:
 
 @pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
 def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
-    """The library's timeout gives TIMEOUT; any other error gives LOST and the device's status is read. A gripper angle
-    repeated by the time guard is not a failure."""
+    """The library's timeout gives TIMEOUT, another error LOST and a status read; a repeated gripper angle is OK."""
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
     assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"

@@ -55,8 +55,7 @@ def fd_rig(stub: Stub, **changes: Any) -> Rig:
 
 
 def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
-    """A hand presses, rolls, slides and releases through the daemon: forces and modes equal the engine's on the sensed
-    poses, the gripper is recorded, the wall stops the handle, and never two threads are in the library."""
+    """Forces and modes equal the engine's on the sensed poses; never two threads are in the library."""
     stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
     scene = load_scene("paper-plane")
     records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
@@ -124,8 +123,7 @@ def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -
 
 
 def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
-    """Half a second between opening and the first tick (compiling, real-time settings) does not trigger the default
-    watchdog. A stall of the machine may, so one in five runs has to finish."""
+    """The default watchdog tolerates 0.5 s before the first tick; a stall may trip it, so one of five runs finishes."""
 
     def late() -> Callable[[], None]:
         time.sleep(0.5)
@@ -181,8 +179,7 @@ def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> N
 def test_stop_while_a_transfer_hangs(
     exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """`stop` from another thread waits briefly for a hanging exchange, then disables the force. If the library blocks
-    all calls, it returns with a message, and the force is disabled once the library returns."""
+    """`stop` waits briefly for a hanging exchange; the force is disabled at the latest when the library returns."""
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])

@@ -1,7 +1,4 @@
-"""Exchange with Haply's Inverse Service: contract, poses and forces, versions, filters, several programs, faults.
-
-The service is emulated in a separate process on real sockets; tests check the forces its device received.
-"""
+"""Exchange with Haply's Inverse Service, emulated in a separate process on real sockets: forces its device received."""
 
 from __future__ import annotations
 
@@ -140,8 +137,7 @@ def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
-    """Cursor position, grip orientation and force are converted between the service's frame and the world, also with a
-    mounting; buttons a, b and c are bits 0 to 2."""
+    """Position, orientation and force are converted between service and world; buttons a, b, c are bits 0 to 2."""
     half = math.sqrt(0.5)
     turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
@@ -192,8 +188,7 @@ def test_a_force_past_the_largest_is_limited(service: Service) -> None:
 
 
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
-    """A message is sent only after the last is answered, however often the loop writes. Forces written in between are
-    HELD; the device receives the accepted ones once each and in order."""
+    """Forces written before the answer are HELD; the device receives the accepted ones once each and in order."""
     late_s = 0.02
     service.set(late_s=late_s)
     with opened(service) as device:
@@ -293,8 +288,7 @@ def test_opening_at_a_silent_service_times_out(service: Service) -> None:
 
 
 def test_filters_are_set_as_in_the_rig(service: Service) -> None:
-    """Opening sets the service's filters as in the rig: home return is always off, the rest is set if different, force
-    gate and damping per session. A refusal is an error."""
+    """Home return is always off, other filters are set if different; a refusal is an error."""
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
     found = service.do("settings", id=ID)
@@ -311,8 +305,7 @@ def test_filters_are_set_as_in_the_rig(service: Service) -> None:
 
 @pytest.mark.parametrize("enveloped", [False, True])
 def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
-    """Version and applied filters are read at top level or below `data`. A plain answer with another value than the
-    posted one is a refusal, as is `ok: false`."""
+    """At top level or below `data`; an answer with another value than the posted one, or `ok: false`, is a refusal."""
     service.set(enveloped=enveloped, version_enveloped=enveloped)
     opened(service, filters={"torque_scaling": False}).close()
     assert not service.do("settings", id=ID)["torque_scaling"]["enabled"]
@@ -332,8 +325,7 @@ def test_a_wrong_version_in_the_rig_is_rejected(service: Service) -> None:
 
 
 def test_another_kind_of_device_is_refused() -> None:
-    """Limits and workspace of a rig are for its models, which come from `config.type`, or else from the list of the
-    device. Of several devices the one of a model of the rig is selected."""
+    """The model is that of `config.type` or of the list; of several devices one of a model of the rig is selected."""
     with Service(devices=("minverse:0A11",)) as mini:
         with pytest.raises(DeviceNotFound, match=r"lists minverse 0A11.*for inverse3, inverse3x.*haply-minverse"):
             opened(mini)
@@ -485,8 +477,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> No
     ids=["no number", "too large to read", "far away", "farther away"],
 )
 def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
-    """A coordinate that is null (as the maker's JSON writes NaN) or out of bounds gives a sample of NaN, for which the
-    guard commands zero; a number beyond JSON's range is a protocol error."""
+    """A coordinate that is null or out of bounds gives NaN; a number beyond JSON's range is a protocol error."""
     text = (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
         '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
@@ -582,8 +573,7 @@ def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
 
 
 def test_a_stopped_service_blocks_no_call(service: Service) -> None:
-    """With a stopped service (SIGSTOP) reads return TIMEOUT, `stop` and `close` return in time with an unconfirmed
-    zero, and the messages read after SIGCONT end with a zero."""
+    """Reads return TIMEOUT, `stop` and `close` return in time, and the messages read after SIGCONT end with a zero."""
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)

@@ -1,8 +1,4 @@
-"""Ends of a connection with Haply's service: the forces the service received before.
-
-Two devices of one emulated service push; the service then breaks the protocol, closes or stops answering. Tests check
-the service's list of received forces, which does not contain the end of a session, though that also ends its force.
-"""
+"""Ends of a connection with Haply's service: the forces that two devices of one service received before."""
 
 from __future__ import annotations
 
@@ -173,8 +169,7 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
 
 
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
-    """A service that stops reading receives at most one more force, followed by zeros, however long the loop writes.
-    The zero of a stop is not confirmed, and only the first `stop` waits for it."""
+    """After one more force it receives zeros; the zero of a stop is unconfirmed, and only the first `stop` waits."""
     service.set(deaf=True)
     deaf_at = time.monotonic()
     servos = [Servo(device, arm=False) for device in pushing]
@@ -203,8 +198,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
 
 
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
-    """Unexpected states look like answers, but the send queue of the connection grows: forces are withheld with a
-    warning until the states end the exchange. At most the messages in the service's receive buffer are still read."""
+    """Unexpected states look like answers, but the send queue grows: forces are withheld until the exchange ends."""
     room = 2048
     with Service(room=room) as service, opened(service) as device:
         servo = Servo(device)

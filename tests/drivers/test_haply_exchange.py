@@ -114,8 +114,7 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
-    """More than 30 ms without a read are a pause: the device does not time out, and only a state received within
-    `quiet_s` before the read counts as current."""
+    """After more than 30 ms without a read only a state received within `quiet_s` before the read is current."""
     device.clock.now += 2 * TIMEOUT_NS
     assert device.read()[0] == STALE
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD

@@ -56,8 +56,7 @@ def pushes(service: Service) -> None:
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """A hand presses into the plane, drags and releases: modes and forces equal the engine's on the same poses, the
-    device receives forces of ticks in order and bit for bit, and the last is zero."""
+    """Modes and forces equal the engine's; the device receives the ticks' forces in order and bit for bit."""
     scene = load_scene("paper-plane")
     with Service() as service:
         service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
@@ -147,8 +146,7 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
     ],
 )
 def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
-    """After a signal in contact that can be caught, the device's last force is zero. After SIGKILL the end of the
-    connection ends the force, and after SIGSTOP the service is assumed to. A process that has ended leaves no lock."""
+    """The last force is zero; after SIGKILL the connection's end ends it. An ended process leaves no lock."""
     with (
         Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
         pushing_daemon(service, tmp_path) as running,
@@ -167,8 +165,7 @@ def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None
 
 
 def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None:
-    """A second daemon on the device fails and names the first. If the service stops reading, a signal ends the first
-    without a message that the force is zero."""
+    """A second daemon names the first; if the service stops reading, no message says that the force is zero."""
     with Service() as service, pushing_daemon(service, tmp_path) as running:
         second = called(*command_line(service, tmp_path, "b")[3:])
         assert second.returncode == 4

@@ -557,8 +557,7 @@ def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
 
 
 def test_a_pantograph_on_hid() -> None:
-    """Reports of joint angles and torques: the position is the intersection of two circles, only the force in the plane
-    is displayed, and the device has two degrees of freedom."""
+    """The position is the intersection of two circles, and only the force in the plane is displayed."""
     base, inner, outer = LINKS
     fields = {"input": ("a", "b"), "output": ("torque_a", "torque_b")}
     reports = {

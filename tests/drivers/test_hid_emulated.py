@@ -194,8 +194,7 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
     ],
 )
 def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_path: Path) -> None:
-    """With the descriptors of real boards, the arm's interface of several with one serial number is opened, the rest
-    get no report, and forces reach the arm."""
+    """The arm's interface is chosen by descriptors of real boards; the rest get no report, forces reach the arm."""
     bus, through = WAYS[way]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late

@@ -211,8 +211,7 @@ def test_results_of_writing_a_report(board: Board) -> None:
 
 
 def test_a_force_waits_for_the_pump(board: Board) -> None:
-    """With two reports that the pump has not transmitted, forces are HELD and a second zero is skipped, but the zero
-    after a force is queued. No kick is sent while a zero waits."""
+    """With two reports in flight forces are HELD and a second zero is skipped, but the zero after a force is queued."""
     taken = board.link_by_threads()
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK

@@ -143,8 +143,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
-    """During a hanging write the loop ends with TIMEOUT, even if the device still sends reports; `stop` and `close`
-    return in time with one message. When the write returns, the zero is sent, and no older force."""
+    """The loop ends with TIMEOUT, `stop` and `close` return in time; the zero is sent once the write returns."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)

@@ -123,8 +123,7 @@ def test_the_shipped_rig_waits_above_the_scenes() -> None:
 
 
 def test_hold_freezes_the_goal_of_the_hand() -> None:
-    """During a recording with a push of 2 N, `hold` freezes the goal, so the push is constant; a lead from there causes
-    no jump. The returned pose includes tool and tare."""
+    """`hold` freezes the goal, so a push is constant; a lead from there causes no jump."""
     soft = {"hand": {"mass_kg": 0.1, "damping_ns_per_m": 20.0, "stiffness_n_per_m": 1000.0}, **BARE}
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(recording="tap", loop=True, **soft) as device:

@@ -97,8 +97,7 @@ def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
 
 @pytest.mark.parametrize("name", [name for name in GIVEN if not name.startswith("delta")])
 def test_power_out_is_power_in(name: str) -> None:
-    """f . v = tau . q' at random poses, motions and forces, with v by differences of the forward kinematics: checks
-    each column of the Jacobian, its sign, and the transposition."""
+    """f . v = tau . q' with v by differences of the forward kinematics: checks each column of the Jacobian."""
     rng, ask = np.random.default_rng(31), Ask(GIVEN[name])
     # of a chain's motors tau q' is k I 2 pi n' / N
     per = np.ones(3) if name != "chain" else np.array(ARM.torque_constant_nm_per_a) * 2 * pi / ARM.counts_per_turn
@@ -156,8 +155,7 @@ def test_a_pantograph_inverts_two_triangles(name: str) -> None:
 
 
 def test_the_published_pantograph() -> None:
-    """A 2DIY in its calibration pose, 168 and 12 degrees: by symmetry at half the base, at the height given by
-    Pythagoras; 1 N along y gives opposite torques."""
+    """A 2DIY in its calibration pose, by symmetry and Pythagoras; 1 N along y gives opposite torques."""
     ask = Ask(GIVEN["pantograph"])
     joints = (radians(168.0), radians(12.0), 0.0)
     half = 0.019 + 0.07 * np.cos(radians(12.0))
@@ -188,8 +186,7 @@ def test_a_delta_inverts_its_triangles(name: str) -> None:
 
 
 def test_aligned_links_give_no_force() -> None:
-    """If the outer links of a pantograph align, the force fades to zero and is marked as singular, without torques
-    above ten times those at a right angle or steps. Elbows too far apart give their midpoint."""
+    """The force fades to zero, marked singular, without steps; elbows too far apart give their midpoint."""
     given = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
     ask, force = Ask(given), (0.3, 1.0, 0.0)
     seen = set()
@@ -250,8 +247,7 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
 
 @pytest.mark.parametrize("name", ["paddle", "chain"])
 def test_torques_of_serial_joints_are_bounded(name: str) -> None:
-    """tau = J^T f contains no inverse: for a stretched arm, above the vertical axis and at any angle of a paddle the
-    torques are bounded by force and reach, and the force is not reduced."""
+    """tau = J^T f contains no inverse: torques are bounded by force and reach, and the force is not reduced."""
     rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
     if name == "paddle":
         poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07

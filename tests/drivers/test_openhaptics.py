@@ -1,7 +1,4 @@
-"""3D Systems' devices on a stand-in for the maker's library: contract, opening, calibration, callback.
-
-The stand-in has a real thread in real time, so tests check forces of the motors in the journal of its ticks.
-"""
+"""3D Systems' devices on a stand-in for the maker's library with a real thread and a journal of the motors' ticks."""
 
 from __future__ import annotations
 
@@ -325,8 +322,7 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_each_generation_of_the_touch_is_claimed(
     device: Attached, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first USB stylus is a port of 0301:2988, the latest a HID device of 2988:0304: each has driver, rig and udev
-    rules, and is named if it does not open."""
+    """A port of 0301:2988 and a HID device of 2988:0304 have driver, rig and udev rules, and are named in errors."""
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
     (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
@@ -347,8 +343,7 @@ def test_each_generation_of_the_touch_is_claimed(
 def test_a_device_that_usb_does_not_list_is_identified(
     hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`devices --ask --rig` opens the rig's device through the library even if USB lists none, as for Ethernet and
-    FireWire, and reports the model, or the reason of a failure. Without --rig the list is empty."""
+    """`devices --ask --rig` opens the rig's device through the library even if USB lists none."""
     rig = tmp_path / "touch.toml"
     text = find("touch", Rig).read_text("utf-8")
     rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))
@@ -396,8 +391,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
 
 
 def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -> None:
-    """With frames 40 ms apart and a maximum age of 20 ms, the motors have zero, telemetry has zero and WITHHELD, and a
-    warning names the cause. The force returns with frames in time."""
+    """Motors and telemetry have zero, and a warning names the cause; the force returns with frames in time."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
         servo = Loop([device], pulling(), RATE_HZ)
@@ -418,8 +412,7 @@ def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -
 
 
 def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
-    """While the stylus is docked, forces are withheld without ending the run; after undocking they are accepted again.
-    With `inkwell = False` the switch is ignored."""
+    """While docked, forces are withheld without ending the run; with `inkwell = False` the switch is ignored."""
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
@@ -577,8 +570,7 @@ def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench:
 
 @pytest.mark.scaled
 def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, int], int]) -> None:
-    """For any bits from the library and forces computed from them, the library gets only finite numbers, reads return
-    OK or STALE, and orientations are NaN or of unit length."""
+    """The library gets only finite numbers, reads return OK or STALE, orientations are NaN or of unit length."""
     with bench.open() as device:
         hd["drop_at"] = 0  # from here on the test calls the frames, as fast as possible
         hd.after(3)

@@ -1,8 +1,4 @@
-"""Callback of 3D Systems' library and the servo's side, call by call, on a scripted library and clock: forces per
-frame, errors, statuses.
-
-Limits are checked to the nanosecond, which the stand-in in C with its real thread cannot do.
-"""
+"""Callback of 3D Systems' library and the servo's side, call by call, on a scripted library and clock."""
 
 from __future__ import annotations
 
@@ -41,8 +37,7 @@ OVER, AGAIN = 0, 1
 
 
 class Library:
-    """Scripted library, and a driver's block as after opening, armed, with torques. Each word of the block has one
-    writer: the library's thread or the servo."""
+    """Scripted library, and a driver's block as after opening, armed, with torques; each word has one writer."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
@@ -229,8 +224,7 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
-    """The temperature is also read in the second frame, without the inkwell switch. The stored value is the maximum, in
-    thousandths, limited to ten times hot."""
+    """Also in the second frame, without the inkwell switch; the maximum is stored, limited to ten times hot."""
     asked, inkwell = [], []
     for number in range(301):
         opening.frame()

@@ -55,9 +55,7 @@ def touch_rig(stub: HdStub, **changes: Any) -> Rig:
 
 
 def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchBench) -> None:
-    """A hand presses, rolls, slides and releases through the daemon, between two unsynchronised threads: forces and
-    modes equal the engine's on the sensed poses, the wall stops the handle, no call of the library is misused, and the
-    last tick of the motors has zero."""
+    """Between two unsynchronised threads forces and modes equal the engine's; no call of the library is misused."""
     hd.update(**PRESSING)
     scene = load_scene("paper-plane")
     records = records_of_daemon(touch_rig(hd), scene, 2500)
@@ -140,8 +138,7 @@ OTHERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)])
 def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
-    """A signal that the daemon in contact can catch ends it with zero in the motors' last tick. After SIGKILL these
-    motors retain the last force, which is within the rig's limit."""
+    """A caught signal ends with zero in the motors' last tick; after SIGKILL they retain a force within the limit."""
     rig, left = tmp_path / "rig.toml", tmp_path / "journal"
     rig.write_text(
         f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'

@@ -185,8 +185,7 @@ Spoil = Callable[[bytes], bytes]
     ],
 )  # fmt: skip
 def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
-    """A damaged answer repeats the last pose and the force ends within `quiet_s`; the next valid answer restores both.
-    Without one the run ends and the reason contains the bytes."""
+    """The last pose repeats and the force ends within `quiet_s`; the next valid answer restores both."""
     with two_diy(quiet_s=0.02, timeout_s=1.0) as (servo, device, board, port):
         known = fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -234,8 +233,7 @@ def test_an_answer_in_two_parts_is_read_once_complete() -> None:
 
 
 def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
-    """If the board waits for the rest of a frame and the driver for its answer, then after `quiet_s` a zero with
-    preceding resync bytes ends the wait: no other byte is read as a torque or command, and the run continues."""
+    """After `quiet_s` a zero with preceding resync bytes ends the wait, and the run continues."""
     with two_diy(quiet_s=0.02, timeout_s=2.0) as (servo, _, board, port):
         for at in (1, 3, 6, 9):  # of the device number, and of both torques
             fresh(servo)

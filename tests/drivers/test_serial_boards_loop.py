@@ -1,7 +1,4 @@
-"""The daemon on described boards: contact, faults in contact, a second program, all signals, and kill -9.
-
-The boards log the forces of their motors with times.
-"""
+"""The daemon on described boards, which log their motors' forces: contact, faults, a second program, all signals."""
 
 from __future__ import annotations
 
@@ -104,8 +101,7 @@ def test_faults_in_contact_end_the_daemon_without_force(
 
 
 def test_a_late_board_continues() -> None:
-    """A board that answers after 5 ms gets a new force every few ticks and the run continues. One that answers after
-    150 ms loses its force until it is in time again."""
+    """After 5 ms it gets a new force every few ticks; after 150 ms it loses its force until it is in time again."""
     with pressing() as (daemon, board, port):
         for late, stays in ((0.005, True), (0.15, False)):
 
@@ -223,9 +219,7 @@ UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
-    """A Hapkit that streams but reads nothing for a moment gets no old force; then its force ramps up again. If the
-    run ends while the board does not read, the exit code is 4, the log does not claim zero force, and only zeros wait
-    for the board."""
+    """A Hapkit gets no old force; if the run ends meanwhile, only zeros wait for the board and the exit code is 4."""
     stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
         board.turn(0.3)

@@ -113,8 +113,7 @@ def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool) -> None:
-    """The sample has the board's position and R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), also with a mounting; the board
-    gets the force in its frame; info contains the buttons."""
+    """The pose is R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), also with a mounting; the board gets its frame's force."""
     half = math.sqrt(0.5)
     mounting = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]} if mounted else {}
     frame, origin = (turned("z", math.pi / 2), np.array([0.1, 0.2, 0.3])) if mounted else (np.eye(3), np.zeros(3))
@@ -221,8 +220,7 @@ def test_a_pause_is_followed_by_a_new_frame() -> None:
 
 
 def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
-    """A silent board gets one zero, a newline every 100 ms and no force; after the time-out the read returns TIMEOUT. A
-    board that answers again before continues."""
+    """A silent board gets one zero and a newline every 100 ms, then TIMEOUT, unless it answers again before."""
     with board(quiet_s=0.02) as (device, itself, cable):
         servo = Servo(device)
         for again in (True, False):
@@ -269,8 +267,7 @@ def nonsense(text: bytes) -> Callable[[bytes], bytes]:
     ],
 )  # fmt: skip
 def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
-    """A damaged frame repeats the last pose and ends the force; a valid frame restores both. If frames are always
-    damaged, the read returns PROTOCOL and the reason contains the bytes."""
+    """The last pose repeats without force until a valid frame; permanent damage gives PROTOCOL with the bytes."""
     with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
         servo = Servo(device)
         known = fresh(servo)
@@ -328,8 +325,7 @@ def fill(device: SerialDevice) -> int:
 
 
 def test_a_blocked_port_does_not_block_the_loop() -> None:
-    """If the board reads nothing, writes return at once with HELD or WITHHELD, reads return TIMEOUT, `close` returns,
-    and no force follows the blocked bytes."""
+    """Writes return HELD or WITHHELD at once, reads TIMEOUT, and no force follows the blocked bytes."""
     with Cable(Board(lambda _: PLACE)) as cable:
         device = opened(cable)
         servo = Servo(device)

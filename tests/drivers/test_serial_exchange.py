@@ -236,8 +236,7 @@ def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> Non
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
-    """A frame accepted in pieces of 20, 0, 10 and the rest is not interrupted by other bytes, and a frame of which no
-    byte was accepted is not counted as sent."""
+    """A frame accepted in pieces is not interrupted by other bytes; one without an accepted byte is not counted."""
     board.port.room = 20
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (44, 1)
@@ -343,8 +342,7 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def described(**changes: Any) -> Options:
-    """Options of a board whose frames have a position, a quaternion, buttons and a gripper, and are answered one by
-    one; an answer is identified by its length."""
+    """Options of a board with position, quaternion, buttons and gripper, whose answers are identified by length."""
     fields = [("x", 1), ("y", 5), ("z", 9), ("qw", 13), ("qx", 17), ("qy", 21), ("qz", 25)]
     frames = {
         "mode": "answer",

@@ -62,8 +62,7 @@ def test_check_prints_the_motion_of_a_device(rig: str, words: str, capsys: pytes
 
 @pytest.mark.real_time
 def test_the_printed_rig_runs(tmp_path: Path) -> None:
-    """A daemon on the page's rig renders a floor on the board: no torque above it, a torque that lifts the handle in
-    it, and none after the daemon has ended."""
+    """The page's rig renders a floor: torque only in it, and none after the daemon has ended."""
     with GuideBoard() as board:
         board.angle = 0.3  # 24 mm up, and the fingertip has a radius of 10
         changes: dict[str, Any] = {
@@ -140,8 +139,7 @@ def opened_by(rig: Rig) -> Device:
 
 @pytest.mark.real_time
 def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
-    """Big-endian numbers, answers, and different checksums in each direction: the position is the intersection of two
-    circles, a force along y gives opposite torques with the same work, buttons are read, and no request is damaged."""
+    """Big-endian, with answers and two checksums: positions, forces and buttons are correct, no request is damaged."""
     out = np.deg2rad(60.0)
     with AskedBoard() as board:
         board.angles, board.buttons = (np.pi - out, out), 5

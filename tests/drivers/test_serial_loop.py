@@ -49,8 +49,7 @@ def rig(cable: Cable, **changes: Any) -> Rig:
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """A hand presses into the plane, drags and releases: modes and forces equal the engine's on the same poses, poses
-    equal the board's to its micrometres, the forces support its hand, and the last is zero."""
+    """Modes and forces equal the engine's, poses the board's; the forces support its hand, and the last is zero."""
     board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
     scene = load_scene("paper-plane")
     with Cable(board) as cable:

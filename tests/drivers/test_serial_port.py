@@ -85,8 +85,7 @@ def test_a_port_without_permission() -> None:
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The port is found by the rig's ids, and by serial number if there are several; without one the error lists the
-    attached ports. A path of another device is rejected."""
+    """By the rig's ids, or by serial number if there are several; a path of another device is rejected."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
@@ -113,8 +112,7 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any Teensy has 16c0:0483: one with a generic product string is opened only if the rig names its port or serial
-    number, and a Haply Inverse3 never. The ids of another board are sufficient."""
+    """A Teensy with a generic product string needs a port or serial number; a Haply Inverse3 is never opened."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))

@@ -279,8 +279,7 @@ ENDS = (stopped, disarmed)
 def test_no_old_force_is_played_and_the_last_is_zero(
     rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No board receives a force that waited behind two others, and the last force after an exit is zero. A USB chip
-    cannot discard bytes it has accepted, so at most three old forces arrive there."""
+    """The last force after an exit is zero; a USB chip, which cannot discard bytes, plays at most three old ones."""
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -301,8 +300,7 @@ def test_no_old_force_is_played_and_the_last_is_zero(
 def test_a_stop_reports_why_its_zero_is_not_confirmed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A stop reports bytes that do not leave, a full port and a lost port. It logs once, and only the first attempt
-    waits 1 s. A later stop that succeeds clears the reason."""
+    """Bytes that do not leave, a full and a lost port are logged once; a later stop that succeeds clears the reason."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.stalled = True
@@ -341,8 +339,7 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With three frames in the port, two zeros replace them if the port can drop frames, and nothing else is written.
-    Forces resume once the port is empty. After `timeout_s` the read returns TIMEOUT."""
+    """Two zeros replace three queued frames; forces resume once the port is empty, or the read returns TIMEOUT."""
     run = Run("hapkit", kind, 10.0, monkeypatch)
     run.ticks(20)
     assert set(run.statuses) == {OK} and run.device.warning() == ""
@@ -372,8 +369,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 def test_a_board_that_stops_reading_is_given_up_in_time(
     timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The board retains its force while it sends poses but reads nothing. The run ends after 0.25 s, as for any device
-    that accepts no force, or after a shorter `timeout_s`, also if the loop commands zero."""
+    """It retains its force while it reads nothing, so the run ends after 0.25 s or a shorter `timeout_s`."""
     run = Run("hapkit", "uart", 10.0, monkeypatch, timeout_s=timeout_s)
     run.ticks(20)
     assert run.reader.pushes

@@ -144,8 +144,7 @@ def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direc
     ],
 )
 def test_a_twist_rotates_the_fingertip(kind: Any, deflection: dict[str, int], axis: tuple[int, ...]) -> None:
-    """Nose down rotates about -x, roll to the right about +y, clockwise from above about -z, and several together about
-    the axis between them: right-handed rotation vectors in the world, independent of the orientation."""
+    """Right-handed rotation vectors in the world: nose down about -x, roll about +y, clockwise about -z."""
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
@@ -236,8 +235,7 @@ def test_a_pause_is_no_jump() -> None:
 
 
 def test_reports_of_a_full_queue_are_ignored() -> None:
-    """The kernel queues 64 reports and loses later ones: after a full queue, the last report may be of a past push, so
-    the fingertip rests until a new report."""
+    """The kernel loses reports beyond 64, so after a full queue the fingertip rests until a new report."""
     with puck() as (_, servo, end):
         for _ in range(spacemouse.QUEUE):
             end.send(emulated.combined(right=350)[0])

@@ -1,7 +1,4 @@
-"""The program on a SpaceMouse emulated as a hidraw node of umockdev: found, opened, followed, unplugged.
-
-Needs Debian's umockdev, gir1.2-umockdev-1.0 and python3-gi, as test_hid_emulated.py does.
-"""
+"""The program on a SpaceMouse emulated as a hidraw node of umockdev: found, opened, followed, unplugged."""
 
 from __future__ import annotations
 

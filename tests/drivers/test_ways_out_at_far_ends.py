@@ -1,9 +1,4 @@
-"""`softfinger run` in contact, on the emulated device of every driver: signals, and faults of the device.
-
-Tests check the forces that the device received, and their times. Faults at the driver's side, one by one and of all
-kinds, are in `tests/server/test_injected_faults.py`; forces after a killed program are in the loop tests of each
-driver.
-"""
+"""`softfinger run` in contact on the emulated device of every driver: forces received after signals and faults."""
 
 from __future__ import annotations
 

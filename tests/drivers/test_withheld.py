@@ -1,7 +1,4 @@
-"""Forces that the driver ended or could not send: forces received by the board, frame by frame, through the real loop.
-
-Emulated boards in real time stall or answer late, in a scene that pulls with 5 N from the start.
-"""
+"""Forces that the driver ended or could not send, frame by frame, in a scene that pulls with 5 N from the start."""
 
 from __future__ import annotations
 
@@ -138,8 +135,7 @@ def pulls(line: SerialChip) -> bool:
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
-    """A board that stalls for 60 ms while it pulls gets a zero; then the force increases from zero by the ramp. No
-    frame exceeds the previous by more than the guard's slew limit."""
+    """After a zero at a stall of 60 ms the force ramps from zero, within the guard's slew limit."""
     ramp_s = 0.2
     with WAYS[way]() as line, running(line, ramp_s):
         until(lambda: pulls(line))

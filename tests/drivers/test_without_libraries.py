@@ -1,7 +1,4 @@
-"""Machines without libusb or the libraries of hidapi: one clear error instead of a traceback.
-
-The libraries are really inaccessible to the loader of the command's process; pyusb is not patched.
-"""
+"""Machines whose loader cannot find libusb or the libraries of hidapi: one clear error instead of a traceback."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Hapkit behind a pseudo terminal, in real time: the shipped sketch, compiled for this machine.
-
-`stubs/arduino/hapkit.cpp` replaces the board, and lists the effects that it does not model.
-"""
+"""Hapkit behind a pseudo terminal, in real time: the shipped sketch, compiled with `stubs/arduino/hapkit.cpp`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Driver contract for a Falcon, and tests of its own behaviour.
-
-Started with an emulated device by test_falcon_emulated.py, not directly.
-"""
+"""Driver contract for a Falcon, and its own behaviour; started by test_falcon_emulated.py, not directly."""
 
 from __future__ import annotations
 
@@ -72,8 +69,7 @@ def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
 
 
 def test_late_replies_cost_ticks(bench: Emulated) -> None:
-    """While replies are 20 ms late, the driver repeats the last sample and sends at most two packets in 5 ms; then it
-    recovers."""
+    """The driver repeats the last sample, sends at most two packets in 5 ms, and recovers."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()

@@ -1,7 +1,4 @@
-"""Emulated devices of every driver that displays a force, with the received forces and their times.
-
-Each hand presses into the paper's plane from the first tick, and moves, so that no pose repeats.
-"""
+"""Emulated devices of every driver with forces, received with their times; each hand presses into the paper's plane."""
 
 from __future__ import annotations
 

@@ -102,8 +102,7 @@ def when_forced(
 
 
 def rig_file(folder: Path, name: str, **keys: object) -> str:
-    """Write a shipped rig with changed keys of [device], without real-time settings, whose force has risen after 50
-    ms."""
+    """Write a shipped rig with changed keys of [device], without real time, whose force has risen after 50 ms."""
     text = find(name, Rig).read_text()
     for key in keys:
         text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)

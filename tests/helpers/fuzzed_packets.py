@@ -213,8 +213,7 @@ def _spacemouse(_: Path, data: bytes) -> None:
 
 
 def _frames(_: Path, data: bytes) -> None:
-    """Numbers that a vendor's library returns as a pose: twelve from Force Dimension, position and matrix from
-    libHD."""
+    """Numbers that a vendor's library returns as a pose: twelve from Force Dimension, a matrix from libHD."""
     from softfinger.drivers.block import Block
     from softfinger.drivers.forcedimension import block as dhd
     from softfinger.drivers.forcedimension import exchange as forcedimension

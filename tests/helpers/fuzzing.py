@@ -77,8 +77,7 @@ def _spoil(data: bytearray, chance: random.Random, seeds: list[bytes]) -> None:
 
 
 class Target(NamedTuple):
-    """Seeds; the reader, called with a file of the bytes; errors by which it may refuse them; suffix of the file.
-    `named` is true if an error has to name the file."""
+    """Seeds, reader of a file, errors by which it may refuse (naming the file if `named`), suffix."""
 
     seeds: Callable[[], list[bytes]]
     take: Callable[[Path, bytes], object]
@@ -185,8 +184,7 @@ def targets() -> dict[str, Target]:
 
 
 def verdict(target: Target, path: Path, data: bytes) -> str:
-    """Return a description of what is wrong with a reader's response, or an empty text if it accepts or refuses
-    correctly."""
+    """Return the fault of a reader's response, or an empty text if it accepts or refuses correctly."""
     path.write_bytes(data)
     try:
         with warnings.catch_warnings():

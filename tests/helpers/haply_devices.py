@@ -26,8 +26,7 @@ class Service:
         self, version: str = "3.5.0", devices: tuple[str, ...] = (f"inverse3:{ID}",), grips: tuple[str, ...] = (),
         port: int = 0, idle_s: float = 60.0, room: int | None = None,
     ) -> None:  # fmt: skip
-        """Set `idle_s`, so long that a zero in the log must be the driver's or the end of its session, and `room`, the
-        bytes of its receive buffer."""
+        """Set `idle_s`, so long that a zero in the log is the driver's, and `room`, the bytes of its receive buffer."""
         command = [sys.executable, "-m", "emulators.haply_service", "--version", version, "--port", str(port)]
         command += ["--idle", str(idle_s), *([] if room is None else ["--room", str(room)])]
         for option, names in (("--device", devices), ("--grip", grips)):
@@ -81,8 +80,7 @@ class Service:
 
 
 def rig_options(port: int, **changes: Any) -> Options:
-    """Return the [device] table of the shipped rig with changed keys; its limits allow for late answers of a busy
-    machine."""
+    """Return the [device] table of the shipped rig with changed keys and limits for a busy machine."""
     given = load_rig(RIG).device
     assert given is not None
     patient = {"port": port, "stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}

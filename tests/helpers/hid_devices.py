@@ -43,8 +43,7 @@ def rig_options(rig: str, **changes: Any) -> Options:
 
 
 def described(**changes: Any) -> dict[str, Any]:
-    """A user-defined cartesian device: numbered reports, floats, a quaternion, two buttons, a gripper in hundredths of
-    a radian, forces in mN."""
+    """A user-defined cartesian device: numbered reports, floats, quaternion, buttons, gripper, forces in mN."""
     fields = [("x", 0), ("y", 4), ("z", 8), ("qw", 12), ("qx", 16), ("qy", 20), ("qz", 24)]
     scale = {"x": 1e-3, "y": 1e-3, "z": 1e-3}
     return {

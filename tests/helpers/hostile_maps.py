@@ -55,8 +55,7 @@ MADE: Final[dict[str, Callable[[], tuple[float, Array]]]] = {
 
 
 def weights_at(places: Array, count: float) -> Array:
-    """Return the weights of `count` + 3 coefficients at positions (n,) in cells: the cubic B-spline as a sum of
-    truncated powers; positions beyond the rim use the rim."""
+    """Return weights of `count` + 3 coefficients at positions (n,) in cells, by sums of truncated powers."""
     apart = np.abs(np.clip(places, 0.0, count)[:, None] + 1.0 - np.arange(int(count) + 3))
     weights: Array = (np.maximum(2.0 - apart, 0.0) ** 3 - 4.0 * np.maximum(1.0 - apart, 0.0) ** 3) / 6.0
     return weights

@@ -21,8 +21,7 @@ def bar(x: float, y: float, z: float) -> Mesh:
 
 
 def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
-    """A ball of which a third of the triangles is duplicated and a third inverted; and triangles without area, with two
-    corners at one point or three on a line."""
+    """A ball with a third of its triangles duplicated and a third inverted, and triangles without area."""
     ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(1)
     count = len(ball.triangles)
     triangles = ball.triangles.copy()
@@ -124,8 +123,7 @@ def directions(seed: int, count: int) -> Array:
 
 
 def socket(radius: float, frequency: int = 60) -> Mesh:
-    """A hollow ball whose nearest triangle is `radius` (m) from its centre, with all others at about the same
-    distance."""
+    """A hollow ball whose triangles are all about as far from its centre as the nearest, `radius` (m)."""
     ball = meshes.geodesic(frequency)
     middles = np.linalg.norm(ball.vertices[ball.triangles].mean(axis=1), axis=1)
     return Mesh(ball.vertices * (radius / middles.min()), ball.triangles)

@@ -156,7 +156,6 @@ ABOUT_Z, SHIFT = turned(2, np.pi / 2), (0.1, 0.2, 0.3)
 
 
 def check_pose(sample: NDArray[np.float64], place: tuple[float, ...], q: tuple[float, ...], rounding: float) -> None:
-    """Check that the sample has this position (m) and orientation of the device's frame in the world; `rounding`
-    applies to the matrix."""
+    """Check position (m) and orientation of the device's frame in the world; `rounding` applies to the matrix."""
     np.testing.assert_allclose(sample[:3], ABOUT_Z @ place + SHIFT, atol=1e-12)
     np.testing.assert_allclose(matrix(sample[3:7]), ABOUT_Z @ matrix(list(q)), atol=rounding)

@@ -178,8 +178,7 @@ def functions_of(root: Path, files: set[str]) -> Functions:
 
 
 def file_of(root: Path, code: CodeType) -> str:
-    """Return the file below the root that defines a code object, imported through the links in .dev; empty for
-    others."""
+    """Return the file below the root that defines a code object, through the links in .dev; empty for others."""
     below = f"{root}/.dev/softfinger/"
     return code.co_filename.removeprefix(below) if code.co_filename.startswith(below) else ""
 
@@ -227,8 +226,7 @@ def _plant_constant(mistake: Mistake) -> None:
 
 
 def _imports(module: ModuleType, name: str) -> bool:
-    """Return whether a module has a name by import, so that an edit of the file would change it there. Identity of the
-    two numbers does not show this, because small integers are always identical."""
+    """Return whether a module imports a name; small integers are always identical, so identity does not show it."""
     try:
         source = inspect.getsource(module)
     except (OSError, TypeError):  # a module in C

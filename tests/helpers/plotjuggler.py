@@ -9,8 +9,7 @@ EPOCH_AFTER_S = 1e9
 
 
 def complaints(frames, monotonic=()):
-    """Return the faults that PlotJuggler would have with a message, a list of its frames; `monotonic`: topics of
-    another clock."""
+    """Return the faults that PlotJuggler would have with a list of frames; `monotonic`: topics of another clock."""
     if len(frames) != 2:
         return [f"{len(frames)} frames: it takes the second as the map, and may abort"]
     topic, body = frames

@@ -1,7 +1,4 @@
-"""Peers below ZeroMQ at a ROUTER, five of each kind at a time: `python raw_peers.py tcp://HOST:PORT SECONDS`.
-
-It writes a line once they are at work.
-"""
+"""Peers below ZeroMQ at a ROUTER, five of each kind at a time: `python raw_peers.py tcp://HOST:PORT SECONDS`."""
 
 import contextlib
 import socket

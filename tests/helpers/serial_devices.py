@@ -39,8 +39,7 @@ def board(
 
 
 def settle(device: SerialDevice, cable: Cable) -> None:
-    """Wait until the board has received everything that the driver has sent; after a stop, which may drop frames, until
-    it has received a zero and no more arrives."""
+    """Wait until the board has received all that the driver has sent; after a stop, until a zero and no more."""
     until = time.monotonic() + 10.0
     while cable.heard < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
         if device.counts()["dropped"] and not any(cable.board.force) and at_rest(lambda: cable.heard):

@@ -23,8 +23,7 @@ TICK_S = 1e-3
 
 
 def normals_of(vertices: Array, triangles: NDArray[np.int32]) -> Array:
-    """Return mean unit normals (n, 3) at the vertices, weighted by the triangles' areas; arbitrary without a
-    triangle."""
+    """Return mean unit normals (n, 3) at the vertices by area; arbitrary without a triangle."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
     total = np.zeros_like(vertices)
@@ -42,8 +41,7 @@ def outside_at(balls: Balls, vertices: Array, normals: Array, radius: float, rng
 
 
 def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rng: np.random.Generator) -> Array:
-    """Return points (ticks, 3) m of the fingertip's centre: from above the vertex `at` onto it, to vertices close to
-    it, up, and to the next one."""
+    """Return points (ticks, 3) m of the fingertip's centre: onto vertex `at`, to its neighbours, up, to the next."""
     corners, times = [vertices[at] + 2.0 * radius * normals[at]], [0.0]
 
     def go_to(height: float) -> None:

@@ -30,8 +30,7 @@ Counts = ctypes.c_int64 * 9
 
 
 class UsbStub:
-    """Access to the stand-in's variables: `stub["unplug_at"] = 100`, `stub["steps"]` of the first Falcon, `stub[1,
-    "steps"]` of the second."""
+    """Variables of the stand-in: `stub["steps"]` of the first Falcon, `stub[1, "steps"]` of the second."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -74,8 +73,7 @@ class UsbStub:
         return self[number, "m0"], self[number, "m1"], self[number, "m2"]
 
     def log(self) -> np.ndarray:
-        """Return, for each packet since `logged` was set to 0: force and position like `state`, and whether the host
-        waited for its answer, (n, 7)."""
+        """Return (n, 7) per packet since `logged`: force and position like `state`, and if the host waited."""
         out = np.zeros((int(self["logged"]), 7))
         self._library.stub_log(0, out.ctypes.data_as(ctypes.c_void_p), len(out))
         return out

@@ -1,8 +1,4 @@
-"""One tick of the contact on a plane, written for clarity: numpy vectors and matrices, no kernels.
-
-It follows the equations of the model only, so that it cannot share a mistake with the kernels. A comment names each
-choice that the equations leave open.
-"""
+"""One tick of the contact on a plane by the equations of the model only: numpy vectors and matrices, no kernels."""
 
 from __future__ import annotations
 

@@ -26,8 +26,7 @@ Array = NDArray[np.float64]
 
 
 class Rolled(NamedTuple):
-    """Where a roll ends: centre (3,) m, normal (3,), orientation (4,) of the ellipsoid, spin rad, and how far, m, s has
-    come from where the normals are opposite."""
+    """End of a roll: centre, normal, orientation (4,), spin rad, distance m of s from the opposite normal."""
 
     center: Array
     normal: Array

@@ -1,7 +1,4 @@
-"""One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events.
-
-Written from the equations: it shares only the numbers of the case with the exact plant.
-"""
+"""One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events."""
 
 from __future__ import annotations
 
@@ -27,8 +24,7 @@ class Handle:
 def integrate(
     handle: Handle, period: float, commands: NDArray[np.float64], goals: NDArray[np.float64], x: float, v: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return position and velocity (n + 1, 2) at the ticks, for commands (n,) N held constant and goals (n + 1,) m
-    interpolated."""
+    """Return position and velocity (n + 1, 2) at the ticks, for commands (n,) N and goals (n + 1,) m."""
     a, out = 0.0, [(x, v)]
     for n, u in enumerate(commands):
         w = (goals[n + 1] - goals[n]) / period

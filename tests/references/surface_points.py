@@ -21,8 +21,7 @@ AT_MOST = 0.9
 
 
 class Contact(NamedTuple):
-    """A surface point (3,) m, the unit normal there towards the fingertip, and both principal curvatures, 1/m,
-    of the surface (inf across a sharp edge), with the largest fingertip that fits, m."""
+    """Surface point (3,) m, unit normal, principal curvatures 1/m, and the largest fingertip that fits, m."""
 
     point: Array
     normal: Array

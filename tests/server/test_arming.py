@@ -42,8 +42,7 @@ def pressed(path: Path, fast_at_s: float | None = None) -> str:
 
 
 class Run:
-    """Run of a daemon to its last tick. `forces` (n,) N that the device received, `states` with their causes, names of
-    the guard's events in `guard`, and `state` as `describe` returned it."""
+    """Run of a daemon to its last tick, with forces (n,) N, states and causes, guard events, described state."""
 
     def __init__(
         self,

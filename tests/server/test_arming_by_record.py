@@ -1,7 +1,4 @@
-"""Arming computed from records only: calls that `Arming` makes for each batch of ticks.
-
-`test_arming.py` tests the same with a daemon and its device.
-"""
+"""Arming computed from records only: calls that `Arming` makes for each batch of ticks."""
 
 from __future__ import annotations
 

@@ -82,8 +82,7 @@ def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
 
 
 def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
-    """A plane cuts the spherical workspace in a circle (radius by Pythagoras) or misses it. The points of an arc have
-    the handle's length as distance from its joint."""
+    """A plane cuts a sphere in a circle or misses it; points of an arc have the handle's length as radius."""
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
         point = np.array([0.3, away, -0.2])  # anywhere in the plane

@@ -1,8 +1,4 @@
-"""Command line: exit codes, output streams, and one clear error for invalid input.
-
-`called` runs a verb in this process. `run` starts a program, for properties that only a process shows: standard
-streams, log, exit, and equal results of two processes.
-"""
+"""Command line: exit codes, output streams, errors. `run` starts a program, `called` runs a verb in this process."""
 
 import json
 import os
@@ -137,8 +133,7 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kin
 
 
 def test_help_imports_no_compiler():
-    """The list of verbs and the options of every verb and measurement are shown without numpy, numba and what else they
-    run with."""
+    """The options of every verb and measurement are shown without numpy, numba and what else they run with."""
     done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=300, check=True)
     words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
     assert done.stdout.splitlines() == [f"{each}--help set()" for each in words]

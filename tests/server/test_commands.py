@@ -152,8 +152,7 @@ def events(daemon: Daemon) -> Iterator[Any]:
 
 
 def largest_rise(rows: np.ndarray) -> float:
-    """Return the largest rise of the force from tick to tick, except where a stall made the guard start from zero. A
-    fall may be faster: the switch takes the force off within MAX_OFF_S."""
+    """Return the largest rise of the force per tick, except where a stall made the guard start from zero."""
     rises = np.diff(np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1))
     return float(rises[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
 
@@ -282,9 +281,7 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
 
 
 def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
-    """A client given only a telemetry endpoint refuses to command another daemon whose commands are at the default
-    endpoint next to it. Only `disarm` is sent before this check, which a busy daemon delays: no force is the safe
-    error. With the default endpoint, no second address is needed."""
+    """A client refuses to command another daemon; only `disarm`, the safe error, is sent before this check."""
 
     def on(telemetry: str, commands: str | None = None) -> Any:
         own = {} if commands is None else {"commands.endpoint": f"ipc://{tmp_path}/{commands}"}
@@ -306,8 +303,7 @@ def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
 
 
 def test_several_fingers_are_commanded_together(rig):
-    """F_z = k d + f of each finger, for parameters of the scene or of one finger, armed and driven. Changes of the
-    assignment of devices to fingers are refused."""
+    """F_z = k d + f of each finger, armed and driven; another assignment of devices to fingers is refused."""
     device, scene = {"driver": "faulty"}, pressed_by_two()
     swapped = describe(scene)
     swapped["finger"].reverse()
@@ -431,8 +427,7 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
 
 
 def test_parameters_set_together_are_never_torn(rig):
-    """k d + f is the same in every tick while both change every other tick, and each pair is active for many ticks. A
-    client may send one request per tick."""
+    """k d + f is the same in every tick while both change every other tick; each pair is active for many ticks."""
     pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
     with running(rig()) as (daemon, control, kept):
         first, asked = daemon.servo.ticks, 400
@@ -501,8 +496,7 @@ def test_disarm_and_arm_cause_no_step_of_force(rig):
 
 
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
-    """Without a command for the time-out the force fades out and an event is sent; the next heartbeat restores it.
-    After `disarm` a heartbeat does not."""
+    """After the time-out the force fades out with an event; a heartbeat restores it, but not after `disarm`."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
         assert control.heartbeat().timeout_ms == 500
         while (lost := following("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
@@ -679,8 +673,7 @@ def alive(pid: int) -> bool:
 
 
 def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
-    """Heartbeat, disarm and others are answered while one compiles; a later scene ends that compiler, and so does the
-    daemon's end. The terminal of `ctl` shows the progress of a mesh, and that of the compiler."""
+    """Other requests are answered while one compiles; a later scene or the daemon's end ends that compiler."""
     words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
         running(rig()) as (daemon, control, kept),
@@ -861,8 +854,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 
 @pytest.mark.scaled
 def test_bad_messages_change_nothing(rig, cases):
-    """2 000 or 100 000 messages of noise, deep nesting, false sizes, wrong frames and wrong types: the force is the
-    same in every tick, memory does not grow, every message is answered, and so is a valid client."""
+    """The force is the same in every tick, memory does not grow, and every message and a valid client are answered."""
     clients, each = cases(4, 20), cases(500, 5000)
     with running(rig(**QUIET)) as (daemon, control, kept), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
@@ -910,8 +902,7 @@ RAW_S = 0.4
 
 
 def test_raw_peers_do_not_affect_memory_or_ticks(rig):
-    """Raw bytes from 45 connections at a time: old and new clients are answered during and after them, memory is
-    bounded, and every tick is recorded."""
+    """With 45 connections at a time clients are answered, memory is bounded, and every tick is recorded."""
     with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, kept):
         wanted = control.describe()["rig"]
         first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), kept.megabytes

@@ -133,8 +133,7 @@ def requests_of_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
-    """For each method, the device gets zero before that request is answered, whatever is queued before it. `stop`
-    overtakes as many requests as one client may queue."""
+    """The device gets zero before the answer to any method; `stop` overtakes as many requests as may be queued."""
     asked = requests_of_all(tmp_path)
     assert set(asked) == METHODS.keys() - AT_ONCE
     with running(monkeypatch, tmp_path) as (daemon, device):
@@ -170,8 +169,7 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
 def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
-    """The commands process hangs before it reads the request. It is replaced, and the client sends the request again:
-    the device gets zero and the client an answer."""
+    """A hung commands process is replaced, and the client sends again: the device gets zero, the client an answer."""
 
     async def disarm_in_task() -> Any:
         async with AsyncControl(endpoint, REPLACED_S) as control:
@@ -223,9 +221,7 @@ def share_without(device: FaultyDevice) -> float:
 
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
-    """While the GIL is blocked for 1 s, the device gets zero after the heartbeat's 0.3 s, or after a `disarm` sent
-    before by a client that sends more requests than it may, to arm. Python could start only at the end of that
-    time. A heartbeat restores the force in the first case, `arm` in the second."""
+    """While the GIL is blocked for 1 s, a missing heartbeat or an earlier `disarm` gives the device zero."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:

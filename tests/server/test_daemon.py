@@ -106,8 +106,7 @@ def test_signal_stops_in_order_with_zero_force(number, tmp_path):
 
 
 def test_plain_client_gets_every_tick_all_modes_and_every_transition():
-    """With pyzmq and msgpack only, a client receives consecutive ticks of the shipped recording in all three modes, and
-    an event with tick, cause and forces for each mode change that simulate finds for the same poses."""
+    """With pyzmq and msgpack only, a client receives each tick, and an event for each mode change of `simulate`."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     expected = [int(row[AT.tick]) for row in records if row[AT.contact_cause]]
@@ -385,8 +384,7 @@ def test_unusable_poses_end_the_run_with_a_device_error(faulty):
 
 
 def test_repeated_stalls_end_the_run(faulty):
-    """Reads that hang for 0.24 s, each too short for the supervisor, end with a SafetyStop that names the device's
-    exchange, after the number of reads given by the fault model."""
+    """Reads of 0.24 s, too short for the supervisor, end with a SafetyStop after the fault model's number."""
     hang_s = 0.24
     rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:

@@ -314,8 +314,7 @@ def actions(draw: random.Random) -> Iterator[str]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("run", range(RUNS))
 def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
-    """At the boards, norm and change per tick are within the limits and forces are zero after a stop, for random
-    commands, line faults and signals."""
+    """For random commands, faults and signals norm and change per tick are limited, and zero after a stop."""
     seed = (int(os.environ.get("SOFTFINGER_FUZZ_SEED", "0")) or int.from_bytes(os.urandom(4))) + run
     with Session(tmp_path, seed) as session:
         for name in actions(session.draw):

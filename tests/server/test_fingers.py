@@ -173,8 +173,7 @@ def undisturbed() -> np.ndarray:
 
 @pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
 def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: np.ndarray) -> None:
-    """A refused pose, a withheld or an ignored wrench changes only the finger of the device; the other finger's records
-    equal those without the fault, bit by bit."""
+    """A refused pose, a withheld or an ignored wrench leaves the other finger's records equal bit by bit."""
     devices = two(fault=fault, at=300, count=20)
     ended, records = run(*devices, ticks=600)
     assert ended.ending == s.FINISHED

@@ -127,8 +127,7 @@ def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
 
 
 def test_fingers_are_replaced_together(driver: Driver) -> None:
-    """The same devices stay open and armed. Other devices are opened after both previous ones are closed. Other finger
-    names are refused, because telemetry topics contain them."""
+    """The same devices stay open and armed; others open after both are closed; other names are refused."""
     rig, kept = two_devices(FAULTY, FAULTY), list[int]()
     sink = Sink("kept", lambda records, drops: kept.extend(records[:, AT.tick].astype(int)))
     with Daemon(rig, two_fingers(), sinks=[sink]) as running:
@@ -150,8 +149,7 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
 
 
 def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
-    """Both topics have every tick in the scene's order with the keys of `contact`; no topic has that name. Events name
-    the finger, and the recording of each finger equals the poses of its device."""
+    """Both topics have every tick with the keys of `contact`; events and recordings are by finger."""
     rig = two_devices(
         {"driver": "replay", "recording": "tap", "loop": False},
         {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},

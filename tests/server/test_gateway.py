@@ -127,8 +127,7 @@ def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
 
 
 def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
-    """A reader can only read and a commander only command; strangers and clients without a key can do neither. A key
-    removed from the folder is disconnected, others stay, and the daemon's last event arrives."""
+    """A reader can only read, a commander only command, a stranger neither; a removed key is disconnected."""
     with serving(ring) as (daemon, context):
         telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
         assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
@@ -169,8 +168,7 @@ def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
 
 
 def test_a_restarted_publisher_requires_keys(ring: Ring) -> None:
-    """After a kill the publisher is restarted on the same ports: the daemon's own subscriber and the reader reconnect,
-    and a stranger is still rejected."""
+    """On the same ports daemon and reader reconnect, and a stranger is still rejected."""
     with serving(ring) as (daemon, context):
         own = Listener(context, daemon.publisher.endpoint)
         reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
@@ -236,8 +234,7 @@ def ticking(publisher: Publisher) -> Iterator[None]:
 
 
 def test_forwarded_messages_equal_published_ones() -> None:
-    """Two subscribers get the frames of the server, which has one subscriber. The final report has the number of
-    messages and of missing ticks, here the unpublished ones."""
+    """Two subscribers get the frames of the server; the final report counts messages and missing ticks."""
     records = np.delete(synthetic(3000), [100, 101, 102, 2000], axis=0)
     with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
         with forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint):

@@ -185,8 +185,7 @@ def test_the_moment_ramps_with_the_force():
 
 @pytest.mark.parametrize("asked", [6.0, 100.0, 400.0, 2e4, 1e300])
 def test_the_ramp_has_the_same_length_on_a_stiff_wall(asked):
-    """20 mm inside of 5 kN/m gives 100 N, of 1 MN/m 20 kN. The output rises as slowly as to 12 N, and a force and a
-    torque above their limits rise together."""
+    """The output rises as slowly to 12 N from 100 N as from 20 kN; force and torque rise together."""
     before, free = g.INITIAL_GUARD_STATE, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
     whole = min(asked / free.force_max, 1.0)
     for n in range(1, 501):

@@ -97,8 +97,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noq
 
 
 def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
-    """A puck plugged in and unplugged while the servo runs gives two events with name, ids, node and driver. The servo
-    still runs, and the thread ends with the daemon."""
+    """Two events have name, ids, node and driver; the servo runs on, and the thread ends with the daemon."""
     events: list[dict[str, Any]] = []
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:

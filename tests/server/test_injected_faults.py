@@ -142,8 +142,7 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
 )
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
-    """A replay gets zero within the stated ticks, or stays within the guard's limits. The event is published, the run
-    ends with its error or continues with a ramp, and the recording has every tick."""
+    """Zero within the stated ticks or within the guard's limits, the event, the ending, and every tick recorded."""
     case, at = CASES[name], MOMENTS[moment]
     seen, _, given = injected("replay", name, at, tmp_path)
     check_end(name, at, seen)
@@ -203,8 +202,7 @@ GROWS = 1.5
 def test_on_every_driver(
     driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """The emulated device of each driver gets zero within the stated ticks plus its handover, and before that no more
-    than GROWS times the previous force. It has zero while the fault blocks poses, and at the end."""
+    """Each emulated device gets zero within the stated ticks plus its handover, before at most GROWS times more."""
     case, at = CASES[name], 200
     seen, far, given = injected(driver, name, at, tmp_path)
     check_end(name, at, seen, far.withholds)
@@ -238,8 +236,7 @@ def test_on_every_driver(
 
 
 def ticks_left(ticks: np.ndarray, norms: np.ndarray, at: int, at_once: bool) -> int:
-    """Return the ticks from `at` to the first zero at the far end; if zero is due at once, at most the number of forces
-    between, so that a stalled thread does not count."""
+    """Return the ticks from `at` to the first zero at the far end; if due at once, at most the forces between."""
     behind = np.flatnonzero(ticks >= at)
     assert not norms[behind].all(), "the far end was given no zero"
     first = behind[np.flatnonzero(norms[behind] == 0.0)[0]]

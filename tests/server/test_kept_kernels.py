@@ -1,8 +1,4 @@
-"""Freshly compiled loop: the functions it may call, its files in the kernel cache, and their reuse.
-
-Compiles the loop of a shipped scene, because the compiler's output is examined. Kernels inlined by the loop are copied
-from the cache of the other tests.
-"""
+"""Freshly compiled loop of a shipped scene: the functions it may call, its files in the kernel cache, their reuse."""
 
 from __future__ import annotations
 
@@ -95,8 +91,7 @@ def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
 
 
 def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> None:
-    """`warmup` reuses the loop from the compiler of a daemon, adds kernels of other verbs, and prints the cache
-    directory. A second `warmup` and a daemon compile nothing, and no contact kernel is compiled twice."""
+    """`warmup` reuses the loop from a daemon's compiler; after it neither it nor a daemon compiles anything."""
     scene, cache, told = fresh
     before = kept(cache)
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}

@@ -160,8 +160,7 @@ def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
 
 
 def test_a_key_written_after_the_folder_was_read_is_admitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rejected client does not reconnect, so the folder is read again for a recently changed file, however recently
-    it was read. Otherwise an unknown key does not cause another read."""
+    """A rejected client does not reconnect, so the folder is read again for a recently changed file only."""
     monkeypatch.setattr("softfinger.server.publishing.allowed.REREAD_MIN_S", 60.0)
     folder = tmp_path / "readers"
     folder.mkdir()

@@ -104,8 +104,7 @@ def start_to_end(tmp_path: Path, rig: Path) -> None:
 
 
 def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
-    """Kill one process of a run after its start; except for the daemon, wait until its end is reported. Return all
-    processes that the daemon had."""
+    """Kill one process of a run, wait until its end is reported, and return all that the daemon had."""
     until(lambda: of_kind(kind, process.pid) or process.poll() is not None, f"there is no {kind}", START_S)
     begun, victim = children(process.pid), of_kind(kind, process.pid)
     assert victim is not None, told.read_text()
@@ -120,9 +119,7 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> None:
-    """Kills each process in turn at random times; the end of a child is reported. After the daemon is killed no process
-    is left, and the recording has complete consecutive ticks. The next run gets the same port, socket and folder; the
-    last one ends normally and leaves no socket."""
+    """The end of a child is reported, the recording is complete, and the next run gets the same port and folder."""
     drawn = random.Random(7)
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0

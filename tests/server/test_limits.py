@@ -53,8 +53,7 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
 
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
 def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
-    """A constant speed v is filtered to v (1 - r^n) after n ticks, r = tau / (tau + T). The force is zero from the
-    first n above the limit on, and unchanged before."""
+    """A speed v is filtered to v (1 - r^n), r = tau / (tau + T); the force is zero from the first n above the limit."""
     guard, passed, forces = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
@@ -188,8 +187,7 @@ def test_a_torque_fades_with_the_force():
 
 
 def test_energy_given_in_a_contact_fades_the_force():
-    """Under constant power P the energy given after n ticks is P tau (1 - r^n), r = tau / (tau + T). Above the limit E
-    the force has the share s = 2 - given / E; the steady state is E (1 + s) = s P tau."""
+    """The energy is P tau (1 - r^n); above the limit E the force has the share s = 2 - given / E."""
     guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
     for n in range(8000):
@@ -273,8 +271,7 @@ def test_the_wall_force_is_limited_by_the_guard():
 
 @pytest.mark.parametrize("energy", [0.05, inf])
 def test_an_unstable_wall_fades(energy):
-    """A light hand on a stiff wall with a delay of one tick bounces up to the guard's limit. With an energy limit it
-    gets less than twice that energy, and the wall's force is lower."""
+    """A light hand bounces on a delayed stiff wall; with an energy limit it gets less than twice that energy."""
     stiff = apply_overrides(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     limits = lim.UNLIMITED._replace(energy=energy)
@@ -332,8 +329,7 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
 
 @pytest.mark.parametrize("late", [1, 2, 4])
 def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
-    """On an unstable wall with a delay in the device, the motors have given the hand at most 2 late + 1 times the limit
-    when the force starts to fade, and never more than twice that, with the limit's decay."""
+    """When the force starts to fade it is at most 2 late + 1 times the limit, and never more than twice that."""
     energy, stiff = 0.05, load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
@@ -351,8 +347,7 @@ def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
 
 
 def slewed(size, allowed):
-    """Return the largest norm (N) of a force of norm `size` after 2 N of the straight path to one of at most `allowed`:
-    along the tangent to that ball, since any other path leads inward."""
+    """Return the largest norm (N) after 2 N from `size` along the tangent to the ball of radius `allowed`."""
     if size <= allowed:
         return allowed
     return math.sqrt(size * size - 4.0 * math.sqrt(size * size - allowed * allowed) + 4.0)
@@ -366,8 +361,7 @@ any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 @pytest.mark.scaled
 @examples(60, 3000)
 def test_no_limit_is_exceeded(steps):
-    """For any wrenches and motions the force is finite, within the limits of guard and heat, and zero while the handle
-    was too fast. Heat and energy stay bounded."""
+    """The force is finite, within the limits of guard and heat, and zero while the handle was too fast."""
     wall = BALL._replace(force_max=40.0)
     guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
     passed, at = INITIAL_OUTPUT, NONE
@@ -455,8 +449,7 @@ def fits(name):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if fits(name)])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
-    """Every shipped scene with every matching recording, with the limits of an omega.6, reaches none. The workspace is
-    not checked: the box is lifted by more than an omega.6 reaches."""
+    """With the limits of an omega.6, except its workspace: the box is lifted by more than it reaches."""
     scene = load_scene(name)
     for recordings in [RECORDED[name]] if name in RECORDED else [(each,) for each in ALONE]:
         poses = [resample(load_poses(each), 1000.0) for each in recordings]

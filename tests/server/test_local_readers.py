@@ -84,8 +84,7 @@ def opened(program, name, *more):
 
 
 def test_readers_in_c_get_every_tick_and_count_gaps(program):
-    """A continuous reader gets every tick. One that slept for two ring lengths continues half a ring back and counts
-    the lost ticks. A killed and a suspended reader do not affect the others."""
+    """One that slept for two ring lengths continues half a ring back; killed and suspended ones affect no other."""
     count = 2 * CAPACITY_TICKS
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]

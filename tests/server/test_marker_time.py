@@ -120,8 +120,7 @@ def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def test_a_marker_is_between_its_tick_and_the_next(told: Told) -> None:
-    """A marker's time is after the start of its tick, and before the end of the next one, on the same clock. A tick is
-    counted when it ends, so the next one may have started."""
+    """Its time is after the start of its tick and before the end of the next one, on the same clock."""
     ticks, times = told.run.first["tick"], told.run.first["timestamp"]
     assert len(marks(told.published)) == MARKS
     for event in marks(told.published):
@@ -139,8 +138,7 @@ def test_recording_and_subscribers_have_equal_markers(told: Told) -> None:
 
 
 def test_lsl_has_the_time_of_the_tick(told: Told) -> None:
-    """Marker and ticks have the same distance as in the recording, and LSL stamps agree with CLOCK_MONOTONIC. The
-    machine's clock differs from the daemon's epoch."""
+    """Marker and ticks have the distance of the recording, and LSL stamps agree with CLOCK_MONOTONIC."""
     if told.lsl is None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
     stamps = dict(told.lsl["ticks"])

@@ -76,8 +76,7 @@ def zeroes_without_pause(board: Board, first: int) -> list[int]:
 
 
 def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
-    """Subscribers that do not read make it allocate: it ends with an event and is restarted. The board always has a
-    force, and the recording every tick."""
+    """Subscribers that do not read make it end; the board always has a force, and the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         first_frame = len(board.sent)
@@ -104,8 +103,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
-    """New browsers make it allocate: it ends and is restarted at the same address. The board always has a force, and
-    the recording every tick."""
+    """New browsers make it end; it restarts at the same address, and the board always has a force."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None
@@ -136,8 +134,7 @@ def line_with(words: str, lines: IO[str]) -> str:
 
 
 def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_path: Path) -> None:
-    """Publisher and page are restarted when descriptors are available again, and the run continues with its force until
-    then. A page that a signal ends is not restarted."""
+    """Publisher and page are restarted when descriptors are available; the run continues with its force."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None

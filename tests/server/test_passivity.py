@@ -47,8 +47,7 @@ def column(records, name, size=1):
 
 
 def work_a_tick(records, turns=1.0):
-    """Return the work (n - 1,) J of the hand against the wrench of each tick until the next; `turns` 0 omits the
-    torque. Rotation vectors are computed by SciPy."""
+    """Return the work (n - 1,) J of the hand against the wrench of each tick; `turns` 0 omits the torque."""
     turned = Rotation.from_quat(column(records, "probe.orientation", 4), scalar_first=True)
     turn = (turned[1:] * turned[:-1].inv()).as_rotvec()
     way = np.diff(column(records, "probe.position", 3), axis=0)
@@ -106,8 +105,7 @@ def test_damping_is_bounded_for_a_slow_hand():
 
 
 def test_energy_of_a_sampled_torsional_spring():
-    """Turned to A and back in n steps each, a spring k generates k A^2 / n, the integral of tau d theta of a staircase.
-    At A it has stored k A^2 (1 - 1/n) / 2."""
+    """Turned to A and back in n steps a spring k generates k A^2 / n; at A it has stored k A^2 (1 - 1/n) / 2."""
     k, largest, n = 0.05, 0.3, 200
     axis = np.array([0.6, 0.0, 0.8])
     angles = largest / n * np.concatenate((np.arange(n + 1), np.arange(n)[::-1]))
@@ -133,8 +131,7 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
 
 
 def cycle(fingertip, height, n, turns=1.0, **tables):
-    """Return the records and the energy (J) of a closed path in contact with sticking friction. The hand moves 1 mm
-    sideways, tilts by 0.18 rad about the transverse axis, moves back and tilts back, each in n equal steps."""
+    """Return records and energy (J) of a closed path of 1 mm and 0.18 rad with sticking friction, in 4 n steps."""
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 5.0, "kinetic": 5.0}}
     table = {"fingertip": fingertip, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}} | tables
     table |= {
@@ -155,8 +152,7 @@ def cycle(fingertip, height, n, turns=1.0, **tables):
 
 
 def test_without_rolling_a_cycle_generates_the_work_of_the_torque():
-    """The torque r K x acts, but rotation loads no spring: one cycle generates K r x theta = 1.8 mJ, which no spring
-    stored, and K x^2 / n of the sampled spring. The force accounts only for the second part."""
+    """The torque r K x turns without a spring: K r x theta = 1.8 mJ in a cycle, and K x^2 / n of sampling."""
     n = 100
     records, energy = cycle({"radius_m": 0.01}, 0.009, n)
     assert energy == pytest.approx(-(1000.0 * 0.01 * 0.001 * 0.18 + 1000.0 * 0.001**2 / n), rel=1e-9)
@@ -173,8 +169,7 @@ def test_a_torque_that_is_not_displayed_does_no_work():
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
 def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
-    """For a ball and an ellipsoid the energy of a cycle falls with the step size, to a hundredth of the torque's
-    share."""
+    """The energy of a cycle falls with the step size, to a hundredth of the torque's share."""
     height = 0.009 if "radius_m" in fingertip else 0.011
     (_, coarse), (_, fine) = (cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
     assert coarse / fine == pytest.approx(2.0, rel=0.01)  # first order in the step

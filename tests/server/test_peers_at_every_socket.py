@@ -184,8 +184,7 @@ def too_large(name: str, address: str) -> None:
 
 
 def one_byte_too_large(name: str, address: str) -> None:
-    """Send a frame of the largest size in docs/protocol.md, which is accepted, and one a byte longer, which is
-    refused."""
+    """Send a frame of the largest documented size, which is accepted, and one a byte longer, refused."""
     most = 512 if name.endswith("telemetry") else 262144
     with greeted(address, ZMTP[name]) as peer:
         peer.sendall(frame(bytes(most)))
@@ -287,8 +286,7 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
                          ids=["one frame", "fragments", "a byte too many"])  # fmt: skip
 def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Peers) -> None:
-    """For one frame and for fragments, whose sizes add up, the close code is MESSAGE_TOO_BIG and no payload is
-    stored."""
+    """For one frame and for fragments the close code is MESSAGE_TOO_BIG and no payload is stored."""
     with unharmed(peers, "page"), browser(peers.addresses["page"]) as large:
         large.recv(timeout=CUT_S)
         with contextlib.suppress(ConnectionClosed):  # at the first excessive fragment

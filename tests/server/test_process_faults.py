@@ -69,8 +69,7 @@ def fill(process: subprocess.Popen[str]) -> None:
 
 
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
-    """As in a suspended machine, all processes stop for longer than the limit of a stall. The board receives no force
-    in that time; then the force ramps from zero, the recording lacks no tick, and the run continues."""
+    """The board receives no force while all processes stop; then it ramps from zero, and no tick is missing."""
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         everyone = [*children(process.pid), process.pid]
@@ -98,9 +97,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
 
 
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
-    """While it is stopped the board receives forces and the recording every tick; a subscriber then gets new ticks.
-    After that nobody reads standard error: a process of commands that ends, which is logged, delays neither `disarm`
-    nor the end of the run."""
+    """The board receives forces and the recording every tick; an unread standard error delays nothing."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         publisher = process_of(process.pid, "telemetry")
@@ -132,8 +129,7 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
 
 
 def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
-    """Return the environment of a program with clocks from tests/stubs/clock.c, and a function that sets them. The
-    function takes the seconds by which the time of day is ahead, and the seconds of suspension."""
+    """Return the environment with clocks from tests/stubs/clock.c, and a function that sets both."""
     library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
     file.write_bytes(bytes(16))
 
@@ -149,8 +145,7 @@ def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
 def test_a_machine_that_was_suspended_wakes_with_zero_force(
     slept_s: int, tmp_path: Path, record_property: Note
 ) -> None:
-    """Monotonic time and deadlines stop during a suspension, so the loop has no gap, but the previous force is not
-    resumed: it ramps from zero in the tick that wakes. The recording lacks no tick."""
+    """Time stops during a suspension, so there is no gap, but the force ramps from zero in the tick that wakes."""
     recording = tmp_path / "slept.mcap"
     environment, put = clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
@@ -176,8 +171,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
-    """The clock of all processes is set by an hour while the device presses. Every frame has a force, and recorded
-    times remain sorted, for ticks and for events."""
+    """The clock is set by an hour: every frame has a force, and recorded times remain sorted."""
     recording = tmp_path / "set.mcap"
     environment, put = clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
@@ -250,8 +244,7 @@ def has_network() -> bool:
 
 @pytest.mark.exhaustive
 def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
-    """The link in a network namespace is down for a thousand ticks: sinks in the daemon miss no tick, it remains armed,
-    and a subscriber gets new ticks once the link is up."""
+    """The link is down for a thousand ticks: sinks in the daemon miss none, and a subscriber gets new ones later."""
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]

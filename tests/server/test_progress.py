@@ -53,8 +53,7 @@ print("result")
 @pytest.mark.real_time  # a delayed reader may receive the progress line together with its removal
 @pytest.mark.parametrize("columns", [80, *(pytest.param(width, marks=pytest.mark.exhaustive) for width in (40, 132))])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
-    """Each screen line belongs either to the log or to the progress, which is removed at the end. The log is
-    complete."""
+    """Each screen line belongs to the log or to the progress, which is removed at the end."""
     screen, shown = Screen(columns), set()
     with on_terminal([sys.executable, "-c", LOGGING], 24, columns) as (process, pieces):
         for piece in pieces:
@@ -204,8 +203,7 @@ def test_kernels_are_counted_towards_those_of_the_scene() -> None:
 
 
 def test_the_first_compilation_names_the_command_that_compiles_ahead(caplog: pytest.LogCaptureFixture) -> None:
-    """The message is logged once, when a kernel is compiled: not for a cached scene, and not after the scene is
-    compiled."""
+    """It is logged once, when a kernel is compiled: not for a cached scene, and not afterwards."""
     with caplog.at_level("INFO"):
         with name_warmup("mine.toml"), COMPILE_PROGRESS.loading():
             pass

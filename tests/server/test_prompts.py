@@ -77,8 +77,7 @@ def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -
 
 
 def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
-    """Its length is limited and it may not be blank. It is not in the event, because recordings contain events and a
-    text may be personal."""
+    """Its length is limited and it is not in the event, because a text in a recording may be personal."""
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     told: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S

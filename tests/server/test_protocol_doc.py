@@ -88,8 +88,7 @@ def rows_below(text, heading):
 
 
 def doc_tables():
-    """Return the types by key for `contact`, `event`, `event guard`, ... in the reference; ticks have the record's
-    keys."""
+    """Return the types by key for `contact`, `event`, ... in the reference; ticks have the record's keys."""
     found = {}
     for topic in re.findall(r"^## `(\w+)`$", TELEMETRY, re.MULTILINE):
         below = rows_below(TELEMETRY, f"## `{topic}`")

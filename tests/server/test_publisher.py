@@ -99,8 +99,7 @@ def odd(records):
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_messages_equal_those_of_the_encoder(sockets, every):
-    """For one finger and for two, every key, value and type is equal, for every set of patches and for unusual
-    numbers."""
+    """For one finger and two every value and type is equal, for every set of patches and unusual numbers."""
     rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
     other = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
     with (
@@ -141,8 +140,7 @@ def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
 
 
 def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
-    """It needs no further message to be sent, and also works for a topic that is subscribed later or again. Events are
-    not repeated."""
+    """It needs no further message, also for a topic that is subscribed later or again; events are not repeated."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         early = sockets(publisher.endpoint, b"event")
         join(publisher, early)
@@ -302,8 +300,7 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
 
 
 def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
-    """Subscribers and clients reconnect, the restart is an event and is counted, and neither a recording nor a reader
-    of shared memory has a gap."""
+    """Subscribers and clients reconnect, the restart is an event, and recording and shared memory have no gap."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
@@ -359,8 +356,7 @@ def write_numbered(broadcast, row, count):
 
 
 def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
-    """Two readers of two million rows in 16 slots: each row is complete and newer than the previous one, and read and
-    lost rows add up to all."""
+    """Each of two million rows is complete and newer than the previous one; read and lost rows add up to all."""
     count = 2_000_000
     broadcast = make_broadcast(16, 24)
     places = [make_read_position(broadcast) for _ in range(2)]

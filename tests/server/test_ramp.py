@@ -86,8 +86,7 @@ def test_an_array_changes_immediately():
 
 @pytest.mark.plain
 def test_a_power_law_ramps_its_force_linearly_at_every_depth():
-    """While coefficient and exponent of K d (delta / d)^p change, a force that is equal at both ends remains
-    constant."""
+    """While coefficient and exponent change, a force that is equal at both ends remains constant."""
     ends = [
         model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
@@ -141,8 +140,7 @@ def test_a_ramp_without_ticks_is_immediate():
 
 @pytest.mark.real_time
 def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
-    """The stiffness is halved, then quadrupled: no tick exceeds its share of the change, the final force is exact, and
-    a change during a ramp starts at the current value."""
+    """No tick exceeds its share of the change, also during another change, and the final force is exact."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
     servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)

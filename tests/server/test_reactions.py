@@ -1,5 +1,4 @@
-"""Energy of contacts with moving bodies: it depends on the relative motion, and a closed cycle returns none to the
-hands."""
+"""Energy of contacts with moving bodies: a closed cycle returns none to the hands."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ def smooth(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.floa
 
 
 def test_lowering_a_box_and_a_closed_cycle_generate_no_contact_energy(tmp_path: Path) -> None:
-    """A box is gripped, lifted, lowered and released. The observed energy remains at that of the grip, while the hands
-    do the work of the weight. Over the cycle the hands have lost energy, and no contact has generated any."""
+    """The observed energy remains at that of the grip; over the cycle the hands have lost energy."""
     (tmp_path / "box.xml").write_text(BOX)
     scene = load_scene(SCENE | {"world": {"model": str(tmp_path / "box.xml"), "material": MATERIAL}})
     ticks = np.arange(1200)

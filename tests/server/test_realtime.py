@@ -116,8 +116,7 @@ def child(
     keep: tuple[int, ...] = (),
     limits: dict[str, int] | None = None,
 ) -> dict[str, Any]:
-    """Return the effect of the settings in a new process. `limits` are lowered first; then `drop` gives up root, except
-    for the capabilities in `keep`."""
+    """Return the settings' effect in a new process with `limits`, without root if `drop`, but what to `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
     wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
     done = subprocess.run(
@@ -187,8 +186,7 @@ def test_undo_restores_everything(drop: bool) -> None:
 
 @privileged
 def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
-    """Small areas mapped before and the thread's stack cause no page fault. A large area, and one mapped later, is
-    locked but not loaded entirely."""
+    """Small areas and the thread's stack cause no page fault; large or later ones are locked but not loaded."""
     told, free = child(), child("off")
     # 2 MB are 512 pages, fewer with huge pages, hence the comparison with an unlocked child.
     assert told["early_faults"] == 0 < free["early_faults"]
@@ -248,8 +246,7 @@ def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
 
 @raises_limits
 def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
-    """Without privilege, under a limit that is sufficient now, later pages are not locked, because they could not be
-    mapped."""
+    """Without privilege later pages are not locked, because they could not be mapped."""
     told = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
     assert told["by_name"]["mlockall"]["ok"]
     assert "later is not" in told["by_name"]["mlockall"]["detail"]

@@ -90,8 +90,7 @@ def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
-    """Poses and complete ticks of a hand on an omega.6 are recorded. A replay of the poses has each sensed pose in its
-    tick, bit for bit."""
+    """A replay of the recorded poses of a hand on an omega.6 has each sensed pose in its tick, bit for bit."""
     stub.update(**PRESSING)
     file = tmp_path / "hand.csv"
     with (

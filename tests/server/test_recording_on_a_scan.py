@@ -38,8 +38,7 @@ torsion = {{ stiffness_nm_per_rad = 0.05, friction_length_m = 0.004 }}
 
 @pytest.fixture(scope="module")
 def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
-    """Return the fields of all ticks: press, roll, spin and drag, twice as wide and 2 mm deeper, over 82 000
-    triangles."""
+    """Return all ticks of press, roll, spin and drag, twice as wide and 2 mm deeper, over 82 000 triangles."""
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = meshes.bumpy_sphere(64, BALL, height=BUMPS, waves=80.0)
     up = np.array([0.6, 0.48, 0.64])  # where the bumps are high: they are 0 on the axes

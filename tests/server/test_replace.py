@@ -72,8 +72,7 @@ def left_open() -> tuple[int, int]:
 
 @pytest.mark.parametrize("rig_name", ["replay", "simulated"])
 def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
-    """Twenty scenes are replaced while the hand presses. The force never exceeds the slew limit, each loop ends at
-    zero, ticks and times continue, and nothing of earlier loops remains."""
+    """The force never exceeds the slew limit, each loop ends at zero, ticks and times continue."""
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
     rig, kept, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
@@ -112,8 +111,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
 
 
 def test_a_new_rig_cannot_exceed_the_force_of_the_device():
-    """A guard of 40 N, the maximum of all rigs, replaces one of 0.2 N while the hand presses. The force then equals the
-    0.3 N of the device up to rounding, and never exceeds it."""
+    """A guard of 40 N replaces one of 0.2 N: the force then equals the device's 0.3 N and never exceeds it."""
     most, device = 0.3, {"device.force_max_n": 0.3}
     kept, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
     with Daemon(rig, load_scene("paper-plane"), sinks=[kept.sink]) as running:
@@ -131,8 +129,7 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
 
 
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
-    """A wall of 1 MN/m requires many times the limit in its first tick; the force is a share that grows with the
-    ramp."""
+    """A wall of 1 MN/m requires many times the limit; the force is a share that grows with the ramp."""
     rig, kept = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with Daemon(rig, load_scene("frictionless-plane"), sinks=[kept.sink]) as running:
@@ -174,8 +171,7 @@ def test_subscribers_stay_connected_and_get_an_event():
 
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
-    """Unknown options, another endpoint, a missing driver and a scene that fails are refused, and the old loop
-    continues with its force."""
+    """A faulty rig or scene is refused, and the old loop continues with its force."""
     rig, kept, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
@@ -231,8 +227,7 @@ def acts(device: FaultyDevice) -> list[str]:
 
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
-    """The servo thread stops and closes the old device, and arms the new one before its first read. The rate may
-    change, and no tick is lost or counted twice."""
+    """The servo stops and closes the old device and arms the new one before its first read; no tick is lost."""
     kept, (first, second) = Kept(), scenes()
     with Daemon(faulty_rig(), first, sinks=[kept.sink]) as running:
         running.start()
@@ -256,8 +251,7 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
-    """With arming by command, another scene on the same device keeps force and offset. A new device is not armed and
-    has no offset. A change of only the rate also reopens the device."""
+    """A new device is neither armed nor has an offset; a change of only the rate also reopens the device."""
     newest, (first, second) = [], scenes()
     rig = faulty_rig(**{"guard.arm": "command"})
     with Daemon(
@@ -313,8 +307,7 @@ def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
 
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
-    """If the daemon stops while the next device is being opened, that device is closed without being armed, and `wait`
-    returns."""
+    """The device that is being opened is closed without being armed, and `wait` returns."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -370,8 +363,7 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
 
 
 def test_two_pauses_are_one_pause(driver):
-    """After a second Ctrl-Z before the process has stopped, there is no force until both pauses are over; then it
-    ramps."""
+    """After a second Ctrl-Z there is no force until both pauses are over; then it ramps."""
     first, _ = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()

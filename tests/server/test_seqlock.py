@@ -131,8 +131,7 @@ def following(body):
 
 
 def test_compiled_code_has_the_order_of_the_lock():
-    """On x86 a missing fence is visible only in the generated code; on ARM it would tear tunings. Reader: counter,
-    copy, fence, counter. Writer: counter, fence, copy, counter with release."""
+    """Reader: counter, copy, fence, counter. Writer: counter, fence, copy, counter with release."""
     slot, values = make_slot(np.zeros(WIDTH)), np.zeros(WIDTH)
     assert following(compiled(refresh, slot, 0, values)) == {
         "load acquire": {"copy", "fence acquire", "load relaxed"},

@@ -35,8 +35,7 @@ class Broken:
 
 @pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
 def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
-    """If its thread gets an OSError, one fault event contains the service's name and the error, and it can be
-    stopped."""
+    """After an OSError one fault event has the service's name and the error, and it can be stopped."""
     told: list[tuple[str, str, str]] = []
     came = threading.Event()
 

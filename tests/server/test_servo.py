@@ -79,8 +79,7 @@ def test_every_end_of_the_loop_writes_zero(fault, ending, status):
 
 
 def test_waiting_for_ticks_of_an_ended_loop_fails():
-    """The driver contract waits for ticks; if a device is lost before, the test fails immediately instead of
-    hanging."""
+    """The driver contract waits for ticks: if a device is lost before, the test fails instead of hanging."""
     _, servo = make_servo(Options(fault="lost", at=50), None)
     servo.start()
     with pytest.raises(AssertionError, match="the loop ended after 50 ticks of 100"):
@@ -205,8 +204,7 @@ def test_repeated_jumps_end_the_loop():
 
 
 def test_a_frozen_pose_removes_the_force_until_it_changes():
-    """After frozen_s under a force, the force is zero and flagged; when the pose changes, it ramps up. The run
-    continues."""
+    """After frozen_s under a force it is zero and flagged; when the pose changes, it ramps up."""
     device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
@@ -228,8 +226,7 @@ def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
 def test_a_force_withheld_by_the_driver_ramps_up_again(way):
-    """While the driver commands zero, records are flagged WITHHELD; afterwards the force is the undisturbed one times
-    the ramp."""
+    """While the driver commands zero, records are flagged WITHHELD; then the force is the ramp's share."""
     _, servo = make_servo(Options(own_clock=True), 900)
     undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
     device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)
@@ -248,8 +245,7 @@ def test_a_force_withheld_by_the_driver_ramps_up_again(way):
 
 
 def test_the_slew_limit_continues_from_the_force_a_device_holds():
-    """While the device holds its previous force, the record has that force. The next accepted force differs from it by
-    at most the slew limit, wherever the contact is by then."""
+    """The next accepted force differs from the held one by at most the slew limit, wherever the contact is."""
     device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]

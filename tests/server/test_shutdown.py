@@ -84,8 +84,7 @@ def fails(error: BaseException) -> Any:
 
 
 def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptureFixture) -> None:
-    """Of three failing steps, one interrupted, the first error is returned and the others are logged, by class if they
-    have no message; all steps run in order."""
+    """Of three failing steps the first error is returned and the others are logged; all run in order."""
     done: list[int] = []
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
@@ -112,8 +111,7 @@ def test_a_successful_stop_writes_one_zero() -> None:
 
 @pytest.mark.parametrize("error", [OSError("the port has gone"), DeviceLost("it is gone"), KeyboardInterrupt()])
 def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> None:
-    """`stop` writes zero with the device's write function and handle. The error names the device that may hold a force;
-    an error of our own class is not replaced."""
+    """The error names the device that may hold a force; an error of our own class is not replaced."""
     motor = Motor(error)
     with pytest.raises(BaseException) as caught:  # noqa: PT011
         shutdown.stop(device(motor))
@@ -166,8 +164,7 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
-    """The first error in order is raised and the others are logged. A hanging device gets a plain zero, an intact one
-    does not."""
+    """The first error in order is raised; a hanging device gets a plain zero, an intact one does not."""
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
         shutdown.stop_all([device(hangs), device(broken), device(sound)])
@@ -178,8 +175,7 @@ def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureF
 
 @pytest.mark.usefixtures("short")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten hanging devices are abandoned after one common STOP_TIMEOUT_S, and their threads do not keep the process
-    alive."""
+    """All are abandoned after one STOP_TIMEOUT_S, and their threads do not keep the process alive."""
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
 
@@ -273,8 +269,7 @@ def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
 
 
 def test_a_loop_failure_is_reported_with_a_remedy() -> None:
-    """Covers a scene without a force, and time lost before or in the exchange, with missed deadlines; otherwise
-    None."""
+    """A scene without a force, and time lost before or in the exchange; otherwise None."""
     assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
     scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)

@@ -49,10 +49,7 @@ def until(met: Callable[[], bool], seconds: float, what: str) -> None:
 def pressing(
     tmp_path: Path, *words: str, environment: dict[str, str] | None = None
 ) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
-    """Run a daemon with a board whose hand presses into the plane.
-
-    environment  additional variables of the daemon
-    """
+    """Run a daemon, with more `environment`, on a board whose hand presses into the plane."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"
@@ -100,8 +97,7 @@ for number in sorted(signal.valid_signals()):
 
 
 def test_every_signal_that_ends_a_process_is_handled() -> None:
-    """The test finds the signals that kill a process without handlers. All are in ENDING, except those that no handler
-    can help."""
+    """All signals that kill a process without handlers are in ENDING, except those that none can help."""
     asked = subprocess.run([sys.executable, "-S", "-c", FATAL], capture_output=True, text=True, check=True)
     fatal = set(map(int, asked.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
@@ -148,8 +144,7 @@ def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> No
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
-    """Ctrl-Z removes the force before the process stops. After `fg` the force ramps up and the daemon continues. A
-    hangup of its terminal then ends it in order, and its watcher with it."""
+    """Ctrl-Z removes the force first; after `fg` it ramps up; a hangup then ends daemon and watcher in order."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         process.send_signal(signal.SIGTSTP)
@@ -171,8 +166,7 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
-    """A killed daemon cannot remove its force; its watcher, which ignores signals, writes zero. `run --watcher` refuses
-    a device that the watcher cannot reach."""
+    """The watcher writes zero and ignores signals; `run --watcher` refuses a device that it cannot reach."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         os.kill(watcher, signal.SIGTERM)
@@ -270,8 +264,7 @@ with signals.handle_signals():
 
 @pytest.mark.parametrize("where", ["python", "native", "callback"])
 def test_a_signal_ends_the_process_wherever_the_main_thread_is(where: str) -> None:
-    """In Python, in native code that runs for half an hour, and in a callback that cannot raise, the device is closed
-    and the process ends with the number in its exit code."""
+    """In Python, in native code and in a callback that cannot raise, the device is closed and the process ends."""
     done = subprocess.run(
         [sys.executable, "-c", STUCK, where], capture_output=True, text=True, timeout=END_S, check=False
     )

@@ -1,8 +1,4 @@
-"""Devices that stop answering under a force: data received by the emulated device of each driver.
-
-The time-outs are the defaults, as in docs/reference/faults.md. The scene is that of `test_injected_faults.py`, so its
-loop is compiled once for both.
-"""
+"""Devices that stop answering under a force: what each emulated device received, in the scene of injected faults."""
 
 from __future__ import annotations
 
@@ -43,8 +39,7 @@ def silences(driver: str) -> dict[str, float]:
 def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """The far end receives zero within QUIET_S of its driver, and no force afterwards. The run ends after GIVEN_UP_S.
-    Both are counted in ticks, because a stall of the machine makes a tick long."""
+    """Zero within QUIET_S of its driver and no force afterwards; the run ends after GIVEN_UP_S, in ticks."""
     driver = DRIVERS[name]
     with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
         assert far.hush is not None

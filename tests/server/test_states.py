@@ -57,8 +57,7 @@ def states_in(state):
 
 @pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
-    """Each trigger in each state causes the expected transition with its cause, or no transition and no
-    notification."""
+    """Each trigger in each state causes the expected transition with its cause, or nothing."""
     states, told = states_in(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)

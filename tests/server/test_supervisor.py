@@ -57,8 +57,7 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
-    """The run is ended, each device is stopped although another one fails, and the event is published, in this
-    order."""
+    """The run is ended, each device stopped although another fails, and the event published, in this order."""
     done: list[str] = []
     ended = threading.Event()
 
@@ -113,8 +112,7 @@ class Stalled:
 def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
     held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a hand on any device a stall takes STALL_POLLS polls after the one that sees the last tick, otherwise
-    STALL_POLLS_WITHOUT_HAND. The message contains the time and the tick."""
+    """STALL_POLLS polls with a hand on any device, otherwise STALL_POLLS_WITHOUT_HAND."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
     servo, errors = Stalled(*held), list[HapticError]()
@@ -138,9 +136,7 @@ class Clock:
 def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     turn: float, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Time from the last tick, at this share of a poll interval, to the stop of a device. It is the rest of that
-    interval plus STALL_POLLS intervals, each extended by the supervisor's turn. It is at least STALL_POLLS intervals
-    and, including the turn before the stop, at most STALL_MAX_S."""
+    """From the last tick to the stop: STALL_POLLS intervals and the supervisor's turns, at most STALL_MAX_S."""
     clock, stopped = Clock(turn), list[float]()
     monkeypatch.setattr(supervising.time, "sleep", clock.sleep)
     step = STALL_POLL_S + turn

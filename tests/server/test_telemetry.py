@@ -207,8 +207,7 @@ def test_transitions_become_events_with_cause_and_modes():
 
 
 def test_a_guard_event_is_sent_when_a_bit_rises():
-    """A bit that rises twice gives two events, one that remains set gives one, and an unnamed bit is named by its
-    number."""
+    """Each rise gives one event, a bit that remains set no other; an unnamed bit is named by its number."""
     records = synthetic(1000)
     guard = np.zeros(1000, int)
     guard[100:200] |= 1

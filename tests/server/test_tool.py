@@ -94,8 +94,7 @@ def test_power_is_equal_at_tip_and_handle(
 
 @pytest.mark.plain
 def test_limits_apply_at_the_device() -> None:
-    """The torque at the handle is clamped and slew-limited for any arm; telemetry has the resulting torque about the
-    tip."""
+    """The torque at the handle is limited for any arm; telemetry has the resulting torque about the tip."""
     largest, change = 0.05, 4.0
     guard = FREE_HAND._replace(torque_max=largest, torque_slew=change)
     offset = (0.1, 0.02, -0.05)
@@ -123,8 +122,7 @@ def test_a_tool_of_no_length_changes_no_bit() -> None:
 
 @pytest.mark.plain
 def test_the_contact_is_that_of_the_tip() -> None:
-    """A hand that moves the tip along a recording gets the recording's contact forces; only the torque at the handle
-    differs."""
+    """Contact forces are the recording's; only the torque at the handle differs."""
     tips = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
     turn = np.array([0.8, 0.0, 0.6, 0.0])
     tool = schema.Tool(offset_m=(0.0, -0.03, 0.15), orientation_wxyz=(0.8, 0.0, 0.6, 0.0))
@@ -152,8 +150,7 @@ def test_the_contact_is_that_of_the_tip() -> None:
 
 @pytest.mark.parametrize("fault", ["none", "held", "withheld_write"])
 def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
-    """The driver gets the wrench at the handle, also if it holds or withholds a force; the record has it about the
-    tip."""
+    """The driver gets the wrench at the handle, also if it holds or withholds a force."""
     device = FaultyDevice(Options(fault=fault, at=300, count=20, own_clock=True))
     arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
     servo = Servo([device], tuned("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)

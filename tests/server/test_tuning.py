@@ -37,8 +37,7 @@ def test_every_limit_of_the_rig_reaches_the_guard():
 
 
 def test_poses_are_checked_only_with_a_force_in_a_hand():
-    """Recorded or computed devices, devices without forces and missing devices have unlimited speed, turn, energy, heat
-    and workspace."""
+    """Recorded or computed devices and devices without forces have no limits of speed, energy, heat, workspace."""
     believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
     assert (
@@ -74,8 +73,7 @@ def test_the_servo_is_given_these_limits():
 
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
 def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, caplog):
-    """The slope of K d (delta / d)^p at the guard's 12 N is compared with the device's limit; the object is still
-    rendered."""
+    """The slope of K d (delta / d)^p at 12 N is compared with the device's limit."""
     scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
     for limit, told in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
         caplog.clear()
@@ -84,8 +82,7 @@ def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, 
 
 
 def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Height fields with oblong pixels and flexible bodies do; geoms without material, without collisions or with their
-    own object do not."""
+    """Height fields with oblong pixels and flexible bodies do; geoms that cannot touch do not."""
     model = tmp_path / "model.xml"
     model.write_text(
         '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'

@@ -47,8 +47,7 @@ def watched(name: str, fd: int, told: bytes) -> str:
 
 
 def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
-    """What the port has not sent is dropped before. While the port is exclusive no other process can open it;
-    afterwards the next daemon can."""
+    """Unsent bytes are dropped before; no other process can open the port until then."""
     far, near = port
     name = os.ttyname(near)
     fcntl.ioctl(far, termios.TIOCPKT, struct.pack("i", 1))  # each read has a byte of status

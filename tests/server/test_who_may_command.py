@@ -166,8 +166,7 @@ def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> Non
 
 
 def test_addresses_follow_from_each_other(folder: Path) -> None:
-    """The socket of commands gives the telemetry's port; an address for other machines gives the next port. No peer is
-    needed."""
+    """The socket of commands gives the telemetry's port, a public address the next port, without a peer."""
     beside = f"ipc://{folder}/5601.commands"
     assert find_addresses(beside) == ("tcp://127.0.0.1:5601", beside)
     assert find_addresses("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")

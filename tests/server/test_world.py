@@ -63,8 +63,7 @@ def heights(endpoint: str) -> Iterator[tuple[int, float]]:
 
 
 def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
-    """With two springs in series the key moves down by its share and returns. The records equal those of `simulate`,
-    and a replay of the recording has equal poses of the bodies."""
+    """With two springs in series the key moves by its share; records and replay equal those of `simulate`."""
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
@@ -218,8 +217,7 @@ SLEW = 20.0
 
 
 def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path: Path) -> None:
-    """Three failures in one run, by infinite values and by an error that would end the process. Each is reported with
-    MuJoCo's message, the force ramps to zero at the slew limit, ticks continue, and a reset restores the contact."""
+    """After each of three failures the force ramps to zero, ticks continue, and a reset restores the contact."""
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}

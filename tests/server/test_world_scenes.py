@@ -67,8 +67,7 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
 
 @PLAIN_ONLY
 def test_a_door_follows_the_finger_and_closes_by_its_spring() -> None:
-    """The finger's centre is one radius less the depth from the door's face; force times arm equals the spring's
-    torque."""
+    """The finger's centre stays at its distance from the face; force times arm equals the spring's torque."""
     hands = SimulatedHands("open-a-door")
     felt = hands.until(2.2)[""][-1]
     x, y = felt["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
@@ -118,8 +117,7 @@ def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
 
 @PLAIN_ONLY
 def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
-    """Its first oscillation takes 2 pi sqrt(7 (R - r) / (5 g)); friction and facets of the bowl limit its rest
-    position."""
+    """Its oscillation takes 2 pi sqrt(7 (R - r) / (5 g)); friction and facets limit its rest position."""
     hands = SimulatedHands("ball-in-a-bowl")
     hands.until(2.15)
     assert hands.data.qpos[0] > 0.005  # pushed up the side and rolling back

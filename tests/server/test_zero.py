@@ -48,8 +48,7 @@ def test_a_zero_offset_changes_no_bit():
 
 
 def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
-    """The command is refused under a force. Afterwards F_z = k d + f at the new depth, without a velocity from the
-    shift. A new scene and a second offset also work, and a reset removes the offset."""
+    """It is refused under a force; afterwards F_z = k d + f at the new depth, until a reset."""
     with running(rig()) as (daemon, control, kept), events(daemon) as following:
         with pytest.raises(CommandRefused, match=r"^refused: .* disarm first"):
             control.zero()

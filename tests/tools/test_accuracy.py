@@ -266,8 +266,7 @@ def point(method: str, ns: float, error: float, rate: float = 1000.0, **more: An
 
 
 def test_front_of_hand_made_points() -> None:
-    """A point is on the front if no cheaper point has at most twice its error; errors at the level of rounding are
-    equal."""
+    """No cheaper point has at most twice its error; errors at the level of rounding are equal."""
     made = [
         point("dear and bad", 100, 1e-3),
         point("exact", 80, 1e-17),

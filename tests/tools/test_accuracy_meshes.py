@@ -48,8 +48,7 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> None:
-    """Halving the tick leaves the difference from the surface unchanged: it comes from the mesh, and the tick that
-    crosses an edge adds no error. An error of first order in the tick would be halved."""
+    """It comes from the mesh: an error of first order in the tick would be halved."""
     long, short = (next(converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (TICKS // 2, TICKS))
     assert short == pytest.approx(long, rel=0.05)
 
@@ -75,8 +74,7 @@ def test_paths_go_askew_over_edges(name: str) -> None:
 
 
 def test_triangles_are_wound_outward_and_join() -> None:
-    """Each edge of the closed meshes has two triangles with opposite directions; the volume is that of the solid, to
-    the accuracy of the facets."""
+    """Each edge has two triangles in opposite directions; the volume is that of the solid."""
     for name in ("ball", "torus"):
         vertices, triangles = CASES[name].triangles(8)
         edges = [tuple(edge) for t in triangles.tolist() for edge in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))]

@@ -10,8 +10,7 @@ pytestmark = pytest.mark.plain
 
 
 def test_the_paths_lie_on_the_hills() -> None:
-    """Points of the paths satisfy the surface's equation, and their normals are its gradient, by differences of
-    heights."""
+    """They satisfy the surface's equation, and their normals are its gradient, by differences."""
     for way in paths(20):
         x, y, z = way.points.T
         np.testing.assert_allclose(z, HILLS.height(x, y), rtol=0, atol=1e-12)
@@ -33,8 +32,7 @@ def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
 
 @pytest.mark.exhaustive
 def test_a_height_map_is_of_higher_order_than_a_mesh_of_its_pixels() -> None:
-    """Halving the pitch shows fourth order for the spline's heights and third for its slopes, second and first for
-    triangles. The path of a rolling hand winds hardly at all on the spline."""
+    """Halving the pitch shows orders four and three for heights and slopes of the spline, two and one for triangles."""
     ways = paths(1000)
     found = {(kind, pitch): compare(kind, pitch, ways) for kind in KINDS for pitch in (0.004, 0.002)}
 

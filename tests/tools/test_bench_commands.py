@@ -1,5 +1,4 @@
-"""`bench commands` on a daemon, observed through its telemetry: no set of parameters is torn, no force step exceeds the
-limit."""
+"""`bench commands` on a daemon, observed through its telemetry: no torn set of parameters, no step of force."""
 
 from __future__ import annotations
 
@@ -16,8 +15,7 @@ pytestmark = pytest.mark.real_time
 
 
 def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every set takes effect as a whole; the force returns after each change of scene, no faster than the guard
-    allows."""
+    """The force returns after each change of scene, no faster than the guard allows."""
     drawing = tmp_path / "memory.svg"
     words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
     assert cli.main(["bench", "commands", *words, "--json"]) == 0
@@ -33,8 +31,7 @@ def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_torn_set_would_be_seen() -> None:
-    """The stiffness of one pair with the force of another gives a different sum; ticks changed by the guard do not
-    count."""
+    """Stiffness and force of two pairs give another sum; ticks changed by the guard do not count."""
     rows = np.zeros((4, 6))
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
     rows[3, 3] = 2.0

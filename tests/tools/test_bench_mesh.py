@@ -10,8 +10,7 @@ from softfinger.server.cli import main
 
 @pytest.mark.exhaustive
 def test_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Smooth and bumpy balls, as JSON and plot: the distance is that of all triangles, and few triangles are
-    examined."""
+    """Smooth and bumpy, as JSON and plot: the distance is that of all triangles, few are examined."""
     words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--json", "--plot", str(tmp_path / "cost.png")]
     assert main(["bench", "mesh", *words]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]

@@ -63,8 +63,7 @@ def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[st
 
 @pytest.fixture
 def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
-    """Return a function that runs the verb in this process as that user, checks its exit code and returns its
-    output."""
+    """Run the verb in this process as that user, check its exit code and return its output."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -142,8 +141,7 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    """An omega on the stub: serial numbers are shortened, the library is given by file name, TIMEGUARD returns are
-    counted."""
+    """An omega on the stub: serial numbers are shortened, TIMEGUARD returns are counted."""
     rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
     done = run(home, "--rig", rig, "--seconds", "0.3")
     assert done.returncode == 0, done.stderr
@@ -162,8 +160,7 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
-    """An emulated arm is reported with its ids, report descriptor and counters. After unplugging, the report contains
-    the fault and the exit code is that of the fault."""
+    """With ids, descriptor and counters; after unplugging with the fault and its exit code."""
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
     rig = Path(rig_file(home, "woodenhaptics-2019"))
@@ -223,8 +220,7 @@ def test_a_puck_is_not_pushed() -> None:
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
-    """Without the maker's library the report contains the fault without the searched home, and the open questions,
-    which only the file has; exit code 4."""
+    """The fault without the searched home, and the open questions, which only the file has; exit code 4."""
     done = run(home, "--rig", "omega-3", "--seconds", "0.3")
     assert done.returncode == 4 and "not answered" not in done.stdout
     found = checked(home / "softfinger-forcedimension-report.json", home)
@@ -238,8 +234,7 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
 def test_an_interrupted_report_is_written(number: signal.Signals, part: str, home: Path) -> None:
-    """After an interruption during the exchange or a push, the report has the measurements so far and `ended`, and the
-    last force is zero."""
+    """It has the measurements so far and `ended`, and the last force is zero."""
     rig = home / "kept.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(
@@ -266,8 +261,7 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
 
 
 def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
-    """On a terminal each motion is requested, recorded after Enter and compared; the simulated device does not
-    rotate."""
+    """Each motion is requested, recorded after Enter and compared; the simulated device does not rotate."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
     main, side = pty.openpty()

@@ -63,8 +63,7 @@ def named(result: dict[str, Any], name: str) -> dict[str, str]:
 
 
 def test_every_check_is_made(result: dict[str, Any]) -> None:
-    """Each check has a name, one of the three states, the found and the required value, and a remedy unless it is
-    good."""
+    """Each has a name, a state, found and required value, and a remedy unless it is good."""
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
     real_time = {
@@ -81,8 +80,7 @@ def test_every_check_is_made(result: dict[str, Any]) -> None:
 
 
 def test_a_held_endpoint_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
-    """The error names the endpoint with a remedy, and the exit code is that of Unfit, whose message names every bad
-    check."""
+    """The error names the endpoint; the exit code is that of Unfit, whose message names every bad check."""
     check = named(result, "telemetry endpoint")
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"]

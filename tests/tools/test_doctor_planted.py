@@ -163,8 +163,7 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
 def test_a_planted_problem_is_found(
     problem: str, state: str, seen: str, remedy: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The problem is named with its remedy; without it the same check is better, so the check has found this
-    problem."""
+    """It is named with its remedy; without it the same check is better."""
     with ExitStack() as keep:
         sound, planted = sound_and_planted(problem, folder, keep, monkeypatch)
         before = sound()

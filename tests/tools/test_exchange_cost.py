@@ -17,8 +17,7 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_every_driver_is_measured(tmp_path: Path) -> None:
-    """Each tick of each driver reads a new sample and writes completely; its time is the sum of the direct calls and
-    the driver's own; the figure is drawn."""
+    """Each tick reads and writes completely; its time is that of the direct calls plus the driver's own."""
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

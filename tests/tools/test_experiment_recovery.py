@@ -21,8 +21,7 @@ def test_a_power_law_is_recovered() -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", list_shipped())
 def test_intervals_hold_the_truth(name: str) -> None:
-    """Over 50 seeds: intervals of 90 % coverage contain the true value in at least 42 of 50 cases in 94 % of such
-    studies."""
+    """At least 42 of 50 intervals of 90 % contain the true value, in 94 % of such studies."""
     for row in recovery(name, range(50)):
         assert row.coverage >= 0.84 and abs(row.bias) < 0.2
 

@@ -24,8 +24,7 @@ def _numbers_of_any_size():
 @pytest.mark.sampled(14)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
 def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
-    """The force is finite and bounded, the mode is one of three, refused values are named, and the expectations of the
-    case hold."""
+    """The mode is one of three, refused values are named, and the expectations of the case hold."""
     finding = extremes.judge(case, extremes.run_case(case))
     assert finding.wrong == ""
     assert finding.ticks == len(case.samples) > 0
@@ -87,8 +86,7 @@ def test_judge_knows_what_was_to_be_refused():
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
 def test_the_guard_holds_against_wrenches_of_any_kind(wrenches_of):
-    """Applied directly to wrenches that no contact gives, the guard keeps its rules and meets the expectations of the
-    case."""
+    """Wrenches that no contact gives meet its rules and the expectations of the case."""
     (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
     assert wrong == ""
 

@@ -16,8 +16,7 @@ CELL = Found("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4, 0.0
 
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
-    """Two fingers lift 100 g, put it down and release it. In each tick the forces on fingers and body are opposite;
-    nothing slips; and the hands did work against the dampers."""
+    """Forces on fingers and body are opposite, nothing slips, and the hands did work against the dampers."""
     cell = Cell("hold", 0.1, 1000.0)
     there = bodies.way_there(cell)
     way = np.concatenate([there, there[::-1]])

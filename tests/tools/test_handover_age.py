@@ -33,8 +33,7 @@ def test_every_driver_is_measured() -> None:
 
 
 def test_a_force_is_found_by_its_size() -> None:
-    """The age is measured from the last write of that force to its first arrival; a force that never arrived has
-    none."""
+    """From the last write to the first arrival; a force that never arrived has no age."""
     tool = importlib.import_module("handover_age")
     written = np.array([1.0, 1.001, 1.002, 1.003])
     first, third = tool.LOWEST_N, tool.LOWEST_N + 2 * tool.STEP_N

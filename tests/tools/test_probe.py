@@ -31,8 +31,7 @@ Probing = Callable[..., str]
 
 @pytest.fixture
 def probing(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Probing:
-    """Run the verb in this process, with parts a tenth as long and these lines typed at a terminal, or without one;
-    return its output after success."""
+    """Run the verb with short parts and these lines typed, or without a terminal; return its output."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -76,8 +75,7 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
 
 
 def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> None:
-    """At a terminal, Enter starts, each motion is judged, and after each push of 0.2 N the answer to a question is
-    recorded."""
+    """Enter starts, each motion is judged, and after each push of 0.2 N the answer is recorded."""
     still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
     output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
     found = checked(home / "mine.json", home)
@@ -91,8 +89,7 @@ def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> N
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
-    """Without --push the stand-in's motors stay at zero; with it they push 0.2 N in both directions of each axis, and
-    end at zero."""
+    """Without --push its motors stay at zero; with it 0.2 N in both directions of each axis, then zero."""
     named = rig(home, "openhaptics", f'library_file = "{hd.path}"', "force_age_max_s = 0.1")
     hd["buttons"] = 2
     probing("--rig", named)

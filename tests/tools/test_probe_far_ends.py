@@ -1,7 +1,4 @@
-"""Forces received by the emulated device of every driver during `devices --probe --push`, for every way to end it.
-
-Simulated and replayed devices receive no forces; `test_probe` covers them.
-"""
+"""Forces received by the emulated device of every driver during `devices --probe --push`, for every way to end it."""
 
 from __future__ import annotations
 
@@ -38,8 +35,7 @@ CASES = [
 def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     way: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The device receives 0.2 N in both directions of each of its axes. The report is written even if the user
-    interrupts a push or the cable is pulled. A motor whose cable is pulled receives nothing more, not even a zero."""
+    """0.2 N in both directions of each axis, and a report even if a push is interrupted or the cable pulled."""
     for key, value in environment(home).items():
         monkeypatch.setenv(key, value)
     monkeypatch.chdir(home)

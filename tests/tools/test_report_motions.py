@@ -49,8 +49,7 @@ def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen:
 
 
 def test_a_turn_is_the_rotation_between_first_and_last() -> None:
-    """The rotation is in the world frame and equals scipy's, for any initial orientation and any sign of a
-    quaternion."""
+    """In the world frame as scipy's, for any initial orientation and any sign of a quaternion."""
     start = Rotation.from_rotvec([0.3, -0.2, 0.5])
     turn = np.array([0.05, -0.02, 0.6])
     ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
@@ -108,8 +107,7 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
     ],
 )  # fmt: skip
 def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
-    """Mass, damper and spring are integrated separately: the result is the axis that moved, and the sign if it can be
-    determined. A free mass with the wrong sign looks like a spring with the right one, so the handle must be held."""
+    """Of an integrated mass on a spring; a free mass with the wrong sign looks like a held one with the right."""
     for sign, said in ((1.0, plus), (-1.0, minus)):
         found = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
         assert found is not None

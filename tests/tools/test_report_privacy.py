@@ -97,8 +97,7 @@ def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_questions_are_well_formed() -> None:
-    """Ids are unique, drivers exist, and answers belong to existing questions; only drivers for hardware have
-    questions."""
+    """Ids are unique, drivers exist, answers belong to questions; only drivers for hardware have them."""
     ids = [one.id for one in questions()]
     assert len(set(ids)) == len(ids)
     drivers = {driver for one in questions() for driver in one.drivers}
@@ -108,8 +107,7 @@ def test_the_questions_are_well_formed() -> None:
 
 
 def test_what_was_measured_answers_its_question() -> None:
-    """Motions, pushes and buttons of a report answer the questions; a missing measurement leaves the question open,
-    with instructions."""
+    """Motions, pushes and buttons answer; a missing measurement leaves the question open."""
     empty, _ = report.begun(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {

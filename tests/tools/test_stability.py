@@ -131,8 +131,7 @@ def test_linear_limit_of_a_slow_loop_is_the_published_one(delay: int, wall: floa
 
 
 def colgate_schenkel(loop: LinearLoop, stiffness: float) -> float:
-    """Return the smallest b that keeps the wall passive: the maximum over frequency of Colgate and Schenkel's
-    expression."""
+    """Return the smallest b of a passive wall: the maximum of Colgate and Schenkel's expression."""
     angle = np.linspace(1e-4, np.pi, 200_001)
     z, tau, t = np.exp(1j * angle), loop.velocity_time_constant, loop.period
     wall = (stiffness + loop.wall_damping * (1.0 - 1.0 / z) / (tau + t - tau / z)) / z**loop.delay

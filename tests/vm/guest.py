@@ -125,10 +125,7 @@ def become(user: int) -> None:
 
 
 class Run:
-    """A function in a fork of this process, with separate streams.
-
-    user  who runs it; None: root, who may access any file
-    """
+    """A function in a fork with separate streams, run by `user`; None: root, who may access any file."""
 
     def __init__(self, work: Callable[[], int], user: int | None = None) -> None:
         self._files = [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115  (closed at its end)
@@ -329,10 +326,7 @@ def measured(what: str, ms: list[float]) -> None:
 
 
 def contract(module: Path, device: Gadget) -> tuple[str, int]:
-    """Run the tests of a contract on a device; return the output of pytest and its exit code.
-
-    They reach the device by the same variable as the tests with umockdev.
-    """
+    """Run the tests of a contract on a device, found by the same variable as with umockdev."""
 
     def work() -> int:
         # Root may open any node, and one of the tests forbids one.

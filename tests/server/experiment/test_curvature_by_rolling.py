@@ -41,8 +41,7 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
 
 @pytest.mark.parametrize("radius_m", [0.04, 0.02])  # reference radius and smallest radius of all levels
 def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
-    """The finger never slides, and the tangential force equals coupling stiffness times the lag of the rolling
-    proxy."""
+    """The finger never slides, and the tangential force is coupling stiffness times the lag of the rolling proxy."""
     records, poses = rolled("rolls", radius_m)
     mode = records["contact.mode"]
     first = int(np.argmax(mode == ROLLING))

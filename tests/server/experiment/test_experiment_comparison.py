@@ -69,8 +69,7 @@ def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, l
 
 
 def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """The likelihood ratio of one threshold against one per condition, with a common slope, agrees with SciPy's
-    optimizer."""
+    """One threshold against one per condition, with a common slope, as SciPy's optimizer finds."""
     experiment, rows = study
     total = 0.0
     two = [row for row in rows if row["participant"] in ("sub-01", "sub-02")]
@@ -108,8 +107,7 @@ def test_a_factor_without_effect_is_none() -> None:
 
 
 def test_numbers_are_compared_by_regression() -> None:
-    """For ratings, with an intercept per condition, chi squared is n log(RSS0 / RSS1), checked by NumPy's least
-    squares."""
+    """With an intercept per condition chi squared is n log(RSS0 / RSS1), checked by NumPy's least squares."""
     task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
     made = Experiment(
         small(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),

@@ -117,8 +117,7 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
 
 
 def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
-    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force. The ramp counts ticks, and a
-    busy machine may miss half of those of a touch."""
+    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force. The ramp counts ticks."""
     _, run = session
     missed = run.first["servo.missed"]
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
@@ -192,9 +191,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 def test_what_cannot_be_run_is_refused_before_anything_is_written(
     changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    """Errors raise before a folder is created, so the command can be repeated. Cases: a force above the rig's limit or
-    that of the open device, where levels would feel alike; scenes with different fingers; a daemon without commands; a
-    missing device."""
+    """Errors raise before a folder is created, so the command can be repeated."""
     running = settings(tmp_path)
     with pytest.raises(HapticError, match=said):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
@@ -202,8 +199,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(
 
 
 def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A full disk in the second trial ramps the force down and raises one error that names cause, file and remedy. With
-    free space the same command presents only that trial again."""
+    """The force ramps down with one error; with free space the same command presents only that trial again."""
     out, before = tmp_path / "out", resource.getrlimit(resource.RLIMIT_FSIZE)
     force, numbers = list[float](), list[int]()
     own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
@@ -258,9 +254,7 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 
 
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
-    """A replay of the session agrees bit for bit. Each touch starts with a command and `arm`, after which ticks are
-    compared once the velocity filter has settled (40 time constants of some milliseconds): more than half of all ticks.
-    A late machine executes commands later within a touch, so fewer ticks can be compared, or none."""
+    """A replay agrees bit for bit in all ticks that can be compared; a late machine may leave none."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
@@ -328,9 +322,7 @@ def held_down(terminal: int, key: bytes) -> Iterator[None]:
 
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
-    """A key answers one question, Ctrl-C stops the session, and the next start accepts an answer from a client. A key
-    that repeats answers only one question, practice trials print right or wrong, and invalid answers are refused
-    and leave the question open."""
+    """A repeated key answers one question, Ctrl-C stops the session, and the next start accepts a client's answer."""
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
     ours, theirs = pty.openpty()

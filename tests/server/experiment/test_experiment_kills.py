@@ -1,5 +1,4 @@
-"""Sessions with a daemon, killed at random moments: no trial is lost or run twice, and the order is unchanged. A
-session and its daemon are one process; the publisher, which owns the daemon's sockets, is another."""
+"""Sessions with a daemon, killed at random moments: no trial is lost or run twice, and the order is unchanged."""
 
 from __future__ import annotations
 

@@ -82,8 +82,7 @@ def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path:
 
 
 def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
-    """At most one of seven 95 % intervals of the threshold misses the true value; chance is below 1 in 100. All seeds
-    use the same observer, and QUEST+ chooses the levels."""
+    """At most one of seven 95 % intervals misses the true value; chance is below 1 in 100."""
     seeds, misses = cases(6, 50), 0
     for seed in range(seeds):
         experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
@@ -112,8 +111,7 @@ def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
 def test_a_session_that_is_killed_loses_no_trial_and_repeats_none(
     tmp_path: Path, cases: Callable[[int, int], int]
 ) -> None:
-    """Killed at random moments and resumed, a session has the same answers in the same order as an uninterrupted
-    one."""
+    """The answers and their order are those of an uninterrupted session."""
     killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
     rows = results(tmp_path / "killed")
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))

@@ -238,8 +238,7 @@ def test_what_cannot_be_asked_is_refused_before_the_session(changes: dict[str, A
 
 
 def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
-    """Images outside the study's folder, also by a link, non-images and large files are refused. A changed image makes
-    another experiment."""
+    """Images outside the study's folder, non-images and large files are refused; a changed one is another study."""
     folder, outside = tmp_path / "study", tmp_path / "outside.png"
     folder.mkdir()
     outside.write_bytes(PNG)

@@ -1,7 +1,4 @@
-"""A session whose device is unplugged in a trial ends without losing an answer, and repeats the trial.
-
-Compiles the loop of a serial device, which lasts about 20 s.
-"""
+"""A session whose device is unplugged ends without losing an answer; compiles the loop of a serial device, 20 s."""
 
 from __future__ import annotations
 
@@ -39,8 +36,7 @@ def pull_in_trial(board: Hapkit, journal: Path, trial: int) -> None:
 
 
 def test_a_device_unplugged_in_a_trial(tmp_path: Path) -> None:
-    """Unplugged in the second of four trials, the journal has one answer, and the next run starts at trial 2, attempt
-    2."""
+    """After the second of four trials the journal has one answer; the next run starts at trial 2, attempt 2."""
     library, out = compile_sketch(tmp_path / "hapkit.so"), tmp_path / "out"
     rig = tmp_path / "hapkit.toml"
     rig.write_text((FOLDERS[Rig] / "hapkit.toml").read_text().replace("# path =", "path ="))

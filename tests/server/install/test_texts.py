@@ -60,8 +60,7 @@ def test_every_line_is_in_the_grammar_of_udev() -> None:
 
 
 def test_every_device_that_a_driver_claims_has_a_rule() -> None:
-    """The rule is for the bus that opens the device and the ids of the driver; hid devices on USB have a second
-    rule."""
+    """The rule is for the bus and ids of the driver; hid devices on USB have a second rule."""
     rules = udev_rules()
     keys = {"usb": ("usb", "ATTR"), "hid": ("hidraw", "ATTRS"), "serial": ("tty", "ATTRS")}
     for claim in claims():

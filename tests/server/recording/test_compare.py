@@ -1,5 +1,4 @@
-"""Replay of a recording: equal without changes, first difference at its tick, ticks that cannot be compared left
-out."""
+"""Replay of a recording: equal without changes, first difference at its tick, ticks that cannot be compared."""
 
 from __future__ import annotations
 
@@ -90,8 +89,7 @@ def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path) -> None:
-    """After missing ticks, comparison resumes in free space once filter and ramp have settled; all other ticks are
-    equal."""
+    """Comparison resumes in free space once filter and ramp have settled; all other ticks are equal."""
     middle = touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
     outcome = replayed(recorded(tmp_path / "a.mcap", holed))
@@ -119,8 +117,7 @@ OTHER = "another scene or rig was set"
 
 @pytest.mark.plain
 def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
-    """A factor lowers the guard's limit: earlier ticks agree, later ones are left out, and without the event they
-    differ."""
+    """A factor lowers the guard's limit: earlier ticks agree, and without the event later ones differ."""
     tick, rig = touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
     poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
@@ -148,9 +145,7 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
 
 @pytest.mark.plain
 def test_commands_are_replayed(tmp_path: Path) -> None:
-    """After `set_params` the replay uses the new parameter; without the event it differs. Ticks around the command are
-    left out, because its exact tick is not recorded. After `set_scene` all ticks are left out, even if they are
-    equal."""
+    """After `set_params` the replay uses the new parameter; after `set_scene` all ticks are left out."""
     tick = (touches()[1] + touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
         tick += 1
@@ -172,8 +167,7 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
-    """A tick whose force the driver withheld is left out, like later ones until the state is known. A refused pose is
-    refused again, with the same zeros and ramp."""
+    """Withheld ticks are left out until the state is known; a refused pose is refused again."""
     records = run().copy()
     at = touches()[0] + 10
     records[at, AT.servo_device] = HELD
@@ -194,8 +188,7 @@ def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_several_fingers(tmp_path: Path) -> None:
-    """All fingers are compared, a difference contains the finger's name, and each finger's poses can be played
-    separately."""
+    """All are compared, a difference has the finger's name, and each finger's poses can be played separately."""
     scene, names = load_scene("pinch"), ["thumb", "index"]
     played = [resample(load_poses(f"pinch-{name}"), 1000.0)[:1500] for name in names]
     records = simulate(make_tuning(scene, load_rig("replay").guard), np.stack(played, axis=1), 1000.0)
@@ -221,8 +214,7 @@ def test_several_fingers(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Checks exit codes, the first difference as text and JSON, the plot, a truncated recording, and poses against
-    results."""
+    """Exit codes, the first difference as text and JSON, the plot, a truncated recording, poses against results."""
     path = recorded(tmp_path / "a.mcap", run())
     assert cli.main(["replay", str(path)]) == 0
     assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in capsys.readouterr().out

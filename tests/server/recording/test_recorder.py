@@ -173,8 +173,7 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
 
 
 def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
-    """With as many chunks as in hours, mcap's reader finds every chunk and the checksum, and no temporary file
-    remains."""
+    """mcap's reader finds every chunk and the checksum, and no temporary file remains."""
     from mcap.reader import make_reader
 
     from softfinger.server.recording.mcapfile import INDEX_MEMORY_BYTES, McapFile
@@ -198,8 +197,7 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
 
 
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
-    """Each recorded pose plays in its tick despite irregular clock readings; missing ticks do not shift the
-    others."""
+    """Each pose plays in its tick despite irregular clock readings; missing ticks do not shift the others."""
     holed = np.delete(run(), [50, 51, 52], axis=0)
     path = recorded(tmp_path / "a.mcap", holed)
     again = resample(load_poses(path), 1000.0)
@@ -213,8 +211,7 @@ def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_a_daemon_records_by_command(tmp_path: Path) -> None:
-    """From the answer on, the file has every tick, marks, contact events, scene, rig, versions and settings. A second
-    recording can follow, and the run is not disturbed."""
+    """From the answer on, the file has every tick, mark and event; a second recording can follow."""
     with Daemon(quiet_rig(tmp_path), load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
@@ -283,8 +280,7 @@ def test_a_client_writes_below_the_folder_only(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
-    """After kill -9 at a random moment, mcap's streaming reader, which needs no index, reads all but the last ticks
-    that subscribers received."""
+    """After kill -9, mcap's streaming reader reads all but the last ticks that subscribers received."""
     path = tmp_path / "killed.mcap"
     endpoint = f"ipc://{tmp_path}/t"
     words = ["run", "--endpoint", endpoint, "--commands", "off", "--realtime", "off", "--record", str(path)]
@@ -345,8 +341,7 @@ class Slow:
 
 
 def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
-    """Events beyond the queue are counted, reported and noted in the file; notes always fit; the longest write is the
-    stall."""
+    """Events beyond the queue are counted, reported and noted in the file; the longest write is the stall."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -374,8 +369,7 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
-    """`take` never blocks. Ticks beyond the queue are counted, reported and missing; later ticks are recorded, and the
-    file is complete."""
+    """`take` never blocks; ticks beyond the queue are counted, reported and missing, and the file is complete."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -420,8 +414,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
-    """The recording ends with its last complete chunk, subscribers get one fault event, and ticks continue. Another
-    recording can start, and closing the daemon raises the error."""
+    """The recording ends with its last complete chunk; another one can start, and closing raises the error."""
     with (
         Daemon(quiet_rig(tmp_path), load_scene("paper-plane")) as daemon,
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
@@ -454,8 +447,7 @@ def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> None:
-    """The error is printed when it happens; the run continues until it is stopped, and then exits with the error's
-    code."""
+    """The error is printed when it happens; the run continues, and exits with the error's code."""
     path = tmp_path / "cut.mcap"
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
     with Program(command, stderr=subprocess.PIPE, text=True) as process:

@@ -37,8 +37,7 @@ def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("between", [";", "\t", " ", " ; "])
 def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
-    """Spreadsheets of half of Europe write decimal commas, a byte order mark, a heading and empty cells at line
-    ends."""
+    """Spreadsheets also write a byte order mark, a heading and empty cells at line ends."""
     lines = [between.join(f"{x:.17g}" for x in row).replace(".", ",") for row in np.column_stack((TIME, PLACE))]
     heading, empty = between.join(["Zeit(s)", "X(m)", "Y(m)", "Z(m)"]), between.strip(" ") * 2
     file = tmp_path / "theirs.csv"

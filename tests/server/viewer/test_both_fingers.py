@@ -25,8 +25,7 @@ PLACES = {"thumb": (-0.04, 0.0, 0.02), "index": (0.04, 0.0, 0.02)}
 
 @pytest.fixture
 def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
-    """Return a hand with two fingers on a page without viewers, and the last target of each. When held, a finger
-    reports a target GRIP m below its position."""
+    """Return a hand with two fingers on a page without viewers, and their last targets, GRIP m below when held."""
     server = viser.ViserServer(port=0, verbose=False)
     sent: dict[str, Target | None] = {}
     try:
@@ -82,8 +81,7 @@ def test_each_hand_moves_one_finger(led: tuple[Hand, dict[str, Target | None]]) 
 
 
 def test_moving_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Otherwise a hand that follows a recording would continue with it. Both start at their targets, which in a grip
-    are deeper than their positions."""
+    """Otherwise a hand that follows a recording would continue with it; both start at their targets."""
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge(Nudge(z=0.001))
@@ -103,8 +101,7 @@ def test_a_slider_moves_the_target_by_its_change(led: tuple[Hand, dict[str, Targ
 
 
 def test_steps_before_the_hands_are_held_are_queued(led: tuple[Hand, dict[str, Target | None]]) -> None:
-    """Key strokes before the daemon's answer are all applied. After a refusal none is applied, and the next stroke
-    sends a new request."""
+    """Key strokes before the daemon's answer are applied, after a refusal none is."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
     hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))

@@ -36,8 +36,7 @@ def seen(camera: Camera, point: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", list_shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
-    """A fingertip on top of the first solid object is inside a square picture and has at least a twentieth of its
-    height."""
+    """It is inside a square picture and has at least a twentieth of its height."""
     scene = load_scene(name)
     camera, thing = initial_camera(scene), next(each for each in scene.object if not getattr(each, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
@@ -51,8 +50,7 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
 
 
 def test_the_camera_looks_at_the_pose_of_a_body() -> None:
-    """A door whose centre is 80 mm from the origin moves the camera by 80 mm. The stack of boxes of a [world] and a box
-    lifted off it are in view."""
+    """The camera moves with a body that is 80 mm off; boxes of a [world], also lifted, are in view."""
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)

@@ -133,8 +133,7 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
 
 @pytest.mark.plain
 def test_each_choice_has_its_key() -> None:
-    """Two choices have their positions as keys, marks of a scale their digits, a single choice Enter; ten keys at
-    most."""
+    """Two choices have their positions as keys, marks their digits, a single choice Enter; ten at most."""
     assert assign_keys(("first", "second")) == {"1": "first", "2": "second"}
     assert assign_keys(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
     assert assign_keys(("0", "1", "2")) == {"0": "0", "1": "1", "2": "2"}

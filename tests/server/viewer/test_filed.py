@@ -54,8 +54,7 @@ def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
 
 
 def touched(screen: Screen, client: Client) -> bool:
-    """Lower the hand until it presses on the first object; return True if the page shows the contact and a blue
-    arrow."""
+    """Lower the hand until it presses; return True if the page shows the contact and a blue arrow."""
     for height in np.arange(0.02, 0.0, -0.001).tolist():
         client.ask("hand", {"position_m": [0.0, 0.0, height]})
         time.sleep(0.1)

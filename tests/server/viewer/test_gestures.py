@@ -121,8 +121,7 @@ class MovableFinger(SimulatedHands):
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
 def test_a_lift_raises_a_box_and_puts_it_down() -> None:
-    """Simulated hands lift MuJoCo's body to the nominal height, less the compliance of the grip, level and back
-    down."""
+    """To the nominal height less the compliance of the grip, level, and back down."""
     hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
     stage = Stage(
         lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),

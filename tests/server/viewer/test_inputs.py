@@ -1,7 +1,4 @@
-"""Keys, touch screen, gamepad and menus of the page change the daemon, tested in a browser.
-
-A script in the page replaces the browser's list of gamepads.
-"""
+"""Keys, touch screen, gamepad (replaced by a script) and menus of the page change the daemon, in a browser."""
 
 from __future__ import annotations
 
@@ -118,8 +115,7 @@ def test_a_rolling_method_is_rendered_by_the_daemon(screen: Screen, client: Clie
 
 
 def test_a_scene_is_rendered_or_refused(screen: Screen, client: Client) -> None:
-    """The daemon renders one scene and refuses another that needs two fingers; the page shows the error and the old
-    scene."""
+    """Of another scene, which needs two fingers, the page shows the error and the old scene."""
     screen.tab("Feel")
     screen.choose("scene", "frictionless-plane")
     assert eventually(lambda: client.describe()["scene_name"] == "frictionless-plane")

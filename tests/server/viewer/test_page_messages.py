@@ -75,8 +75,7 @@ def talk(address: str, messages: list[bytes]) -> None:
 
 
 def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> None:
-    """viser wakes waiting browsers in the page's thread, and the event loop's thread may add one during that. The
-    message is queued without an error, and the event is set in the loop."""
+    """viser wakes browsers in one thread while another adds one: the message is queued and the event is set."""
     loop = asyncio.new_event_loop()
     buffer = AsyncMessageBuffer(loop, persistent_messages=True)
     waiters: Any = buffer.message_event._waiters

@@ -124,8 +124,7 @@ mv "{seen}/words.new" "{seen}/words"
 
 
 def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The browser's command line, which all users can read, has no token. The file that only this user can read has it,
-    and is deleted with the page."""
+    """The command line has no token; the private file that has it is deleted with the page."""
     program = tmp_path / "browser"
     program.write_text(BROWSER.format(seen=tmp_path))
     program.chmod(0o755)

@@ -400,8 +400,7 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
 
 
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
-    """The mesh is closed and faces outwards; no vertex is inside the ellipsoid, and all that point down or sideways are
-    on it. The nail is outside everywhere."""
+    """The mesh is closed; no vertex is inside the ellipsoid, and all but those of the nail are on it."""
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
     assert volume(mesh) > 4 / 3 * pi * radii.prod()

@@ -186,8 +186,7 @@ def test_light_and_dark_follow_the_browser_until_the_switch_is_used(screen: Scre
 
 
 def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, daemon: Daemon, client: Client) -> None:
-    """With a target 20 mm inside the plane, a press starts at the proxy on the plane and lifts off. While the force is
-    off, the page shows no force."""
+    """A press starts at the proxy on the plane; while the force is off, the page shows none."""
     client.hand((0.0, 0.0, -0.02), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 5.0)
     client.ask("disarm")

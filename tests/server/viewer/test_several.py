@@ -81,8 +81,7 @@ def pull(screen: Screen, client: Client) -> None:
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:
-    """Handles are hidden at first. After the switch, a drag of the arrow along x drives the lid only along x, and the
-    page draws the daemon's position. The table, which is not driven, has no handles."""
+    """A drag of the arrow along x drives the lid along x only; the table, not driven, has no handles."""
     client.ask("drive", {"object": "lid", "position_m": [-0.02, 0.0, 0.03]})
     assert eventually(lambda: stands(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
     assert screen.page.evaluate(NODE, "/handles/1") is None

@@ -1,7 +1,4 @@
-"""A box lifted from the page in a browser: by the button, by the mouse with its wheel, and by keys for two hands.
-
-Compiles the shipped scene `lift-a-box`.
-"""
+"""A box lifted in a browser by button, mouse and keys; compiles the shipped scene `lift-a-box`."""
 
 from __future__ import annotations
 

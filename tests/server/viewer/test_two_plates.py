@@ -1,8 +1,4 @@
-"""Two plates side by side in the browser: the drag of each is its friction in the library.
-
-The daemon of this file starts with the plates. Choosing them on the page would compile them while a processor renders
-the browser.
-"""
+"""Two plates side by side in the browser, with which the daemon starts: the drag of each is its friction."""
 
 from __future__ import annotations
 
@@ -39,8 +35,7 @@ def daemon() -> Iterator[Daemon]:
 
 
 def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    """Return drag / normal force of ticks in which a pressed plate slides, while keys stroke it away from the
-    person."""
+    """Return drag / normal force while a pressed plate slides under keys away from the person."""
     found = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
