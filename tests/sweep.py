@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import gc
 import json
 import os
 import random
@@ -164,8 +163,6 @@ class Sweep:
         files = {mistake.file for mistake in self.mistakes}
         self.items = {item.nodeid: item for item in session.items}
         self.functions = planting.functions_of(ROOT, files)
-        gc.collect()
-        gc.freeze()
         seen = self.baseline(files)
         for number, mistake in enumerate(self.mistakes, 1):
             if mistake.name not in self.results:

@@ -10,8 +10,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from helpers.planting import mistakes_in, plant
+from helpers.planting import functions_of, mistakes_in, plant
 from sweep import PARTS
+
+from softfinger.config import load
 
 pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,6 +125,12 @@ def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
     (mistake,) = mistakes_in(tmp_path, "there.py")
     plant(tmp_path, mistake, {})
     assert [each.LEGS for each in made.values()] == [7, 7, 3]
+
+
+def test_functions_are_found_although_the_collector_was_frozen() -> None:
+    """conftest.py freezes all imported objects, which `gc.get_objects` then leaves out."""
+    file = "config/load.py"
+    assert functions_of(ROOT, {file})[file, "load_scene"] == [load.load_scene]
 
 
 def test_marks_of_helpers_are_named_in_the_files_that_use_them() -> None:
