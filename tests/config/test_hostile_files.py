@@ -33,8 +33,6 @@ from softfinger.server.recording.compare import FIELDS
 from softfinger.server.recording.results import McapResults, read_results, write_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summary
-from softfinger.server.wire.endpoint import check_endpoint
-from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.doctor import report
 from softfinger.tools.sweep_results import open_rows
 
@@ -307,20 +305,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
-
-
-def test_a_lock_file_is_not_made_through_a_link(tmp_path: Path) -> None:
-    """Telemetry on a path locks PATH.lock: a link there is refused and its target is not created."""
-    (tmp_path / "t.lock").symlink_to(tmp_path / "victim")
-    with pytest.raises(ConfigError, match=r"t\.lock"):
-        Publisher(f"ipc://{tmp_path}/t").close()
-    assert not (tmp_path / "victim").exists()
-
-
-def test_an_address_without_a_file_is_refused() -> None:
-    """A socket without a file has no owner and no mode, so anybody on this machine could connect."""
-    with pytest.raises(ConfigError, match="has no file, so no file mode can limit who connects"):
-        check_endpoint("ipc://@softfinger", "endpoint")
 
 
 def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
-from softfinger.config.load import build, describe, load_rig, load_scene
+from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers import registry
 from softfinger.proxy import progress as preparation
@@ -395,35 +395,6 @@ def test_refused_commands_name_the_error_and_change_nothing(rig):
         assert all(before[key] == after[key] for key in ("scene", "scene_name", "rig", "armed"))
         assert eventually(lambda: kept.rows[-1][-1, AT.tick] > first + 20)
         assert unchanged(kept.since(first))
-
-
-@pytest.mark.exhaustive  # compiles a scene type; test_parameters.py has the same without a loop
-def test_the_law_of_the_normal_force_and_the_patch_are_parameters(rig):
-    """f = K d (delta / d)^p and a = c (f / 1 N)^gamma use the current parameters; changes of the model are refused."""
-    patch = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
-    described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
-    described["fingertip"]["patch"] = patch
-    normal = "object.0.material.normal"
-    with running(rig(), build(Scene, described, "soft")) as (_, control, kept):
-        for changes, force, radius in (
-            ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
-            ({f"{normal}.exponent": 2.0, f"{normal}.depth_m": 2.0 * DEPTH_M}, 2.0 * 0.5**2.0, 0.004),
-            ({"fingertip.patch.radius_m": 0.003, STIFFNESS: 500.0}, 0.5 * 2.0 * 0.5**2.0, 0.003),
-        ):
-            tick = control.set_params(changes).tick
-            assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 2)  # noqa: B023
-            last = kept.rows[-1][-1]
-            assert last[AT.contact_normal_force] == pytest.approx(force, rel=ROUNDING)
-            assert last[AT.contact_patch_radius] == pytest.approx(radius * force**0.25, rel=ROUNDING)
-        for changes, words in (
-            ({f"{normal}.exponent": 0.5}, "from 1 to 3"),
-            ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
-            ({f"{normal}.exponent": 1.0}, "another model, to be compiled: use set_scene"),
-            ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: use set_scene"),
-        ):
-            with pytest.raises(CommandRefused, match=r"^bad_params: ") as refused:
-                control.ask("set_params", changes)
-            assert words in str(refused.value), refused.value
 
 
 def test_parameters_set_together_are_never_torn(rig):

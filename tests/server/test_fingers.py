@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ from helpers.compiled_code import called_in, functions
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.two_fingers import NAMES, SCENE, two_fingers
 
-from softfinger.config.errors import DeviceError, RecordingError
+from softfinger.config.errors import RecordingError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
-from softfinger.drivers import open_devices
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options as ReplayOptions
@@ -133,38 +131,6 @@ def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> 
         assert device.wrenches[:-1].any() and not device.wrenches[-1].any()
 
 
-def test_a_signal_stops_every_open_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    """stop_all stops every open device, although the first two fail, and returns their errors."""
-    devices = [FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options(stop_fails=True)), FaultyDevice(Options())]
-    monkeypatch.setattr(open_devices, "devices", devices)
-    assert [str(error) for error in open_devices.stop_all()] == ["the port has gone"] * 2
-    assert [[act for act, *_ in device.acts] for device in devices] == [["stop"]] * 3
-
-
-@pytest.mark.parametrize("act", ["stop", "close"])
-@pytest.mark.parametrize("place", [0, 1])
-def test_a_hanging_device_does_not_prevent_the_stop_of_the_other(
-    place: int, act: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The call ends after a time-out with an error that names the device; the other device has been stopped."""
-    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.5)
-    go_on = threading.Event()
-
-    class Hanging(FaultyDevice):
-        def stop(self) -> None:
-            go_on.wait(60.0)
-
-    devices = [Hanging(Options()) if k == place else FaultyDevice(Options()) for k in range(2)]
-    devices[place].arm()
-    what = {"stop": shutdown.stop_all, "close": shutdown.close_all}
-    said = {"stop": "be stopped", "close": "be closed"}
-    with pytest.raises(DeviceError, match=rf"^faulty could not {said[act]} \(it has not returned.*switch it off"):
-        what[act](devices)
-    assert [each for each, *_ in devices[1 - place].acts][-1] == "stop"
-    assert len(devices[place].wrenches) == (act == "stop")  # a plain write of zero instead of the stop
-    go_on.set()
-
-
 @pytest.fixture(scope="module")
 def undisturbed() -> np.ndarray:
     """Return records of two fingers that always press."""
@@ -261,16 +227,6 @@ def test_motion_during_refused_poses_causes_no_force_peak() -> None:
     # The velocity is a difference over a tick: off by (2 pi f dt)^2 / 6 of it, 1e-4 of 0.025 N; the tilt at y by less.
     assert normal_force == pytest.approx(1000.0 * 0.001 + 2.0 * speed, abs=1e-5)
     assert abs(2.0 * speed) > 0.02
-
-
-def test_a_failed_close_does_not_prevent_others() -> None:
-    """Every device is closed, and the error is raised."""
-    first = FaultyDevice(Options())
-    shutdown.close_all([first])
-    assert [act for act, *_ in first.acts] == ["close", "stop"]
-    with pytest.raises(DeviceError, match="could not be closed"):
-        shutdown.close_all([FaultyDevice(Options(stop_fails=True)), first])
-    assert [act for act, *_ in first.acts][-2:] == ["close", "stop"]
 
 
 @pytest.mark.sampled(1)
