@@ -130,8 +130,7 @@ def _library_read(handle, sample):
     at = handle + 8 * FD.frame
     device = np.int32(word[FD.id])
     code = call_int32(
-        word[FD.get_frame],
-        (float64_at(at), float64_at(at + 8), float64_at(at + 16), float64_at(at + 24), device),
+        word[FD.get_frame], (float64_at(at), float64_at(at + 8), float64_at(at + 16), float64_at(at + 24), device)
     )
     return code + call_int32(word[FD.get_buttons], (device,))
 
@@ -141,8 +140,7 @@ def _library_write(handle, wrench):
     word = int64_at(handle)
     device = np.int32(word[FD.id])
     return call_int32(
-        word[FD.set_wrench],
-        (wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5], 0.0, device),
+        word[FD.set_wrench], (wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5], 0.0, device)
     )
 
 

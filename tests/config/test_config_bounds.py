@@ -184,10 +184,7 @@ def test_an_override_reaches_into_lists(key: str) -> None:
         ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: .* would be in 0.01, which is not a table"),
         ({"fingertop.radius_m": 1.0}, r"override: fingertop is not a key here.*fingertip"),
         ({"object.0.matrial.stiffness_n_per_m": 1.0}, r"override: object\[0\]\.matrial is not a key"),
-        (
-            {"object[0].material.stiffness_n_per_m": -1.0},
-            r"override: object\[0\]\.material\.stiffness_n_per_m = -1",
-        ),
+        ({"object[0].material.stiffness_n_per_m": -1.0}, r"override: object\[0\]\.material\.stiffness_n_per_m = -1"),
         ({"object.0.material.stiffness_n_per_m": -1.0}, r"override: object\[0\]\.material\.stiffness_n_per_m = -1"),
     ],
 )

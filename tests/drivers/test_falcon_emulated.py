@@ -5,8 +5,8 @@ Needs umockdev: `apt install umockdev gir1.2-umockdev-1.0 python3-gi` on Debian.
 
 from __future__ import annotations
 
+import functools
 import json
-import os
 import random
 import re
 import subprocess
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
-from test_hid_emulated import CLOSED_LOOP, STROKE, SYSTEM_PYTHON, WHY_NOT
+from test_hid_emulated import CLOSED_LOOP, STROKE, WHY_NOT, on_testbed
 
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
@@ -25,24 +25,11 @@ from softfinger.config.sources import find
 from softfinger.drivers.falcon import firmware
 from softfinger.proxy.record import AT
 
-TESTBED = Path(__file__).parents[1] / "emulators" / "falcon_testbed.py"
 CONTRACT = Path(__file__).parents[1] / "helpers" / "falcon_contract.py"
-pytestmark = [
-    pytest.mark.real_time,
-    pytest.mark.system,
-    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
-]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
 
 
-def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run a command with an emulated device attached, and return its result and the state of the device."""
-    done = subprocess.run(
-        ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
-        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
-    lines = done.stdout.splitlines()
-    assert lines, done.stderr
-    return done, json.loads(lines[-1])
+beside = functools.partial(on_testbed, "falcon_testbed.py")
 
 
 def rig_with(tmp_path: Path, **keys: object) -> str:
@@ -246,7 +233,7 @@ second.close()
 def test_two_falcons_through_libusb() -> None:
     """Two Falcons open by serial number, each exchange is with its knob, and closing one does not affect the second."""
     case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
-    code = f"import sys; sys.path.insert(0, {str(TESTBED.parents[1])!r})\n{TWO}"
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{TWO}"
     done, saw = beside(case, sys.executable, "-c", code)
     assert done.returncode == 0, done.stderr
     first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", done.stdout.splitlines()[-2]))

@@ -31,7 +31,7 @@ from softfinger.config.errors import (
 )
 from softfinger.config.load import build
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import exchange, library
 from softfinger.drivers.forcedimension.models import MODELS
@@ -50,7 +50,6 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
 
-OMEGA_6 = {"type": 34, "wrist": 1}
 SIGMA_7 = {"type": 104, "wrist": 1, "active_wrist": 1, "gripper": 1}
 
 
@@ -503,35 +502,6 @@ def test_no_torque_is_sent_to_a_passive_wrist(kind: int, stub: Stub, bench: Stub
     assert stub["torque_sent"] == stub["gripper_sent"] == 0 and stub["writes"] >= 50
 
 
-def test_buttons_and_gripper_are_read(stub: Stub, bench: StubBench) -> None:
-    """Each bit of the button mask is read, also the highest, and the gripper's angle, or 0 without a gripper."""
-    stub.update(buttons=2.0**31 + 5, **OMEGA_6)
-    with bench.open() as device:
-        assert Servo(device).read()[1][8:] == [2.0**31 + 5, 0.0]
-    stub.update(type=35, gripper=1, gripper_rad=0.25, buttons=0)
-    with bench.open() as device:
-        assert Servo(device).read()[1][8:] == [0.0, 0.25]
-
-
-def test_one_and_two_are_success_and_are_counted(stub: Stub, bench: StubBench) -> None:
-    """A guarded reading and saturated motors give STALE; a guarded force gives HELD. All are counted."""
-    with bench.open() as device:
-        servo = Servo(device)
-        stub.update(guard_reads=4, guard_writes=5, reads=0, writes=0)
-        before = None
-        for n in range(20):
-            status, sample = servo.read()
-            assert status == (STALE if n and n % 4 == 0 else OK)
-            if status == STALE:
-                assert sample[:7] == before[:7] and sample[7] >= before[7]
-            before = sample
-            assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) == (HELD if n and n % 5 == 0 else OK)
-        stub.update(guard_reads=0, guard_writes=0)
-        assert servo.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == STALE
-        assert tuple(device.counts().values()) == (20, 4, 21, 3, 1)
-        assert stub["fz"] == 12.0  # the device's limit, set at opening
-
-
 @pytest.mark.parametrize(("code", "status"), [(7, TIMEOUT), (2, LOST), (1, LOST)])
 @pytest.mark.parametrize("call", ["fail_read", "fail_write"])
 def test_failing_call_gives_its_status_and_reason(
@@ -549,37 +519,6 @@ def test_failing_call_gives_its_status_and_reason(
         device.stop()
         assert stub.norm() == 0.0  # even if every force fails: the force is disabled
         assert stub["force_on"] == 0
-
-
-def test_force_that_is_no_number_becomes_zero(stub: Stub, bench: StubBench) -> None:
-    """If any component is NaN or infinite, the library gets a zero wrench and the write returns WITHHELD."""
-    stub.update(**SIGMA_7)
-    with bench.open() as device:
-        servo = Servo(device)
-        for place in range(6):
-            for bad in (math.nan, math.inf, -math.inf):
-                assert servo.write(0.1, 0.1, 0.1, 0.01, 0.01, 0.01) == OK
-                wrench = [0.1] * 6
-                wrench[place] = bad
-                assert servo.write(*wrench) == WITHHELD
-                assert stub.norm() == stub["tx"] == stub["ty"] == stub["tz"] == 0.0
-
-
-def test_matrix_that_is_no_rotation_is_no_orientation(stub: Stub, bench: StubBench) -> None:
-    """A mirrored or stretched matrix gives NaN, a matrix off by rounding is accepted, a NaN position is passed on."""
-    for name, value in (("mirror", 1.0), ("stretch", 0.1), ("stretch", -0.9)):
-        stub[name] = value
-        with bench.open() as device:
-            status, sample = Servo(device).read()
-            assert status == OK and all(map(math.isnan, sample[3:7])), name
-        stub[name] = 0.0
-    with bench.open() as device:
-        stub.update(stretch=1e-6, nan_at=1, reads=0)
-        servo = Servo(device)
-        assert not math.isnan(servo.read()[1][1])
-        status, sample = servo.read()
-        assert status == OK and math.isnan(sample[1])
-        assert not math.isnan(servo.read()[1][1])
 
 
 @entry

@@ -50,25 +50,26 @@ def _umockdev() -> str | None:
 
 
 WHY_NOT = _umockdev()
-pytestmark = [
-    pytest.mark.real_time,
-    pytest.mark.system,
-    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
-]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
 
 STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 
 
-def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+def on_testbed(
+    file: str, case: dict[str, Any], *command: str
+) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     """Run a command with an emulated device attached, and return its result and the state of the device."""
-    testbed = EMULATORS / TESTBEDS[case.get("bus", "hidraw")]
     done = subprocess.run(
-        ["umockdev-wrapper", SYSTEM_PYTHON, str(testbed), json.dumps(case), *command],
+        ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
         capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )  # fmt: skip
     lines = done.stdout.splitlines()
     assert lines, done.stderr
     return done, json.loads(lines[-1])
+
+
+def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+    return on_testbed(TESTBEDS[case.get("bus", "hidraw")], case, *command)
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:

@@ -268,8 +268,7 @@ def test_torques_of_serial_joints_are_bounded(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "joints"),
-    [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))],
+    ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
     """Beyond the maximum torque all are scaled by the same factor, and the result is LIMITED."""

@@ -114,12 +114,7 @@ def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("kind", [emulated.split, emulated.combined])
 @pytest.mark.parametrize(
     ("deflection", "direction"),
-    [
-        ({"right": 350}, (1, 0, 0)),
-        ({"right": -350}, (-1, 0, 0)),
-        ({"away": 350}, (0, 1, 0)),
-        ({"up": 350}, (0, 0, 1)),
-    ],
+    [({"right": 350}, (1, 0, 0)), ({"right": -350}, (-1, 0, 0)), ({"away": 350}, (0, 1, 0)), ({"up": 350}, (0, 0, 1))],
 )
 def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direction: tuple[int, ...]) -> None:
     """Full deflection moves the fingertip right, away or up with gain times counts beyond the deadband."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -12,29 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
-from test_hid_emulated import CLOSED_LOOP, SYSTEM_PYTHON, WHY_NOT
+from test_hid_emulated import CLOSED_LOOP, WHY_NOT, on_testbed
 
 from softfinger.config.load import load_scene
 from softfinger.proxy.record import AT
 
-TESTBED = Path(__file__).parents[1] / "emulators" / "puck_testbed.py"
 CLI = (sys.executable, "-m", "softfinger.server.cli")
-pytestmark = [
-    pytest.mark.real_time,
-    pytest.mark.system,
-    pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT)),
-]
+pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
 
 
-def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run a command with an emulated puck attached, and return its result and the reports sent to the puck."""
-    done = subprocess.run(
-        ["umockdev-wrapper", SYSTEM_PYTHON, str(TESTBED), json.dumps(case), *command],
-        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
-    lines = done.stdout.splitlines()
-    assert lines, done.stderr
-    return done, json.loads(lines[-1])
+beside = functools.partial(on_testbed, "puck_testbed.py")
 
 
 def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:

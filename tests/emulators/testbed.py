@@ -84,7 +84,7 @@ class Bed:
         vendor, product = self.ids
         texts = [
             f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
-            f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n",
+            f"A: idProduct={product:04x}\\n\nA: bcdDevice=0100\\n\nA: serial=SN42\\n\nA: busnum=1\\n\nA: devnum=2\\n\n"
         ]
         for n, interface in enumerate(self.board.interfaces):
             descriptor = self.descriptor if n == self.board.arm else interface.descriptor

@@ -16,11 +16,7 @@ KEY: Final = """
   </worldbody>
 </mujoco>
 """
-RUBBER: Final = {
-    "stiffness_n_per_m": 500.0,
-    "damping_ns_per_m": 2.0,
-    "friction": {"static": 0.8, "kinetic": 0.7},
-}
+RUBBER: Final = {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 2.0, "friction": {"static": 0.8, "kinetic": 0.7}}
 ROLLING: Final = {"method": "midpoint"}
 
 

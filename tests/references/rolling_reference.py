@@ -47,11 +47,7 @@ def zyx_roll(rotation: Array, normal: ArrayLike) -> tuple[Array, float, float]:
     """The same from roll, pitch and yaw in the contact frame: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     frame = np.eye(3) if np.array_equal(normal, (0.0, 0.0, 1.0)) else tangent_frame(normal)
     local = frame.T @ rotation @ frame
-    angles = [
-        math.atan2(local[2, 1], local[2, 2]),
-        math.atan2(-local[2, 0], math.hypot(local[0, 0], local[1, 0])),
-        0.0,
-    ]
+    angles = [math.atan2(local[2, 1], local[2, 2]), math.atan2(-local[2, 0], math.hypot(local[0, 0], local[1, 0])), 0.0]
     return frame @ np.array(angles), math.hypot(angles[0], angles[1]), math.atan2(local[1, 0], local[0, 0])
 
 

@@ -176,19 +176,12 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
     assert not devices[1].wrenches[doubted].any()
 
 
-def test_repeated_jumps_end_the_run_and_name_the_finger() -> None:
-    """Both devices get zero, and the ending names the second finger."""
-    devices = two(fault="jumps", at=100, count=100_000)
+@pytest.mark.parametrize(("fault", "ending"), [("jumps", JUMPING), ("nan", NO_POSE)])
+def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int) -> None:
+    """After repeated jumps or half a second of NaN both devices get zero; the ending names the second finger."""
+    devices = two(fault=fault, at=100, count=100_000)
     ended, _ = run(*devices, ticks=3000, speed_max=10.0)
-    assert (ended.ending, ended.finger) == (JUMPING, 1)
-    assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
-
-
-def test_unusable_poses_end_the_run_and_name_the_finger() -> None:
-    """After half a second of NaN from one device both get zero, and the ending names the second finger."""
-    devices = two(fault="nan", at=100, count=100_000)
-    ended, _ = run(*devices, ticks=3000)
-    assert (ended.ending, ended.finger) == (NO_POSE, 1)
+    assert (ended.ending, ended.finger) == (ending, 1)
     assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
 
 

@@ -19,7 +19,7 @@ from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED, RAMPING, SLEW_LIMITED
-from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE, STARVED
+from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE
 from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.wire.events import RecordEvents
@@ -333,16 +333,6 @@ def test_a_pose_that_stays_unusable_is_a_fault(fault):
     assert ended.ending == NO_POSE
     assert abs(len(records) - 700 - NO_FORCE_MAX_S * 1000) <= 2  # sums of 0.001
     assert np.linalg.norm(device.wrenches[699]) > 0.9 and not device.wrenches[700:].any()
-
-
-def test_repeated_stalls_end_the_loop():
-    """Twenty consecutive reads of 0.24 s end the loop as STARVED, without force."""
-    device, servo = make_servo(Options(fault="stall", at=300, count=20, stall_us=240_000), 5000)
-    ended, records = finish(servo)
-    assert ended.ending == STARVED
-    assert not servo.woken_late
-    assert 303 <= len(records) < 320
-    assert not device.wrenches[-1].any()
 
 
 def test_a_single_suspension_of_the_process_ends_nothing():

@@ -10,13 +10,7 @@ from typing import Any, cast
 import pytest
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop.health import (
-    STALL_MAX_S,
-    STALL_POLL_S,
-    STALL_POLLS,
-    STALL_POLLS_WITHOUT_HAND,
-    Watchdog,
-)
+from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND, Watchdog
 from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
 

@@ -33,10 +33,10 @@ static __thread int last_error;
  /* the hand's path, m, Hz and rad, in the library's frame: centre, amplitudes of a sine in x and y and a cosine in z, \
     and of a sine turn about an axis (0, 1, 2), or a turn that stays */ \
     X(x, 0) X(y, 0) X(z, 0.02) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(axis, 0) \
-    X(turned, 0) X(mirror, 0) X(stretch, 0) \
+    X(turned, 0) X(mirror, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
-    X(guard_reads, 0) X(guard_writes, 0) X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
+    X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) X(refuse_frame, 0) \
     X(refuse_brakes, 0) X(enable_s, 0) \
  /* what was asked of it, to be read */ \
@@ -56,7 +56,6 @@ static volatile int64_t fed_ns;
 enum { LOGGED = 1 << 14 };
 static double given[LOGGED][4];
 static int gifts;
-static double before[12];
 static volatile int inside;
 static uint64_t noise = 88172645463325252ull;
 
@@ -353,10 +352,6 @@ static int pose(double *px, double *py, double *pz, double m[3][3], char id)
         code = garbage((double **)p, (double *)m);
     } else if (k.fail_read >= 0 && n >= k.fail_read) {
         code = fail((int)k.error);
-    } else if (k.guard_reads > 0 && n > 0 && fmod(n, k.guard_reads) == 0) {
-        for (int i = 0; i < 3; i++) *p[i] = before[i];
-        memcpy(m, before + 3, 9 * sizeof(double));
-        code = 1;
     } else {
         pass(k.step_s);
         const double a = k.wrist ? k.turned + k.turn * sin(2 * M_PI * k.hz * now_s) : 0;
@@ -367,11 +362,8 @@ static int pose(double *px, double *py, double *pz, double m[3][3], char id)
         turned[i1][i2] = -sin(a);
         turned[i2][i1] = sin(a);
         if (k.mirror) turned[0][0] *= -1;
-        turned[1][1] += k.stretch;
         memcpy(m, turned, sizeof turned);
         for (int i = 0; i < 3; i++) *p[i] = position[i];
-        memcpy(before, position, sizeof position);
-        memcpy(before + 3, turned, sizeof turned);
         if (n == k.nan_at) *px = NAN;
     }
     leave();
@@ -407,8 +399,6 @@ int dhdSetForceAndTorqueAndGripperForce(
     if (fg != 0) k.gripper_sent += 1;
     if (k.fail_write >= 0 && n >= k.fail_write) {
         code = fail((int)k.error);
-    } else if (k.guard_writes > 0 && n > 0 && fmod(n, k.guard_writes) == 0) {
-        code = 1;  /* the force before stays */
     } else if (k.force_on) {
         double most = k.motor_max, scale = 1;
         if (k.max_force > 0 && k.max_force < most) most = k.max_force;

@@ -27,10 +27,8 @@ enum { DEVICES = 2, QUEUE = 64, LOGGED = 8192, CHIP = 64, STATUS_BYTES = 2, PACK
     X(gain, -10000) X(mass, 0.15) X(bearing, 1.5) X(stiffness, 300) X(damping, 8) \
  /* where the hand is, m, world; how far it goes down in each stroke, and to the side; still: nothing moves */ \
     X(x, 0) X(y, 0) X(z, 0.02) X(press, 0) X(drag, 0) X(still, 0) \
- /* rounds by which a reply is late, and every how many replies one is (0: every one); every how many one is lost */ \
-    X(late, 0) X(late_every, 0) X(lose_every, 0) \
- /* bytes of the device in one transfer in, next to the chip's own; every how many event handlings a signal comes */ \
-    X(piece, 62) X(interrupt_every, 0) \
+ /* rounds by which a reply is late, and every how many replies one is (0: every one) */ \
+    X(late, 0) X(late_every, 0) \
  /* faults: from this packet on (-1 never) it is unplugged, an error on the bus, takes no packet, completes nothing in, \
     is mute, forgets its zeros; or from now on: takes no packet, does not end what is cancelled, refuses what is \
     submitted with this error; one handling of events takes so long; replies are spoilt in every way; transfers that \
@@ -216,7 +214,6 @@ static void answer(struct falcon *f)
     frame(count, bits, packet);
     f->replies += 1;
     if (f->mute_at >= 0 && f->steps > f->mute_at) return;
-    if (f->lose_every > 0 && fmod(f->replies, f->lose_every) == 0) return;
     if (f->fuzz) { fuzz(f, packet); return; }
     const bool late = f->late > 0 && (f->late_every <= 0 || fmod(f->replies, f->late_every) == 0);
     f->lates += late;
@@ -286,7 +283,7 @@ static void take(struct falcon *f, const uint8_t *byte, int size)
 static int give(struct falcon *f, uint8_t *out, int length)
 {
     int size = 0;
-    const int most = (int)fmin(f->piece, length - STATUS_BYTES);
+    const int most = (int)fmin(62, length - STATUS_BYTES);
     out[0] = 0x01;
     out[1] = 0x60;
     while (f->head != f->tail && f->queue[f->head % QUEUE].due <= f->dry) {

@@ -67,11 +67,11 @@ static const HHD HANDLE[DEVICES] = {17, 42};
     X(x, 0) X(y, 20) X(z, 0) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(turned, 0) X(axis, 1) \
     X(buttons, 0) X(docked, 0) X(temperature, 0.1) X(mirror, 0) \
  /* faults: at the frame of that number or from it on (-1 never); for `only` of the devices (-1 all) */ \
-    X(only, -1) X(error_at, -1) X(error, COMM) X(internal, 7) X(flood, 0) X(unplug_at, -1) X(unplugged, 0) X(nan_at, -1) \
-    X(delay_at, -1) X(delay_s, 0) X(drop_at, -1) X(hang_at, -1) X(garbage, 0) X(refuse_force, 0) X(refuse_optional, 0) X(rate_hz, 1000) \
+    X(only, -1) X(error_at, -1) X(error, COMM) X(internal, 7) X(unplug_at, -1) X(unplugged, 0) X(nan_at, -1) \
+    X(delay_at, -1) X(delay_s, 0) X(drop_at, -1) X(hang_at, -1) X(garbage, 0) X(refuse_force, 0) X(rate_hz, 1000) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(starts, 0) X(stops, 0) X(running, 0) X(ticks, 0) X(frames, 0) X(errors, 0) X(misuse, 0) \
-    X(updated, 0) X(update_style, 0) X(scheduled, 0) X(peak, 0) X(lost_errors, 0) X(output_sets, 0)
+    X(updated, 0) X(update_style, 0) X(scheduled, 0) X(peak, 0) X(output_sets, 0)
 
 #define X(name, first) double name;
 static struct { KNOBS } k;
@@ -145,7 +145,6 @@ static void push(int code, HHD which)
     pthread_mutex_lock(&guard);
     k.errors += 1;
     if (height < STACK) stack[height++] = (HDErrorInfo){(HDerror)code, (int32_t)k.internal, which};
-    else k.lost_errors += 1;
     pthread_mutex_unlock(&guard);
 }
 
@@ -301,7 +300,6 @@ void hdBeginFrame(HHD which)
     if (k.unplug_at >= 0 && n >= k.unplug_at) k.unplugged = 1;
     if (k.unplugged) push(COMM, which);
     if (k.error_at >= 0 && n >= k.error_at) push((int)k.error, which);
-    for (int m = 0; m < k.flood; m++) push(COMM, which);
     if (n == k.delay_at) usleep((useconds_t)(k.delay_s * 1e6));
 }
 void hdEndFrame(HHD which)
@@ -381,8 +379,7 @@ void hdGetDoublev(HDenum what, double *out)
     case FORCE: memcpy(out, device[d].force, 3 * sizeof *out); break;
     case TORQUE: memcpy(out, device[d].torque, 3 * sizeof *out); break;
     case TEMPERATURE:
-        if (k.refuse_optional) push(INVALID_OPERATION, current);
-        for (int i = 0; i < 6 && !k.refuse_optional; i++) out[i] = i == 1 ? k.temperature : 0.05;
+        for (int i = 0; i < 6; i++) out[i] = i == 1 ? k.temperature : 0.05;
         break;
     case MAX_FORCE: *out = k.max_force; break;
     case WORKSPACE: memcpy(out, span, sizeof span); break;
@@ -404,8 +401,7 @@ void hdGetIntegerv(HDenum what, int32_t *out)
 void hdGetBooleanv(HDenum what, unsigned char *out)
 {
     if (framed(what) < 0) return;
-    if (what == INKWELL && k.refuse_optional) push(INVALID_ENUM, current);
-    else if (what == INKWELL) *out = !k.docked; else misused(INVALID_ENUM);
+    if (what == INKWELL) *out = !k.docked; else misused(INVALID_ENUM);
 }
 const char *hdGetString(HDenum what)
 {

@@ -14,7 +14,7 @@
 #include "falcon.h"
 
 enum { FLIGHTS = 16 };
-enum { IO = -1, ACCESS = -3, NO_DEVICE = -4, NOT_FOUND = -5, BUSY = -6, TIMED_OUT = -7, INTERRUPTED = -10, NO_MEM = -11,
+enum { IO = -1, ACCESS = -3, NO_DEVICE = -4, NOT_FOUND = -5, BUSY = -6, TIMED_OUT = -7, NO_MEM = -11,
        NOT_SUPPORTED = -12 };
 enum { DONE = 0, BROKEN = 1, CANCELLED = 3, GONE = 5 };
 
@@ -36,7 +36,6 @@ struct flight { struct libusb_transfer *transfer; bool taken, cancelled; double 
 static struct flight flight[FLIGHTS];
 static pthread_mutex_t guard = PTHREAD_MUTEX_INITIALIZER;
 static volatile int inside;
-static double handled;
 
 /* ---- what tests call ---- */
 
@@ -56,7 +55,6 @@ void stub_reset(void)
     for (int n = 0; n < DEVICES; n++)
         for (const struct knob *one = knob; one->name; one++) *at(n, one->name) = one->first;
     falcon[0].attached = 1;
-    handled = 0;
     pthread_mutex_unlock(&guard);
 }
 /* Put the knob where the hand is; after the knobs are set. */
@@ -431,22 +429,16 @@ int libusb_handle_events_timeout_completed(void *ctx, struct timeval *wait, int 
     (void)ctx;
     (void)completed;
     if (__sync_fetch_and_add(&inside, 1) && !falcon[1].attached) f->threads += 1;
-    handled += 1;
-    int code = 0;
-    if (f->interrupt_every > 0 && fmod(handled, f->interrupt_every) == 0) {
-        code = INTERRUPTED;
-    } else {
-        if (wait->tv_usec > 0)
-            for (int n = 0; n < DEVICES; n++)
-                if (falcon[n].logged > 0 && falcon[n].logged <= LOGGED) falcon[n].waited[(int)falcon[n].logged - 1] = true;
-        const double until = now_s() + wait->tv_sec + 1e-6 * wait->tv_usec;
-        if (f->slow_s > 0) { usleep((useconds_t)(f->slow_s * 1e6)); f->slow_s = 0; }
-        while (!complete_what_is_done(in) && now_s() < until) usleep(20);
-    }
+    if (wait->tv_usec > 0)
+        for (int n = 0; n < DEVICES; n++)
+            if (falcon[n].logged > 0 && falcon[n].logged <= LOGGED) falcon[n].waited[(int)falcon[n].logged - 1] = true;
+    const double until = now_s() + wait->tv_sec + 1e-6 * wait->tv_usec;
+    if (f->slow_s > 0) { usleep((useconds_t)(f->slow_s * 1e6)); f->slow_s = 0; }
+    while (!complete_what_is_done(in) && now_s() < until) usleep(20);
     for (int n = 0; n < DEVICES; n++)
         if (!in[n]) falcon[n].dry += 1;
     __sync_fetch_and_sub(&inside, 1);
-    return code;
+    return 0;
 }
 int libusb_handle_events(void *ctx)
 {

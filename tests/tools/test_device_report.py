@@ -300,11 +300,7 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
     ],
 )
 def test_bad_words_give_one_clear_error(
-    words: list[str],
-    pieces: list[str],
-    home: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An invalid force, duration or file is refused with its limit, and no report is written."""
     monkeypatch.chdir(home)

@@ -131,11 +131,7 @@ def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
 
 @pytest.mark.parametrize(
     ("missed", "p99", "states"),
-    [
-        (0, 50e-6, ("good", "good")),
-        (5, 200e-6, ("could be better", "could be better")),
-        (200, 600e-6, ("bad", "bad")),
-    ],
+    [(0, 50e-6, ("good", "good")), (5, 200e-6, ("could be better", "could be better")), (200, 600e-6, ("bad", "bad"))],
 )
 def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: tuple[str, str]) -> None:
     """The checks use the share of missed ticks and the p99 of the lateness at 1 kHz; a missing compiler is reported."""

@@ -110,10 +110,7 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
         return lambda: loop.endpoint(rigs[0]), lambda: loop.endpoint(rigs[1])
     if problem in ("ticks that are missed", "late wake-ups"):
         number = 0 if problem.startswith("ticks") else 1
-        return (
-            lambda: loop.judge_loop(figures(0, 5e-5))[number],
-            lambda: loop.judge_loop(figures(50, 6e-4))[number],
-        )
+        return (lambda: loop.judge_loop(figures(0, 5e-5))[number], lambda: loop.judge_loop(figures(50, 6e-4))[number])
     if problem == "library that is missing":
         for name in ("FDSDK", "FORCEDIM_SDK"):
             patch.delenv(name, raising=False)

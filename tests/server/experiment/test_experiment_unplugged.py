@@ -17,11 +17,7 @@ from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.journal import read
 
-pytestmark = [
-    pytest.mark.real_time,
-    pytest.mark.exhaustive,
-    pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER),
-]
+pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 WAIT_S = 300.0
 
 

@@ -131,10 +131,7 @@ def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeyp
     monkeypatch.setenv("BROWSER", f"{shlex.quote(str(program))} %s")
     monkeypatch.setenv("DISPLAY", ":0")
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
-    with (
-        Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process,
-        ExitStack() as failing,
-    ):
+    with Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process, ExitStack() as failing:
         failing.callback(process.kill)
         timer = threading.Timer(WAIT_S, process.kill)
         timer.start()
