@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from emulators.bus_servos import DYNAMIXEL, FEETECH, BusServos, Registers, crc16
+from helpers.waits import eventually, until
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceTimeout
 from softfinger.config.load import build, load_rig
@@ -68,9 +69,7 @@ def emulated(table: Registers = FEETECH, **how: Any) -> BusServos:
 
 
 def settle(device: leader.LeaderArm) -> None:
-    until = time.monotonic() + 5.0
-    while not device.is_settled() and time.monotonic() < until:
-        time.sleep(0.0005)
+    eventually(device.is_settled, 5.0)
 
 
 def force_x(arm: BusServos) -> float:
@@ -162,24 +161,18 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
         a, b, c = (counts * math.tau / 4096 for counts in (yaw, pitch, roll))
         reach = LEVER_M * math.sin(b)
         wanted = (reach * math.cos(a), reach * math.sin(a), -0.18 + LEVER_M * math.cos(b))
-        until = time.monotonic() + 5.0
-        while not np.allclose(servo.read()[1][:3], wanted, rtol=0.0, atol=1e-9):  # rounding
-            assert time.monotonic() < until
-            time.sleep(0.001)
+        until(lambda: np.allclose(servo.read()[1][:3], wanted, rtol=0.0, atol=1e-9))  # rounding
         w, x, y, z = servo.read()[1][3:7]
         assert 2.0 * math.atan2(math.hypot(x, y, z), w) == pytest.approx(_angle(a, b, c), abs=1e-9)
         for one in arm.servos.values():
             one.turn_to(2048)
-        until = time.monotonic() + 5.0
-        while not np.allclose(servo.read()[1][:3], (0.0, 0.0, 0.02), rtol=0.0, atol=1e-9):
-            assert time.monotonic() < until
-            time.sleep(0.001)
+        until(lambda: np.allclose(servo.read()[1][:3], (0.0, 0.0, 0.02), rtol=0.0, atol=1e-9))
         for newtons in (0.5, -0.5):
             pushed(servo, arm, newtons)
         for wrench in ((0.0, 0.5, 0.5), (0.0, 0.0, -1.0)):  # across the motor's part
-            until = time.monotonic() + 5.0
+            end = time.monotonic() + 5.0
             while force_x(arm) != 0.0:
-                assert servo.read()[0] >= 0 and time.monotonic() < until
+                assert servo.read()[0] >= 0 and time.monotonic() < end
                 servo.write(*wrench, 0.0, 0.0, 0.0)
                 time.sleep(0.001)
         assert [arm.servos[number].memory[arm.table.enable] for number in IDS.values()] == [0, 1, 0]
@@ -237,10 +230,7 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
         servo = Servo(device)
         pushed(servo, arm, 0.5)
         device._bus._transact = lambda *_: time.sleep(0.01) or {}
-        until = time.monotonic() + 5.0
-        while force_x(arm) != 0.0:
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        until(lambda: force_x(arm) == 0.0)
         device.close()
 
 

@@ -133,50 +133,6 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
     np.testing.assert_array_equal(position[late], position[late - 1])
 
 
-@pytest.mark.parametrize(("late", "fresh"), [(1, 0.95), (2, 0.3)])
-def test_replies_that_are_always_late(late: int, fresh: float, stub: UsbStub, bench: FalconBench) -> None:
-    """If all replies are one tick late, each tick but the first has one; if two, packets are held back."""
-    with bench.open() as device:
-        stub.update(late=late)
-        ended, records = run(device, 400)
-        assert word(device, WORDS.unanswered) <= 2
-    assert ended == s.LoopEnd(s.FINISHED, OK)
-    assert np.mean(records[:, AT.servo_device] == OK) > fresh
-
-
-def test_lost_replies_time_out(stub: UsbStub, bench: FalconBench) -> None:
-    """Of two lost replies the first costs one tick; the second makes both packets expire after 5 ms."""
-    with bench.open() as device:
-        stub.update(lose_every=50)
-        ended, records = run(device, 1000)
-    assert ended == s.LoopEnd(s.FINISHED, OK)
-    stale = np.count_nonzero(records[:, AT.servo_device] == STALE)
-    assert 18 <= stale <= 10 * 1 + 10 * 8  # 5 ms of a clock against ticks of 1 ms: 8 at the most
-
-
-@pytest.mark.parametrize("piece", [1, 2, 5, 16])
-def test_replies_in_pieces(piece: int, stub: UsbStub, bench: FalconBench) -> None:
-    """Replies split over short transfers are assembled, if necessary in the next tick."""
-    with bench.open() as device:
-        stub.update(piece=piece)
-        servo = Servo(device)
-        statuses = []
-        for _ in range(40):
-            statuses.append(servo.read()[0])
-            servo.write(0.0, 0.0, 0.2, 0.0, 0.0, 0.0)
-    assert statuses.count(OK) >= (40 if piece > 1 else 20) - 1
-    assert set(statuses) <= {OK, STALE}
-
-
-def test_a_signal_in_the_loop_is_no_fault(stub: UsbStub, bench: FalconBench) -> None:
-    """Event handling interrupted by a signal costs at most one tick."""
-    with bench.open() as device:
-        stub.update(interrupt_every=7)
-        ended, records = run(device, 300)
-    assert ended == s.LoopEnd(s.FINISHED, OK)
-    assert np.mean(records[:, AT.servo_device] == OK) > 0.5
-
-
 @pytest.mark.parametrize(
     ("fault", "status"),
     [
@@ -207,51 +163,6 @@ def test_faults_leave_no_transfer_pending(
         assert stub["steps"] == steps
     else:
         assert not any(stub.motors())
-
-
-def test_a_pause_of_the_loop_is_no_silence_of_the_device(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause a slow device does not time out: until a reply the old sample repeats without forces."""
-    with bench.open(timeout_s=1.0, kick_s=0.02) as device:
-        servo = Servo(device)
-        servo.read()
-        stub["mute_at"] = 0.0
-        time.sleep(1.2)
-        assert servo.read()[0] == WITHHELD
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert not any(stub.motors())
-        stub["mute_at"] = -1.0
-        while (status := servo.read()[0]) in (STALE, WITHHELD):
-            time.sleep(0.001)
-        assert status == OK
-
-
-def test_a_pause_that_sends_a_zero_is_reported(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause the read sends a zero and returns WITHHELD even if the reply is immediate: the force fades in."""
-    with bench.open() as device:
-        servo = Servo(device)
-        servo.read()
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-        stub.update(logged=0)
-        time.sleep(0.06)
-        assert servo.read()[0] == WITHHELD
-        assert not stub.log()[0, :3].any()
-        # A delay of this thread may have caused another pause.
-        assert any(servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and servo.read()[0] == OK for _ in range(10))
-
-
-def test_a_reply_from_before_a_pause_is_discarded(stub: UsbStub, bench: FalconBench) -> None:
-    """After a pause, the late answer to an earlier packet is discarded and the sample has the current position."""
-    with bench.open() as device:
-        servo = Servo(device)
-        assert servo.read()[0] == OK
-        stub["late"] = 3
-        servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        stub.update(z=0.05)
-        time.sleep(0.06)
-        status, sample = servo.read()
-        assert status in (OK, WITHHELD)
-        np.testing.assert_allclose(sample[:3], stub.state()[3:], rtol=0, atol=COUNT_M)
 
 
 def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
 from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library
+from helpers.waits import until
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.driver_contract import PULL, RATE_HZ
@@ -28,13 +29,6 @@ STEP_N = 2 * 0.01
 """Half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange; at both ends."""
 RAMP_S = 0.2
 LOGGED = 8192
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.001)
 
 
 def pull(stub: UsbStub) -> np.ndarray:

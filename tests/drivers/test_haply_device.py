@@ -22,14 +22,15 @@ import numba
 import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
-from helpers.haply_devices import ID, RIG, Service, fresh, opened, rig_options, settle
+from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
+from helpers.waits import fresh
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.drivers import switch_interval
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system import discovery
@@ -57,7 +58,7 @@ class Bench(driver_contract.Bench):
 
     patience_s: ClassVar[float] = 10.0
     cannot: ClassVar[Mapping[str, str]] = {
-        "permission": "the service opens the device, and every program of this machine may speak to the service",
+        "permission": "the service opens the device, and every program of this machine may speak to the service"
     }
 
     def __init__(self, service: Service) -> None:
@@ -170,21 +171,6 @@ def test_a_wired_grip_has_one_button() -> None:
         wired.do("grip", id="61548", to={"button": True})
         with opened(wired, grip="61548") as device:
             assert fresh(Servo(device))[8] == 1
-
-
-def test_a_force_past_the_largest_is_limited(service: Service) -> None:
-    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
-    with opened(service, force_max_n=2.0) as device:
-        servo = Servo(device)
-        fresh(servo)
-        assert servo.write(3.0, 0.0, -4.0, 0.0, 0.0, 0.0) == STALE
-        settle(device)
-        np.testing.assert_allclose(service.force(), (1.2, 0.0, -1.6), atol=1e-12)
-        assert device.counts()["cut"] == 1
-        for bad in (math.nan, math.inf, -math.inf):
-            assert servo.write(0.0, bad, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-            settle(device)
-            assert not any(service.force())
 
 
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
@@ -458,23 +444,8 @@ def test_no_force_for_late_poses(service: Service) -> None:
             time.sleep(0.001)
 
 
-def test_a_pause_of_the_loop_is_no_silence_of_the_device(service: Service) -> None:
-    """After a pause longer than the time-out the read continues with current poses, and no force is sent before."""
-    with opened(service, stale_s=0.02, timeout_s=0.2) as device:
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device)
-        time.sleep(0.5)
-        assert servo.read()[0] == WITHHELD
-        fresh(servo)
-        assert not any(service.force())
-
-
 @pytest.mark.parametrize(
-    "place",
-    ["null", "1e400", "100.0", "-1e300"],
-    ids=["no number", "too large to read", "far away", "farther away"],
+    "place", ["null", "1e400", "100.0", "-1e300"], ids=["no number", "too large to read", "far away", "farther away"]
 )
 def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
     """A coordinate that is null or out of bounds gives NaN; a number beyond JSON's range is a protocol error."""

@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from helpers.haply_devices import ID, Service, fresh, opened, settle
+from helpers.haply_devices import ID, Service, opened, settle
+from helpers.waits import fresh, until
 
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT, WITHHELD
 from softfinger.drivers.haply.device import HaplyDevice
@@ -92,13 +93,6 @@ def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
     service.set(raw=None, end=None, deaf=False, streams=False)
     for device in devices:
         device.close()
-
-
-def until(met: Callable[[], object]) -> None:
-    end = time.monotonic() + 10.0
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.001)
 
 
 def received(service: Service, name: str, after: float = 0.0) -> list[tuple[float, ...]]:

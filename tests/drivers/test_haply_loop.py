@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -20,6 +19,7 @@ import pytest
 from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
+from helpers.waits import until
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import load_rig, load_scene
@@ -49,10 +49,7 @@ def rig(service: Service, **changes: Any) -> Rig:
 
 def pushes(service: Service) -> None:
     """Wait until the device pushes up."""
-    until = time.monotonic() + 240.0  # a process may have to compile first
-    while service.force()[2] < 0.5:
-        assert time.monotonic() < until
-        time.sleep(0.002)
+    until(lambda: service.force()[2] >= 0.5, 240.0)  # a process may have to compile first
 
 
 def test_closed_loop_through_the_daemon() -> None:
@@ -158,10 +155,7 @@ def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None
             assert code < 0 or "force is zero" in said
             assert code < 0 or not any(service.commands()[-1][1])
             opened(service).close()
-        until = time.monotonic() + 10.0
-        while any(service.force()):
-            assert time.monotonic() < until
-            time.sleep(0.001)
+        until(lambda: not any(service.force()))
 
 
 def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from emulators.woodenhaptics import Arm, Woody
 from helpers.compiled_code import called_in, functions
 from helpers.described_boards import REST, TO_WORLD, force_of
 from helpers.hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
+from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
@@ -201,22 +202,6 @@ def test_wrist_buttons_and_mounting() -> None:
         assert device.info.sensed_dof == 6
 
 
-def test_a_force_past_the_motors_is_limited() -> None:
-    """Currents are scaled to the rig's maximum and the write returns STALE; a force that is not finite becomes zero."""
-    with woody(current := "woodenhaptics-2015", intention=lambda _: (0.0, 0.0, 0.0)) as (device, arm, answering):
-        assert rig_options(current).kinematics.current_max_a == 2.0
-        servo = Servo(device)
-        servo.read()
-        assert servo.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == STALE
-        answering.settle(device)
-        assert max(map(abs, arm.sent[-1][:3])) == 2000
-        assert device.counts()["cut"] == 1
-        for bad in (math.nan, math.inf):
-            assert servo.write(bad, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-            answering.settle(device)
-            assert arm.sent[-1][:3] == (0, 0, 0)
-
-
 def test_silence_is_kicked_and_then_given_up() -> None:
     """A silent device gets a zero every 10 ms and no force; after the time-out the read returns TIMEOUT."""
     with woody(timeout_s=0.1) as (device, arm, answering):
@@ -235,65 +220,6 @@ def test_silence_is_kicked_and_then_given_up() -> None:
         assert lasted > 0.1
         # An earlier one woke the device; no kick follows another within 10 ms.
         assert 2 <= device.counts()["kicks"] - 1 <= lasted / 0.01 + 1
-
-
-def test_a_sleeping_device_is_woken() -> None:
-    """The first read sends a zero and waits for the answer; after a pause queued reports are discarded."""
-    with woody() as (device, arm, answering):
-        servo = Servo(device, arm=False)
-        assert servo.read()[0] == OK
-        assert arm.sent == [(0, 0, 0, 0, 0, 0, 0)]
-        stale = arm.report()
-        for _ in range(20):
-            answering.end.send(stale)
-        arm.place = (0.03, 0.0, 0.02)
-        time.sleep(0.05)
-        before = arm.place
-        status, sample = servo.read()
-        assert status == OK
-        np.testing.assert_allclose(sample[:3], before, atol=2e-3)  # a step of the pulled arm, and a count
-        assert device.counts()["drained"] == 19
-
-
-def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause a slow device does not time out: until a report the old sample repeats without forces."""
-    with woody(timeout_s=1.0) as (device, arm, answering):
-        servo = Servo(device, arm=False)
-        assert servo.read()[0] == OK
-        answering.mute.set()
-        time.sleep(1.2)
-        assert servo.read()[0] == STALE
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        answering.settle(device)
-        assert not any(arm.sent[-1])
-        answering.mute.clear()
-        while (status := servo.read()[0]) == STALE:
-            time.sleep(0.001)
-        assert status == OK
-
-
-def test_the_last_of_many_reports_is_used() -> None:
-    """The last of several queued reports is used."""
-    with woody() as (device, arm, answering):
-        servo = Servo(device)
-        servo.read()
-        for z in (-0.01, 0.0, 0.01, 0.02):
-            arm.place = (0.0, 0.0, z)
-            answering.end.send(arm.report())
-        status, sample = servo.read()
-        assert status == OK
-        np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.02), atol=COUNT_M)
-        assert device.counts()["drained"] == 3
-
-
-@pytest.mark.parametrize("size", [5, 63, 65])
-def test_a_report_of_another_length_is_a_fault(size: int) -> None:
-    """Short and long reports are protocol errors."""
-    with woody() as (device, _, answering):
-        servo = Servo(device)
-        servo.read()
-        answering.end.send(b"\0" * size)
-        assert servo.read()[0] == PROTOCOL
 
 
 def test_unplugging_is_a_loss() -> None:
@@ -580,9 +506,7 @@ def test_a_pantograph_on_hid() -> None:
         assert servo.write(0.3, -0.2, 5.0, 0.0, 0.0, 0.0) == OK
         board = Firmware()
         board.angles = list(REST)
-        until = time.monotonic() + 10.0
-        while not any(sent[-1]) and time.monotonic() < until:
-            time.sleep(0.001)
+        until(lambda: any(sent[-1]))
         board.torques = [sent[-1][1], sent[-1][0]]
         np.testing.assert_allclose(TO_WORLD.T @ force_of(board), (0.3, -0.2, 0.0), atol=1e-6)  # a float32 of 0.03 N m
         assert (device.info.sensed_dof, device.info.actuated_dof) == (2, 2)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
+from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
 from softfinger.config.load import find
@@ -57,13 +58,6 @@ def bench(touch: TouchBench) -> TouchBench:
 
 class TestContract(DriverContract):
     """The contract over the stand-in."""
-
-
-def until(met: Any) -> None:
-    end = time.monotonic() + WAIT_S
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.0005)
 
 
 def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
@@ -158,13 +152,6 @@ def test_no_torque_is_sent_to_a_passive_handle(hd: HdStub, bench: TouchBench) ->
         servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
         bench.displayed()
         assert hd.wrench()[3:] == (0.0, 0.0, 0.0)
-
-
-def test_buttons_are_the_mask(hd: HdStub, bench: TouchBench) -> None:
-    """Bits 0 to 3 are buttons 1 to 4."""
-    hd["buttons"] = 0b1010
-    with bench.open() as device:
-        assert Servo(device).read()[1][8] == 10.0
 
 
 # --- opening ---
@@ -462,39 +449,6 @@ def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub,
         assert re.search(words, device.reason()) and device.reason().endswith("the device's code 7)")
 
 
-def test_a_full_stack_of_errors_hides_nothing(hd: HdStub, bench: TouchBench) -> None:
-    """If more errors occur than fit on the stack, earlier misuse first, the error that ended the device is reported."""
-    with bench.open() as device:
-        servo = Servo(device)
-        servo.read()
-        hd["flood"] = 40
-        hd.push(0x0402, 0, 3)
-        assert not any(bench.displayed())
-        until(lambda: servo.read()[0] == LOST)
-        assert "does not answer" in device.reason()
-    assert hd["lost_errors"] > 0
-    hd.reset()
-    bench.open().close()  # earlier errors are ignored
-
-
-def test_an_error_of_another_device_is_not_this_ones(hd: HdStub, bench: TouchBench) -> None:
-    """Errors name their device; those of another are only counted."""
-    with bench.open() as device:
-        servo = Servo(device)
-        hd.push(0x0302, 1)
-        hd.after(3)
-        assert servo.read()[0] == OK and device.reason() == ""
-        assert device.counts()["errors"] == 1
-
-
-def test_what_a_device_does_not_have_is_not_asked_again(hd: HdStub, bench: TouchBench) -> None:
-    """A device that rejects the queries of inkwell switch and temperatures opens and runs; each is queried once."""
-    hd.update(style=library.INKWELL, refuse_optional=1)
-    with bench.open() as device:
-        held(Servo(device), bench, (1.0, 0.0, 0.0))
-        assert device.counts()["errors"] == 2
-
-
 def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
     """`arm` raises an error with the library's message."""
     with bench.open_unarmed() as device:
@@ -529,23 +483,6 @@ def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
         assert not any(hd.wrench()) and device.zero_failure() == ""  # written by another thread
         hd.after(3)
         assert not any(hd.wrench())
-
-
-def test_invalid_poses_are_nan(hd: HdStub, bench: TouchBench) -> None:
-    """A mirrored matrix and a NaN position are passed on as NaN, which the loop rejects."""
-    with bench.open() as device:
-        servo = Servo(device)
-        hd["mirror"] = 1
-        until(lambda: np.isnan(servo.read()[1][3:7]).all())
-        hd["mirror"] = 0
-
-        def sees_nan() -> bool:
-            if hd["frames"] > hd["nan_at"]:  # a thread of a busy machine may sleep through that frame
-                hd["nan_at"] = hd["frames"] + 20
-            return bool(np.isnan(servo.read()[1][0]))
-
-        until(sees_nan)
-        until(lambda: np.isfinite(servo.read()[1]).all())
 
 
 @entry

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port, place
-from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, fresh, opened, rig_options, settled
+from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
 from helpers.hid_devices import RefusedNode
+from helpers.waits import fresh
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.config.load import load_rig
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
@@ -212,26 +213,6 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
         assert "its last bytes are" in device.reason()
 
 
-def test_an_answer_in_two_parts_is_read_once_complete() -> None:
-    """An answer received in two ticks gives a pose only once it is complete."""
-    with two_diy() as (servo, _, _, port):
-        fresh(servo)
-        parts: list[bytes] = []
-
-        def tear(answer: bytes) -> bytes:
-            parts.append(answer[4:])
-            return answer[:4]
-
-        port.says = tear
-        servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
-        settled(lambda: parts, bool)
-        port.says = bytes
-        assert servo.read()[0] == STALE
-        assert servo.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0) == HELD
-        port.say(parts[0])
-        fresh(servo)
-
-
 def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
     """After `quiet_s` a zero with preceding resync bytes ends the wait, and the run continues."""
     with two_diy(quiet_s=0.02, timeout_s=2.0) as (servo, _, board, port):
@@ -272,21 +253,6 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert any(board.torques)  # the motors retain their force
         device.close()
         assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
-
-
-def test_aligned_links_of_a_2diy_give_no_force() -> None:
-    """If the outer links align the torque is zero, the write returns STALE, and the pose is counted as singular."""
-    with two_diy(kinematics={**rig_kinematics("haply-2diy"), "outer_m": 0.0875}) as (servo, device, board, _):
-        board.angles = [168.0, 12.0]
-        fresh(servo)
-        fresh_after_move = fresh(servo)
-        assert np.isfinite(fresh_after_move).all()
-        before = device.counts()["singular"]
-        assert servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == STALE
-        fresh(servo)
-        assert board.torques == [0.0, 0.0]
-        assert device.counts()["singular"] == before + 1
-        assert device.warning().startswith("the mechanism has been in a singular pose")
 
 
 def rig_kinematics(rig: str) -> dict[str, Any]:

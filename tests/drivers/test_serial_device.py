@@ -7,7 +7,6 @@ The port is a pseudo terminal: the system's code of terminals, with an emulated 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import os
 import re
@@ -22,7 +21,8 @@ import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode
-from helpers.serial_devices import PLACE, board, fresh, opened, rig_options, settle
+from helpers.serial_devices import PLACE, board, opened, rig_options, settle
+from helpers.waits import fresh, until
 from numba import types
 
 from softfinger.config.errors import ConfigError, DeviceError
@@ -133,92 +133,6 @@ def test_pose_and_force_in_the_world(mounted: bool) -> None:
         assert not itself.faults
 
 
-def test_a_force_past_the_largest_is_limited() -> None:
-    """A force beyond the rig's maximum is scaled to it and gives STALE; one that is not finite becomes zero."""
-    with board(force_max_n=5.0) as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        assert servo.write(30.0, 0.0, -40.0, 0.0, 0.0, 0.0) == STALE
-        settle(device, cable)
-        assert itself.sent[-1][:3] == (3000, 0, -4000)
-        assert device.counts()["cut"] == 1
-        for bad in (math.nan, math.inf):
-            fresh(servo)
-            servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-            assert servo.write(0.0, bad, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-            settle(device, cable)
-            assert itself.sent[-2][:3] == (0, 1000, 0)
-            assert itself.sent[-1][:3] == (0, 0, 0)
-
-
-def test_a_frame_waits_for_the_answer_to_the_last() -> None:
-    """Until a frame is answered, forces are HELD and a second zero is skipped, but the zero after a force is sent."""
-    with board() as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        cable.hush()
-        before = len(itself.sent)
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-        assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
-        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
-        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
-        settle(device, cable)
-        assert [words[2] for words in itself.sent[before:]] == [1000, 0]
-        assert device.counts()["held"] == 1
-        cable.mute.clear()
-        cable.say(itself.frame())
-        fresh(servo)
-        assert servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
-
-
-def test_a_pause_of_the_loop_is_no_silence_of_the_device() -> None:
-    """After a pause a slow board does not time out: until a frame the old sample repeats without forces."""
-    with board(timeout_s=1.0) as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        cable.hush()
-        time.sleep(1.2)
-        assert servo.read()[0] == STALE
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        settle(device, cable)
-        assert itself.force == (0.0, 0.0, 0.0)
-        cable.mute.clear()
-        fresh(servo)
-
-
-def test_the_last_of_many_frames_is_used() -> None:
-    """The last of several queued frames is used."""
-    with board() as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        cable.hush()
-        places = [(0.0, 0.0, z) for z in (-0.01, 0.0, 0.01, 0.02)]
-        said = []
-        for itself.place in places:
-            said.append(itself.frame())
-        cable.say(b"".join(said))
-        while (sample := fresh(servo))[2] != pytest.approx(0.02, abs=STEP_M):
-            assert sample[2] < 0.02  # a terminal may deliver them in two parts
-        assert device.counts()["frames"] == device.counts()["bytes"] // FRAME_BYTES
-
-
-def test_a_pause_is_followed_by_a_new_frame() -> None:
-    """After a pause of the loop, queued frames are discarded and the force is ended."""
-    with board() as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device, cable)
-        cable.say(20 * itself.frame())
-        time.sleep(0.05)
-        itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
-        status, sample = servo.read()
-        assert status == WITHHELD
-        settle(device, cable)
-        np.testing.assert_allclose(sample[:3], (0.03, 0.0, 0.02), atol=1e-3)  # the hand pulls it away for one step
-        assert not any(itself.sent[-1][:3])
-
-
 def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
     """A silent board gets one zero and a newline every 100 ms, then TIMEOUT, unless it answers again before."""
     with board(quiet_s=0.02) as (device, itself, cable):
@@ -297,20 +211,6 @@ def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
         assert device.reason().startswith("its last bytes are b'")
 
 
-def test_a_frame_in_parts_is_read_once_complete() -> None:
-    """A frame received in two ticks gives a pose only once it is complete."""
-    with board() as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        whole = itself.frame().replace(b"10.000", b"11.000")
-        before = device.counts()["bytes"]
-        cable.say(whole[:40])
-        while device.counts()["bytes"] < before + 40:
-            assert servo.read()[0] == STALE
-        cable.say(whole[40:])
-        assert fresh(servo)[0] == pytest.approx(0.011, abs=1e-9)  # rounding of mm to m
-
-
 def fill(device: SerialDevice) -> int:
     """Write into a device's port until it accepts no more, also after a while; return the number of bytes."""
     took = full = 0
@@ -366,25 +266,6 @@ def test_an_empty_port_is_not_read() -> None:
                 os.close(each)
 
 
-def test_a_frame_that_went_out_in_part_is_finished_first() -> None:
-    """After a partial write of 20 bytes the rest is sent before the next frame, so no number is truncated."""
-    with board() as (device, itself, cable):
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device, cable)
-        # State after such a write, which a terminal does not produce on demand.
-        os.write(int(device._block.word[BOARD.fd]), ctypes.string_at(int(device._block.word[exchange.AT.outgoing]), 20))
-        device._block.word[BOARD.unsent_bytes] = FRAME_BYTES - 20
-        assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
-        until = time.monotonic() + 10.0
-        while len(itself.sent) < 3:
-            assert time.monotonic() < until
-            time.sleep(0.0005)
-        assert [words[2] for words in itself.sent] == [1000, 1000, 0]
-        assert itself.faults == []
-
-
 def test_unplugging_is_a_loss() -> None:
     """Reads and writes of an unplugged board return LOST, and `stop` and `close` raise nothing."""
     with board() as (device, _, cable):
@@ -414,10 +295,8 @@ def test_stop_while_the_loop_writes() -> None:
             thread = threading.Thread(target=loop)
             thread.start()
             assert running.wait(10.0)
-            until = time.monotonic() + 10.0
-            while not any(any(words[:3]) for words in itself.sent):  # a stop drops bytes that the board has not read
-                assert time.monotonic() < until
-                time.sleep(0.0005)
+            # a stop drops bytes that the board has not read
+            until(lambda itself=itself: any(any(words[:3]) for words in itself.sent))
             device.stop()
             time.sleep(0.005)
             over.set()

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from emulators.askedboard import AskedBoard
 from emulators.guideboard import GuideBoard
-from helpers.described_boards import fresh, settled
+from helpers.described_boards import settled
+from helpers.waits import fresh
 from test_pages import commands, fences
 
 from softfinger.config.errors import DeviceTimeout

@@ -17,6 +17,7 @@ from emulators.hand import stroke
 from emulators.serialboard import Board, Cable
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.serial_devices import PLACE, RIG
+from helpers.waits import eventually, until
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import load_rig, load_scene
@@ -33,10 +34,7 @@ LIFT_M = 0.012
 
 def comes_to_rest(board: Board) -> bool:
     """Return True if the board's force ends; the board may read the last zero after the daemon has ended."""
-    until = time.monotonic() + 5.0
-    while board.force != (0.0, 0.0, 0.0) and time.monotonic() < until:
-        time.sleep(0.001)
-    return board.force == (0.0, 0.0, 0.0)
+    return eventually(lambda: board.force == (0.0, 0.0, 0.0), 5.0)
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
@@ -100,10 +98,7 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
     board = Board(lambda _: (0.0, 0.0, 0.006))
     with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane")) as daemon:
         daemon.start()
-        until = time.monotonic() + 20.0
-        while board.force[2] < 0.5:
-            assert time.monotonic() < until
-            time.sleep(0.001)
+        until(lambda: board.force[2] >= 0.5)
         fault(cable)
         with pytest.raises(error, match=words):
             daemon.wait(20.0)

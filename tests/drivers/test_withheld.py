@@ -13,6 +13,7 @@ import pytest
 from emulators.serialboard import Board, Cable
 from helpers.hid_devices import Answering, Api, described, ends
 from helpers.serial_devices import PLACE, opened
+from helpers.waits import until
 
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import Device
@@ -118,13 +119,6 @@ def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
         servo.stop()
         assert servo.join(30.0) is not None
         servo.close()
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.001)
 
 
 def pulls(line: SerialChip) -> bool:

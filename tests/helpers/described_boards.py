@@ -10,9 +10,7 @@ import numpy as np
 from emulators.haply2diy import Firmware, place
 
 from softfinger.config.load import build, load_rig
-from softfinger.drivers.base import OK
 from softfinger.drivers.serial.device import Options, SerialDevice, open_device
-from softfinger.server.driver_contract import Servo
 
 PATIENT = {"quiet_s": 0.1, "timeout_s": 0.5}
 """Time limits for a busy machine, on which a thread may answer late."""
@@ -32,18 +30,6 @@ def rig_options(rig: str, **changes: Any) -> Options:
 
 def opened(rig: str, path: str, **changes: Any) -> SerialDevice:
     return open_device(rig_options(rig, **{"path": path, **PATIENT, **changes}), 1000.0)
-
-
-def fresh(servo: Servo) -> list[float]:
-    """Return the next new sample."""
-    until = time.monotonic() + 10.0
-    while True:
-        status, sample = servo.read()
-        if status == OK:
-            return sample
-        assert status >= 0, f"status {status}"
-        assert time.monotonic() < until, "no new sample"
-        time.sleep(0.0005)
 
 
 def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = 5.0) -> Any:

@@ -7,13 +7,14 @@ It presses a fingertip 1 mm into the plane z = 0 and drags it back and forth; `f
 from __future__ import annotations
 
 import threading
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
 from numba import types
 
-from softfinger.config.errors import DeviceError
+from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.drivers import registry
 from softfinger.drivers.base import (
     HELD,
     LOST,
@@ -34,11 +35,7 @@ Fault = Literal[
     "withheld_read", "withheld_write", "stall_and_jump", "hang", "held", "unknown_read", "unknown_write",
     "jump", "jumps", "frozen",
 ]  # fmt: skip
-FAULTS: tuple[Fault, ...] = (
-    "none", "lost", "timeout", "protocol", "write_lost", "nan", "zero_quaternion", "stall", "far",
-    "withheld_read", "withheld_write", "stall_and_jump", "hang", "held", "unknown_read", "unknown_write",
-    "jump", "jumps", "frozen",
-)  # fmt: skip
+FAULTS: tuple[Fault, ...] = get_args(Fault)
 
 AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE, JUMP_UM = range(10)
 ROOM = 100_000
@@ -174,5 +171,37 @@ class FaultyDevice(Device):
         self.acts.append((act, threading.get_native_id(), int(self._word[READS])))
 
 
-def open_device(options: Options, rate_hz: float) -> FaultyDevice:
-    return FaultyDevice(options)
+class Driver:
+    """Driver module that opens and stores such devices; from the index `refuses` on, it raises an error."""
+
+    Options = Options
+
+    def __init__(self) -> None:
+        self.devices: list[FaultyDevice] = []
+        self.refuses = 1000
+
+    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
+        if len(self.devices) >= self.refuses:
+            raise DeviceNotFound("faulty: not plugged in: plug it in")
+        self.devices.append(FaultyDevice(options))
+        return self.devices[-1]
+
+    @property
+    def device(self) -> FaultyDevice:
+        return self.devices[-1]
+
+    @property
+    def pressed(self) -> bool:
+        """True if the last two devices display a force now."""
+        return all(len(device.wrenches) and device.wrenches[-1].any() for device in self.devices[-2:])
+
+
+def registered(monkeypatch: Any) -> Driver:
+    """Return a driver that rigs name `faulty`."""
+    driver, load = Driver(), registry.load
+    monkeypatch.setattr(registry, "load", lambda name: driver if name == "faulty" else load(name))
+    return driver
+
+
+def acts(device: FaultyDevice) -> list[str]:
+    return [act for act, *_ in device.acts]

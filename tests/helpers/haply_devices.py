@@ -6,13 +6,12 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, Self
 
+from helpers.waits import eventually
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.haply.device import HaplyDevice, Options, open_device
-from softfinger.server.driver_contract import Servo
 
 RIG = "haply-inverse3"
 ID = "049D"
@@ -93,18 +92,4 @@ def opened(service: Service, **changes: Any) -> HaplyDevice:
 
 def settle(device: HaplyDevice) -> None:
     """Wait until the service has answered the latest wrench of the loop, or can no longer do so."""
-    until = time.monotonic() + 5.0
-    while not device.is_settled() and time.monotonic() < until:
-        time.sleep(0.0005)
-
-
-def fresh(servo: Servo) -> list[float]:
-    """Return the next new sample."""
-    until = time.monotonic() + 10.0
-    while True:
-        status, sample = servo.read()
-        if status == 0:
-            return sample
-        assert status > 0, f"status {status}"
-        assert time.monotonic() < until, "no new sample"
-        time.sleep(0.0005)
+    eventually(device.is_settled, 5.0)

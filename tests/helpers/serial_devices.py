@@ -11,9 +11,7 @@ from emulators.hand import Vector
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 
 from softfinger.config.load import build, load_rig
-from softfinger.drivers.base import OK
 from softfinger.drivers.serial.device import Options, SerialDevice, open_device
-from softfinger.server.driver_contract import Servo
 
 RIG = "woodenhaptics-v3"
 PLACE = (0.01, 0.02, -0.015)
@@ -53,15 +51,3 @@ def at_rest(value: Callable[[], int], for_s: float = 0.1) -> bool:
     before = value()
     time.sleep(for_s)
     return value() == before
-
-
-def fresh(servo: Servo) -> list[float]:
-    """Return the next new sample; a pseudo terminal transfers bytes with a short delay."""
-    until = time.monotonic() + 10.0
-    while True:
-        status, sample = servo.read()
-        if status == OK:
-            return sample
-        assert status >= 0, f"status {status}"
-        assert time.monotonic() < until, "no new sample"
-        time.sleep(0.0005)

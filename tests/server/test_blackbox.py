@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.waits import eventually
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -165,10 +166,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
             next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
-        until = time.monotonic() + WAIT_S
-        while not (found := list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap"))):
-            assert time.monotonic() < until, "no file"
-            time.sleep(0.02)
+        found = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
         assert daemon.publisher.restarts == 1 and daemon.servo.running
     (path,) = found
     ticks = ticks_in(path)

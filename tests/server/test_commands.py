@@ -25,17 +25,17 @@ import pytest
 import zmq
 from helpers import raw_peers
 from helpers.called import Done, called
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.programs import Program
 from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
+from helpers.waits import eventually
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Scene
-from softfinger.drivers import registry
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
@@ -69,15 +69,6 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 PUSH = "effect.0.force_n"
 
 
-class Driver:
-    """Open devices that always press."""
-
-    Options = Options
-
-    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
-        return FaultyDevice(options)
-
-
 class Kept:
     """Sink that stores every record."""
 
@@ -102,18 +93,10 @@ class Kept:
         return float(self.rows[-1][-1, AT.force + 2]) if self.rows else 0.0
 
 
-def eventually(what, seconds=WAIT_S):
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.002)
-    return done
-
-
 @pytest.fixture
 def rig(monkeypatch):
     """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
-    load = registry.load
-    monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
+    registered(monkeypatch)
     quiet = {
         "device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off",
         "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0, "commands.ramp_s": 0.0,

@@ -7,7 +7,7 @@ import ctypes
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import FaultyDevice, registered
 from helpers.pressed import pressed_scene
+from helpers.waits import eventually
 
 from softfinger.config.load import load_rig
-from softfinger.drivers import registry
 from softfinger.server.app import Daemon
 from softfinger.server.publishing.brake import SHORT, takes_force_off
 from softfinger.server.publishing.clients import BURST
@@ -35,20 +35,10 @@ BEFORE = 48
 """Requests queued before the one under test; each takes 1 to 2 ms to answer."""
 
 
-class Driver:
-    """Open devices that always press."""
-
-    Options = Options
-
-    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
-        return FaultyDevice(options)
-
-
 @contextmanager
 def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Iterator[tuple[Daemon, FaultyDevice]]:
     """Run a daemon whose device gets force; the slew limit lets it fall to zero within two ticks."""
-    load = registry.load
-    monkeypatch.setattr(registry, "load", lambda name: Driver() if name == "faulty" else load(name))
+    registered(monkeypatch)
     rig = load_rig("replay", {
         "device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry", "servo.realtime": "off",
         "guard.ramp_s": 0.01, "guard.force_slew_n_per_s": 20_000.0, "recording.directory": str(folder), **changes,
@@ -60,13 +50,6 @@ def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> It
         yield daemon, device
         daemon.stop()
         assert daemon.wait(WAIT_S)
-
-
-def eventually(what: Callable[[], bool]) -> bool:
-    until = time.monotonic() + WAIT_S
-    while not what() and time.monotonic() < until:
-        time.sleep(0.0005)
-    return what()
 
 
 def forced(device: FaultyDevice) -> bool:

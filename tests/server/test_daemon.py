@@ -19,11 +19,11 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import registered
+from helpers.waits import eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.record import AT
@@ -163,10 +163,7 @@ def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
         raise Failure("no space left")
 
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    sinks = [
-        Sink("fragile", breaks),
-        Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick])),
-    ]
+    sinks = [Sink("fragile", breaks), Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick]))]
     with (
         Daemon(rig, load_scene("paper-plane"), 1500, sinks=sinks) as running,
         subscribed(running.publisher.endpoint, "event") as socket,
@@ -226,25 +223,9 @@ def test_close_does_not_wait_for_a_slow_sink(monkeypatch, caplog):
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
-class FaultyDriver:
-    """Driver module of a device that fails."""
-
-    Options = Options
-
-    def __init__(self) -> None:
-        self.device: FaultyDevice | None = None
-
-    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
-        self.device = FaultyDevice(options)
-        return self.device
-
-
 @pytest.fixture
 def faulty(monkeypatch):
-    driver = FaultyDriver()
-    load = registry.load
-    monkeypatch.setattr(registry, "load", lambda name: driver if name == "faulty" else load(name))
-    return driver
+    return registered(monkeypatch)
 
 
 def faulty_rig(realtime="off", **options):
@@ -306,14 +287,6 @@ def test_a_signal_to_any_thread_does_not_end_it():
         signal.signal(signal.SIGUSR1, before)
 
 
-def eventually(what, seconds=20.0):
-    """Wait until a condition is true; return its last value."""
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.01)
-    return done
-
-
 # test_fingers_daemon.py tests a successful stop with two devices.
 @pytest.mark.parametrize("stop_fails", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog):
@@ -350,16 +323,6 @@ def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
     assert "could not be closed" in caplog.text
 
 
-def test_a_device_that_refuses_to_be_armed_ends_the_daemon(faulty):
-    """The daemon ends with the error of arming, after the device was stopped."""
-    with Daemon(faulty_rig(refuses_to_arm=True), load_scene("paper-plane")) as running:
-        running.start()
-        with pytest.raises(DeviceError, match="force button"):
-            running.wait(60.0)
-    assert [act for act, *_ in faulty.device.acts][:2] == ["arm", "stop"]
-    assert DeviceError.exit_code == 4
-
-
 def test_the_device_is_armed_after_all_services_run(faulty):
     """Settings are reported and all services run before the device is armed."""
     seen = []
@@ -372,15 +335,6 @@ def test_the_device_is_armed_after_all_services_run(faulty):
         running.wait(60.0)
     assert seen[0][0] == 0 and {"records", "supervisor", "hotplug", "servo"} <= seen[0][1]
     assert faulty.device.acts[0][0] == "arm" and faulty.device.acts[0][2] == 0
-
-
-def test_unusable_poses_end_the_run_with_a_device_error(faulty):
-    """With NaN poses the device gets zero force and the run ends with an error of the device."""
-    with Daemon(faulty_rig(fault="nan", at=200, count=100_000), load_scene("paper-plane"), 5000) as running:
-        running.start()
-        with pytest.raises(DeviceError, match=r"faulty: no usable pose for 0\.5 s"):
-            running.wait(60.0)
-    assert not faulty.device.wrenches[-1].any()
 
 
 def test_repeated_stalls_end_the_run(faulty):

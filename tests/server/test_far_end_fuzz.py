@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import ceil, sin
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +24,7 @@ import zmq
 from emulators.serialboard import FRAME_BYTES, Board, Cable, Vector
 from helpers.programs import Program
 from helpers.two_fingers import SCENE
+from helpers.waits import until
 
 from softfinger.config.errors import CommandRefused, HapticError
 from softfinger.server.loop.force_switch import MAX_OFF_S
@@ -297,13 +298,6 @@ class Session:
 OFTEN = ("move", "parameters", "drive", "mark", "disarm", "mute", "spoil", "flood")
 SELDOM = ("scene", "record", "silence", "suspend", "kill_publisher")
 ENDS = ("stop", "terminate", "kill")
-
-
-def until(reached: Callable[[], bool]) -> None:
-    end = time.monotonic() + WAIT_S
-    while not reached() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert reached()
 
 
 def actions(draw: random.Random) -> Iterator[str]:

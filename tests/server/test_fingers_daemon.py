@@ -8,8 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,16 +18,16 @@ import numpy as np
 import pytest
 import zmq
 from emulators.serialboard import Board, Cable
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import Driver, acts, registered
 from helpers.serial_devices import PLACE, RIG
 from helpers.telemetry_records import join, put, synthetic
 from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
+from helpers.waits import until
 from rich.console import Console
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
-from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import AT, CAUSE_NAMES, RECORD_SIZE
 from softfinger.server.app import Daemon
@@ -48,43 +47,9 @@ FORCE_N = 0.5
 ZERO = (0.0, 0.0, 0.0)
 
 
-def until(met: Callable[[], bool], seconds: float = WAIT_S) -> None:
-    end = time.monotonic() + seconds
-    while not met():
-        assert time.monotonic() < end, f"not within {seconds} s"
-        time.sleep(0.002)
-
-
-class Driver:
-    """Open devices that always press, and store them; from the index `refuses` on, raise an error."""
-
-    Options = Options
-
-    def __init__(self) -> None:
-        self.devices: list[FaultyDevice] = []
-        self.refuses = 1000
-
-    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
-        if len(self.devices) >= self.refuses:
-            raise DeviceNotFound("faulty: not plugged in: plug it in")
-        self.devices.append(FaultyDevice(options))
-        return self.devices[-1]
-
-    @property
-    def pressed(self) -> bool:
-        """True if every device displays a force now."""
-        return all(len(device.wrenches) and device.wrenches[-1].any() for device in self.devices[-2:])
-
-
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
-    made, load = Driver(), registry.load
-    monkeypatch.setattr(registry, "load", lambda name: made if name == "faulty" else load(name))
-    return made
-
-
-def acts(device: FaultyDevice) -> list[str]:
-    return [act for act, *_ in device.acts]
+    return registered(monkeypatch)
 
 
 def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) -> None:

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from helpers.called import called
 from helpers.encoder import contact_map
 from helpers.programs import Program
 from helpers.telemetry_records import synthetic
+from helpers.waits import eventually
 from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
@@ -37,13 +37,6 @@ pytestmark = pytest.mark.real_time
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 WAIT_S = 60.0
 """Generous bound: a compilation on a busy machine."""
-
-
-def eventually(what, seconds=WAIT_S):
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.005)
-    return done
 
 
 class Ring:

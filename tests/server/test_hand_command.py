@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
+from helpers.waits import eventually
 
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import load_rig, load_scene
@@ -18,15 +18,6 @@ pytestmark = pytest.mark.real_time
 
 WAIT_S = 60.0
 ENDPOINTS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
-
-
-def eventually(true: Callable[[], bool]) -> bool:
-    until = time.monotonic() + WAIT_S
-    while not true():
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def has_ticked(client: Client) -> bool:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.programs import Program
+from helpers.waits import eventually
 
 from softfinger.proxy.record import AT
 from softfinger.server.publishing.peer_socket import FILES_MAX, MEMORY_MAX
@@ -349,13 +350,6 @@ def cut_off(peer: socket.socket) -> None:
     with contextlib.suppress(ConnectionError):  # closed with unread bytes
         while peer.recv(1 << 16):
             pass
-
-
-def eventually(what: Callable[[], bool]) -> bool:
-    until = time.monotonic() + CUT_S
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.005)
-    return done
 
 
 def test_unfinished_handshakes_are_disconnected() -> None:

@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,6 +19,7 @@ import pytest
 from emulators.serialboard import Board, Cable
 from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
+from helpers.waits import until
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.schema import Rig
@@ -63,13 +63,6 @@ def of_kind(kind: str, pid: int) -> int | None:
     return None
 
 
-def until(what: Callable[[], object], said: str, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, said
-        time.sleep(0.02)
-
-
 def gone(pid: int) -> bool:
     """Return True if a process has ended, also as a zombie."""
     try:
@@ -105,13 +98,13 @@ def start_to_end(tmp_path: Path, rig: Path) -> None:
 
 def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
     """Kill one process of a run, wait until its end is reported, and return all that the daemon had."""
-    until(lambda: of_kind(kind, process.pid) or process.poll() is not None, f"there is no {kind}", START_S)
+    until(lambda: of_kind(kind, process.pid) or process.poll() is not None, START_S, f"there is no {kind}")
     begun, victim = children(process.pid), of_kind(kind, process.pid)
     assert victim is not None, told.read_text()
     os.kill(victim, signal.SIGKILL)
     if kind != "daemon":
         words = f"the {kind} has ended"
-        until(lambda: words in told.read_text() or process.poll() is not None, f"{words}: not told", START_S)
+        until(lambda: words in told.read_text() or process.poll() is not None, START_S, f"{words}: not told")
         assert words in told.read_text()
     return begun + children(process.pid)
 
@@ -140,7 +133,7 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
                     begun += children(process.pid)
                 finally:
                     process.kill()
-            until(lambda begun=begun: all(map(gone, begun)), f"kill {number}: a process is left", END_S)
+            until(lambda begun=begun: all(map(gone, begun)), END_S, f"kill {number}: a process is left")
             if recording.exists():
                 recorded += readable(recording)
         start_to_end(tmp_path, rig)

@@ -17,7 +17,6 @@ from helpers import faulty_device
 
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers import registry
 from softfinger.server.app import Daemon
 from softfinger.server.services.notify import Notify, _watchdog_s
 
@@ -117,8 +116,7 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
 @ABSTRACT
 def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process and its notifying thread are alive, but only ticks count."""
-    load = registry.load
-    monkeypatch.setattr(registry, "load", lambda name: faulty_device if name == "faulty" else load(name))
+    faulty_device.registered(monkeypatch)
     for name, value in manager.environment.items():
         monkeypatch.setenv(name, value)
     keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}

@@ -19,9 +19,10 @@ import pytest
 import zmq
 from emulators.serialboard import Board
 from helpers.browser import answered
+from helpers.waits import until
 from test_kills import gone, of_kind
 from test_process_faults import end, read
-from test_signals import END_S, START_S, ZERO, pressing, until
+from test_signals import END_S, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
 
 from softfinger.drivers.pause import RESUME_NS

@@ -18,8 +18,9 @@ from pathlib import Path
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
+from helpers.waits import until
 from test_kills import children
-from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state, until
+from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING

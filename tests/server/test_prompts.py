@@ -13,6 +13,7 @@ from softfinger.config.errors import CommandRefused
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
+from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.commands import Prompt, PromptScreen
 from softfinger.server.wire.protocol import EVENT
 
@@ -32,15 +33,21 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
             yield made
 
 
-def test_a_question_is_shown_and_answered_once(client: Client) -> None:
-    """Later clients find the question with `get_prompt`. Both steps are events, and a second answer is refused."""
+def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
+    """Return a subscription of events that takes effect, and its first events."""
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     told: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
-    while not told and time.monotonic() < until:  # a subscription takes a moment
+    while not told and time.monotonic() < until:
         client.mark("begin")
         if (sample := events.receive(0.1)) is not None:
             told.append(sample.data)
+    return events, told
+
+
+def test_a_question_is_shown_and_answered_once(client: Client) -> None:
+    """Later clients find the question with `get_prompt`. Both steps are events, and a second answer is refused."""
+    events, told = subscribed(client)
     screen = {"colour": "#3366cc", "image": "data:image/png;base64,AAAA", "masking_noise": "pink", "volume": 0.5}
     asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
     assert client.get_prompt() == asked and asked.open and asked.answer is None
@@ -78,13 +85,7 @@ def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -
 
 def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
     """Its length is limited and it is not in the event, because a text in a recording may be personal."""
-    events = client.subscribe((EVENT,), timeout_s=WAIT_S)
-    told: list[dict[str, Any]] = []
-    until = time.monotonic() + WAIT_S
-    while not told and time.monotonic() < until:  # a subscription takes a moment
-        client.mark("begin")
-        if (sample := events.receive(0.1)) is not None:
-            told.append(sample.data)
+    events, told = subscribed(client)
     asked = client.set_prompt("remarks", "Any?", text_length=12)
     assert asked.prompt == Prompt("remarks", "Any?", text_length=12)
     for value in ("", "   ", "x" * 13, 1.0):

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import gc
-import math
 import os
 import threading
-import time
 import weakref
 
 import msgpack
 import numpy as np
 import pytest
 import zmq
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import acts, registered
+from helpers.waits import eventually
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound, SafetyStop
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers import registry
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.force_switch import MAX_OFF_S
@@ -53,13 +51,6 @@ class Kept:
     def pressed(self) -> bool:
         """Return True if the last force is large enough to feel."""
         return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
-
-
-def eventually(what, seconds=WAIT_S):
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.001)
-    return done
 
 
 def scenes():
@@ -194,36 +185,14 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
         assert running.wait(60.0)
 
 
-class Driver:
-    """Opens and stores devices that press permanently; raises from device number `refuses` on."""
-
-    Options = Options
-
-    def __init__(self) -> None:
-        self.devices: list[FaultyDevice] = []
-        self.refuses = math.inf
-
-    def open_device(self, options: Options, rate_hz: float) -> FaultyDevice:
-        if len(self.devices) >= self.refuses:
-            raise DeviceNotFound("faulty: not plugged in: plug it in")
-        self.devices.append(FaultyDevice(options))
-        return self.devices[-1]
-
-
 @pytest.fixture
 def driver(monkeypatch):
-    made, load = Driver(), registry.load
-    monkeypatch.setattr(registry, "load", lambda name: made if name == "faulty" else load(name))
-    return made
+    return registered(monkeypatch)
 
 
 def faulty_rig(**changes):
     # Slew limit below the force of this device: a step to or from zero in one tick would exceed it.
     return load_rig("replay", QUIET | {"device.driver": "faulty", "guard.force_slew_n_per_s": SLEW} | changes)
-
-
-def acts(device: FaultyDevice) -> list[str]:
-    return [act for act, *_ in device.acts]
 
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):

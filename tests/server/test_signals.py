@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from emulators.serialboard import Board, Cable
 from helpers.called import called
 from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
+from helpers.waits import until
 
 from softfinger.config.errors import DeviceError
 from softfinger.config.schema import Rig
@@ -35,14 +36,6 @@ START_S = 120.0
 """A cold start compiles."""
 END_S = 20.0
 """An end takes far less than a second, more on a busy machine."""
-
-
-def until(met: Callable[[], bool], seconds: float, what: str) -> None:
-    """Wait for a condition; fail after a time-out."""
-    end = time.monotonic() + seconds
-    while not met():
-        assert time.monotonic() < end, f"{what}: not within {seconds} s"
-        time.sleep(0.005)
 
 
 @contextmanager

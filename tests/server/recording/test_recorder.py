@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.programs import Program
 from helpers.recorded import about, event, recorded, run
+from helpers.waits import eventually
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -41,13 +42,6 @@ COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 WAIT_S = 120.0
 LOST_MAX_TICKS = 200
 """Promised maximum after a kill, at 1 kHz: four times the delay of an idle recorder."""
-
-
-def eventually(what: Any, seconds: float = WAIT_S) -> Any:
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.005)
-    return done
 
 
 def quiet_rig(folder: Path, **changes: Any) -> Any:

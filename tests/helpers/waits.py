@@ -1,0 +1,39 @@
+"""Wait for a condition instead of a time; the bound is generous, because a machine may be busy or compile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from softfinger.drivers.base import OK
+from softfinger.server.driver_contract import Servo
+
+WAIT_S = 120.0
+
+
+def eventually(what: Callable[[], Any], seconds: float = WAIT_S, every_s: float = 0.001) -> Any:
+    """Wait until a function returns a true value; return its last value."""
+    end = time.monotonic() + seconds
+    while not (found := what()) and time.monotonic() < end:
+        time.sleep(every_s)
+    return found
+
+
+def until(what: Callable[[], Any], seconds: float = WAIT_S, said: str = "") -> None:
+    """Fail unless a function returns a true value in time."""
+    assert eventually(what, seconds), f"{said or 'the condition'}: not within {seconds} s"
+
+
+def fresh(servo: Servo) -> list[float]:
+    """Return the next new sample of a device."""
+    samples: list[list[float]] = []
+
+    def comes() -> bool:
+        status, sample = servo.read()
+        assert status >= 0, f"status {status}"
+        samples.append(sample)
+        return status == OK
+
+    until(comes, 10.0, "a new sample")
+    return samples[-1]
