@@ -7,13 +7,13 @@ import importlib
 import math
 import os
 import re
-import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import nbformat
 import pytest
+from helpers.programs import run_program
 from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
@@ -33,7 +33,7 @@ def said(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=500, env=environment)
+    done = run_program(command, cwd=cwd, timeout=500, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -7,7 +7,6 @@ import importlib
 import inspect
 import json
 import pydoc
-import subprocess
 import sys
 import time
 from functools import partial
@@ -17,6 +16,7 @@ import msgpack
 import msgspec
 import numpy as np
 import pytest
+from helpers.programs import run_program
 
 import softfinger
 from softfinger.config.errors import ConfigError, HapticError
@@ -116,7 +116,7 @@ def test_what_is_printed_and_completed(client: partial[Client]) -> None:
 def test_the_door_is_light() -> None:
     """`import softfinger` and `dir` import only modules of Python's standard library."""
     code = "import sys; had = {*sys.modules}; import softfinger; dir(softfinger); print(*{*sys.modules} - had)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = run_program([sys.executable, "-c", code], check=True)
     assert {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names == {"softfinger"}
     assert "softfinger." not in done.stdout
 
@@ -135,7 +135,7 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 def test_an_engine_imports_what_its_scene_needs():
     """Importing the class loads no scene parser, and a plane loads no code for meshes, height maps and solids."""
-    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, timeout=300, check=True)
+    done = run_program([sys.executable, "-c", IMPORTS], check=True)
     assert done.stdout.splitlines() == ["[] True", "[]"]
 
 

@@ -8,7 +8,6 @@ is the time for each target, SOFTFINGER_FUZZ_SEED the seed.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
 from hashlib import sha256
@@ -17,6 +16,7 @@ from typing import Final
 
 import pytest
 from helpers import fuzzing
+from helpers.programs import run_program
 
 pytestmark = pytest.mark.plain
 
@@ -47,10 +47,7 @@ def test_mistaken_bytes_are_taken_or_refused(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "helpers.fuzzing", name, f"{SECONDS}", f"{SEED}", folder]
         environment = os.environ | {"PYTHONPATH": str(HERE), "NUMBA_DISABLE_JIT": "1"}
-        done = subprocess.run(
-            command, cwd=HERE, env=environment, capture_output=True, text=True, check=False,
-            timeout=20.0 * SECONDS + 300.0,
-        )  # fmt: skip
+        done = run_program(command, cwd=HERE, env=environment, timeout=20.0 * SECONDS + 300.0)
         (last,) = Path(folder).glob("input*")
         data = last.read_bytes()
     if done.returncode != 0:

@@ -20,6 +20,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("config", "drivers", "proxy", "server", "tools")
@@ -51,7 +52,7 @@ KERNEL_STANDARD_LIBRARY = {
 def run(*command: str | Path, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
     """Run to the end with nothing of this environment's import path; fail with the output on a non-zero exit."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run([*map(str, command)], cwd=cwd, env=kept | env, capture_output=True, text=True, timeout=180)
+    done = run_program([*map(str, command)], cwd=cwd, env=kept | env)
     assert done.returncode == 0, f"{command}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done
 
@@ -116,10 +117,7 @@ def test_the_types_of_the_installed_wheel_are_seen(installed: Path, tmp_path: Pa
     examples = sorted(str(path) for folder in folders for path in folder.glob("*.py"))
     assert examples
     words = ["--strict", "--config-file=", "--cache-dir=/dev/null", "--python-executable", str(installed / "python")]
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", *words, str(program), *examples],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = run_program([sys.executable, "-m", "mypy", *words, str(program), *examples], cwd=tmp_path)
     assert re.search(r'Revealed type is "def \(position: .*\) -> .*Step"', done.stdout), done.stdout + done.stderr
     assert done.returncode == 0, done.stdout
 

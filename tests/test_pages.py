@@ -19,6 +19,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from helpers.programs import run_program
 from test_packaging import dist, installed, wheel  # noqa: F401 - fixtures: a clean environment with the wheel in it
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,9 +81,7 @@ class Terminals:
             self.daemon = subprocess.Popen(words, cwd=self.folder, env=self.environment)
             self.type("softfinger monitor")  # a reader waits until it runs, which may take a compilation
             return
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=self.folder, env=self.environment, capture_output=True, text=True, timeout=500
-        )
+        done = run_program(["bash", "-c", command], cwd=self.folder, env=self.environment, timeout=500)
         # A machine that a doctor finds bad is none of the page's.
         assert done.returncode in ({0, 10} if words[1] == "doctor" else {0}), f"{command}\n{done.stdout}{done.stderr}"
 

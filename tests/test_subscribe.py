@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 
 from softfinger.server.wire.client import subscribe
 
@@ -73,7 +74,7 @@ def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tu
     listener.start()
     try:
         assert listens.wait(60.0)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        done = run_program(command)
     finally:
         over.set()
         listener.join()

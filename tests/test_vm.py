@@ -5,10 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import os
-import subprocess
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 from vm import run
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,9 +31,7 @@ def test_its_command_is_one_that_pytest_takes() -> None:
     guest = {key: value for key, value in run.guest_environment().items() if key.startswith("PYTEST_")}
     assert guest
     command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))], systemd=False)
-    done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | guest, capture_output=True, text=True, timeout=120, check=False
-    )
+    done = run_program(command, cwd=ROOT, env=os.environ | guest)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.waits import ends_within
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
@@ -26,14 +26,8 @@ LATE_S = 120
 
 @pytest.fixture(autouse=True)
 def _no_waiting() -> Iterator[None]:
-    def late(*_: object) -> None:
-        raise TimeoutError("it takes for ever")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(LATE_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    with ends_within(LATE_S):
+        yield
 
 
 def repeated(part: str) -> str:

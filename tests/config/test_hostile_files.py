@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import resource
-import signal
 import socket
 import stat
 import struct
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -18,6 +16,8 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from helpers.programs import run_program
+from helpers.waits import ends_within
 
 from softfinger.config import files
 from softfinger.config.arrays import grids
@@ -48,16 +48,8 @@ window of up to 128 MB. Each bomb is larger."""
 
 @pytest.fixture(autouse=True)
 def _no_waiting() -> Iterator[None]:
-    """Fail if a test hangs."""
-
-    def late(*_: object) -> None:
-        raise TimeoutError("it hangs")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(HANGS_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    with ends_within(HANGS_S):
+        yield
 
 
 def open_sweep(path: Path) -> None:
@@ -116,11 +108,11 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     rig = tmp_path / "rig.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
     extra = ["--rig", str(rig), "--realtime", "off"] if words[0] == "run" else []
-    done = subprocess.run(
+    done = run_program(
         [sys.executable, "-m", "softfinger.server.cli", *words, *extra],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        cwd=tmp_path,
         env={key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"},
-    )  # fmt: skip
+    )
     assert done.returncode in (2, 3), done.stderr
     assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr
 
@@ -198,9 +190,7 @@ def test_bombs_are_refused_in_little_memory(tmp_path: Path) -> None:
     for name, (ending, make) in BOMBS.items():
         paths.append(tmp_path / f"{name}{ending}")
         make(paths[-1])
-    done = subprocess.run(
-        [sys.executable, "-c", GROWTH, *map(str, paths)], capture_output=True, text=True, timeout=HANGS_S, check=False
-    )
+    done = run_program([sys.executable, "-c", GROWTH, *map(str, paths)], timeout=HANGS_S)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert len(lines) == 2 * len(paths)

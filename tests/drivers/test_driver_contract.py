@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from helpers.programs import run_program
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
 from softfinger.config.load import load_rig
@@ -56,10 +57,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Install the example package with pip from its sources, and return the folder."""
     target = tmp_path_factory.mktemp("site")
     options = "--quiet --no-index --no-deps --no-build-isolation --disable-pip-version-check --target"
-    subprocess.run(
-        [sys.executable, "-m", "pip", "install", *options.split(), str(target), str(OUTSIDE)],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
+    run_program([sys.executable, "-m", "pip", "install", *options.split(), str(target), str(OUTSIDE)], check=True)
     return target
 
 
@@ -135,11 +133,10 @@ def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path
 
     def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:
         folders = [path, *filter(None, [os.environ.get("PYTHONPATH")])]
-        return subprocess.run(
+        return run_program(
             [sys.executable, "-m", "softfinger.server.cli", *words],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
-            capture_output=True, text=True, timeout=300,
-        )  # fmt: skip
+        )
 
     assert "rig, usable" in softfinger("check", rig, path=str(installed)).stdout
     run = ["run", "--rig", rig, "--endpoint", f"ipc://{tmp_path}/t", "--duration", "0.2", "--realtime", "off"]

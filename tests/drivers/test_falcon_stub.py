@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
+from helpers.programs import run_program
 from helpers.usb_stub import (
     NO_COMPILER,
     FalconBench,
@@ -367,10 +367,9 @@ def test_the_daemon_itself(tmp_path: Path) -> None:
     """`softfinger run` finds the stand-in where the loader expects libusb, renders contact, and releases everything."""
     words = ["run", "--rig", "falcon", "--scene", "paper-plane", "--endpoint", "tcp://127.0.0.1:*"]
     words += ["--realtime", "off", "--duration", "1.5"]
-    done = subprocess.run(
-        [sys.executable, "-m", "softfinger.server.cli", *words],
-        env=child_environment(tmp_path, z=0.004), capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+    done = run_program(
+        [sys.executable, "-m", "softfinger.server.cli", *words], env=child_environment(tmp_path, z=0.004)
+    )
     assert done.returncode == 0, done.stderr
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
     assert re.search(r"stopped after 1500 ticks", done.stderr), done.stderr

@@ -17,6 +17,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
+from helpers.programs import run_program
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -141,7 +142,7 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
     )
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--duration", "0.3"]
     for _ in range(5):
-        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+        done = run_program(words)
         if done.returncode == 0:
             return
     raise AssertionError(done.stderr)

@@ -19,6 +19,7 @@ import pytest
 from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
+from helpers.programs import run_program
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
@@ -181,7 +182,7 @@ def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
     command += ["--endpoint", f"ipc://{tmp_path}/a"]
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=False)
+    done = run_program(command, env=environ)
     assert done.returncode == 4
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert "pip install 'softfinger[haply]'" in done.stderr

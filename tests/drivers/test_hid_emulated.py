@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RIGS
+from helpers.programs import run_program
 
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
@@ -43,7 +44,7 @@ def _umockdev() -> str | None:
         return "umockdev is not installed: apt install umockdev gir1.2-umockdev-1.0 python3-gi"
     code = "import gi; gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
     try:
-        tried = subprocess.run([SYSTEM_PYTHON, "-c", code], capture_output=True, text=True, check=False)
+        tried = run_program([SYSTEM_PYTHON, "-c", code])
     except OSError as error:
         return f"{SYSTEM_PYTHON}: {error.strerror}"
     return None if tried.returncode == 0 else f"{SYSTEM_PYTHON} has no gir1.2-umockdev-1.0: apt install it"
@@ -59,10 +60,10 @@ def on_testbed(
     file: str, case: dict[str, Any], *command: str
 ) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     """Run a command with an emulated device attached, and return its result and the state of the device."""
-    done = subprocess.run(
+    done = run_program(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
-        capture_output=True, text=True, timeout=300, check=False, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )
     lines = done.stdout.splitlines()
     assert lines, done.stderr
     return done, json.loads(lines[-1])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 from helpers.serial_devices import board, opened, rig_options
 from test_devices_verb import plug_serial
 
@@ -31,7 +31,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
             opened(cable)
         command = [sys.executable, "-c", OPEN, cable.path]
-        other = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        other = run_program(command, check=True)
         assert other.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
         # TIOCEXCL also excludes programs without a lock, unless they run as root.
         user, mine = os.geteuid(), rig_options(path=cable.path)

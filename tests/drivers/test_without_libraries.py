@@ -14,6 +14,7 @@ import libusb_package
 import pytest
 from helpers.c_stub import COMPILER
 from helpers.drd_stub import stub_library
+from helpers.programs import run_program
 
 from softfinger.drivers.system.libusb import SONAME
 
@@ -67,9 +68,7 @@ def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
 
 def loaded(environ: dict[str, str]) -> tuple[bool, str]:
     """Return the result of `LOADED`: if a libusb was found, and its files."""
-    done = subprocess.run(
-        [sys.executable, "-c", LOADED], env=environ, capture_output=True, text=True, timeout=120, check=True
-    )
+    done = run_program([sys.executable, "-c", LOADED], env=environ, check=True)
     found, files = done.stdout.split("\n")[:2]
     return found == "True", files
 
@@ -106,9 +105,7 @@ def endpoints(folder: Path) -> list[str]:
 def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
     """Return the exit code and the output of a command, without the progress lines that a slow machine adds."""
     front, environ = bare
-    done = subprocess.run(
-        [*front, *COMMAND, *words, "--quiet"], env=environ, capture_output=True, text=True, timeout=300, check=False
-    )
+    done = run_program([*front, *COMMAND, *words, "--quiet"], env=environ)
     assert "Traceback" not in done.stderr + done.stdout
     return done.returncode, done.stdout + done.stderr
 
@@ -139,7 +136,7 @@ def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str
     """`run` of each rig ends with one line and an exit code other than 0."""
     front, environ = bare
     command = [*front, sys.executable, "-c", RUN_EACH, " ".join(endpoints(tmp_path)), *MISSING]
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=250, check=True)
+    done = run_program(command, env=environ, check=True)
     ended = [json.loads(line) for line in done.stdout.splitlines()]
     assert [rig for rig, _, _ in ended] == list(MISSING)
     for rig, code, said in ended:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Final
 
@@ -31,3 +32,10 @@ class Program(subprocess.Popen[Any]):
             self.kill()
         super().__exit__(kind, error, trace)
         self._over.cancel()
+
+
+def run_program(
+    command: Sequence[Any], *, check: bool = False, timeout: float = 2.0 * LIMIT_S, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end; return its exit code and output as text."""
+    return subprocess.run(command, capture_output=True, text=True, check=check, timeout=timeout, **options)

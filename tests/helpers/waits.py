@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from softfinger.drivers.base import OK
@@ -37,3 +39,17 @@ def fresh(servo: Servo) -> list[float]:
 
     until(comes, 10.0, "a new sample")
     return samples[-1]
+
+
+@contextmanager
+def ends_within(seconds: int) -> Iterator[None]:
+    """Raise TimeoutError in the block if it takes longer."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"it takes more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(seconds)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers.called import called
+from helpers.programs import run_program
 
 from softfinger.proxy.record import columns
 from softfinger.server.cli import VERBS, make_parser
@@ -24,7 +25,7 @@ SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
 
 
 def run(*words, timeout=300):
-    return subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=timeout)
+    return run_program([*COMMAND, *words], timeout=timeout)
 
 
 def test_version():
@@ -44,7 +45,7 @@ print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_c
 def test_garbage_collection_is_on_when_a_verb_runs():
     """Garbage collection is off during imports and on in a verb; numpy is imported after its thread count is set."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    done = subprocess.run([sys.executable, "-c", BEGIN], capture_output=True, text=True, timeout=300, env=environment)
+    done = run_program([sys.executable, "-c", BEGIN], env=environment)
     assert done.stdout.splitlines()[-1:] == ["False 1 True True"], done.stderr
 
 
@@ -115,9 +116,7 @@ def test_completion_lists_shipped_names(tmp_path):
     for words, wanted in asked.items():
         at = len(words.split())
         ask = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={at}; _shtab_softfinger; echo ${{COMPREPLY[@]}}"
-        done = subprocess.run(
-            ["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
-        )
+        done = run_program(["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, check=True)
         assert done.stdout.split() == wanted
 
 
@@ -134,7 +133,7 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kin
 
 def test_help_imports_no_compiler():
     """The options of every verb and measurement are shown without numpy, numba and what else they run with."""
-    done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=300, check=True)
+    done = run_program([sys.executable, "-c", HELP], check=True)
     words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
     assert done.stdout.splitlines() == [f"{each}--help set()" for each in words]
 
@@ -230,9 +229,7 @@ def test_a_long_run_needs_bounded_memory(ending, tmp_path):
     header = "t,x,y,z,qw,qx,qy,qz"
     np.savetxt(tmp_path / "poses.csv", poses, fmt="%.9g", delimiter=",", header=header, comments="")
     words = ["simulate", "--scene", "paper-plane", "--poses", "poses.csv", "--out", f"out{ending}"]
-    done = subprocess.run(
-        [sys.executable, "-c", PEAK, *words], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=300
-    )
+    done = run_program([sys.executable, "-c", PEAK, *words], cwd=tmp_path, check=True)
     code, peak = map(int, done.stdout.splitlines()[-1].split())
     assert code == 0 and "600001 ticks" in done.stdout
     assert peak <= 250
@@ -299,7 +296,7 @@ LONG = "x" * 300
 def test_streams_and_names_that_cannot_be_used(line, code, said):
     """A closed or full output, a closed pipe and a name that is too long give at most one error line."""
     words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    done = run_program(words)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr and said in done.stdout + done.stderr
     assert len([row for row in done.stderr.splitlines() if row.startswith("softfinger:")]) <= 1
@@ -322,7 +319,7 @@ def test_closed_streams_do_not_become_a_device(tmp_path):
 def test_a_low_limit_of_open_files_is_reported(words):
     """With a limit of eight open files, one line reports how many are needed; ZeroMQ would abort."""
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    done = run_program(["bash", "-c", command])
     assert done.returncode == 11, done.stderr
     assert done.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
 

@@ -28,7 +28,7 @@ from helpers.called import Done, called
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
-from helpers.programs import Program
+from helpers.programs import Program, run_program
 from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
 from helpers.waits import eventually
@@ -705,7 +705,7 @@ def test_the_compiler_exits_when_its_input_is_closed():
     """The compiler exits when its input is closed, before it could have compiled anything."""
     words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
     given = json.dumps(describe(pressed_scene())) + "\n"
-    done = subprocess.run(words, input=given, capture_output=True, text=True, timeout=280, check=False)
+    done = run_program(words, input=given)
     assert done.returncode == 1 and "Traceback" not in done.stderr
 
 
@@ -920,8 +920,5 @@ def test_stop_ends_a_daemon_process(tmp_path):
             assert daemon.wait(60) == 0
         finally:
             daemon.kill()
-    silent = subprocess.run(
-        [*COMMAND, "ctl", "heartbeat", "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "0.2"],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    silent = run_program([*COMMAND, "ctl", "heartbeat", "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "0.2"])
     assert silent.returncode == 9 and "softfinger run" in silent.stderr

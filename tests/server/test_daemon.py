@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers.faulty_device import registered
+from helpers.programs import run_program
 from helpers.waits import eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
@@ -453,7 +454,7 @@ print(once() == once() == once())
 
 def test_threads_and_descriptors_are_closed():
     """After a daemon has closed, its threads and file descriptors are gone; counted in a separate process."""
-    done = subprocess.run([sys.executable, "-c", LEFT_BEHIND], capture_output=True, text=True, timeout=300)
+    done = run_program([sys.executable, "-c", LEFT_BEHIND])
     assert done.stdout == "True\n", done.stderr
 
 
@@ -469,7 +470,7 @@ def test_required_realtime_that_is_refused_does_not_start(tmp_path):
         "sys.exit(cli.main(['run', '--endpoint', 'tcp://127.0.0.1:*', '--realtime', 'require', '--duration', '1',\n"
         "                   '--forces', sys.argv[1]]))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(forces)], capture_output=True, text=True, timeout=300)
+    done = run_program([sys.executable, "-c", code, str(forces)])
     assert done.returncode == RealtimeError.exit_code, done.stderr
     assert "sched_fifo" in done.stderr and "rtprio" in done.stderr
     rows = np.loadtxt(forces, delimiter=",", skiprows=1, ndmin=2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import doctest
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine, PoseError
@@ -157,6 +157,6 @@ def test_without_gymnasium() -> None:
     """The error names the extra to install."""
     command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
     environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
+    done = run_program(command, env=environ, check=True)
     lines = done.stdout.splitlines()
     assert len(lines) == 2 and all("pip install 'softfinger[gymnasium]'" in line for line in lines)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
 from helpers.faulty_device import FaultyDevice, Options
+from helpers.programs import run_program
 from helpers.two_fingers import NAMES, SCENE, two_fingers
 
 from softfinger.config.errors import RecordingError
@@ -287,9 +287,7 @@ def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-c", AUDIT], env=environment, capture_output=True, text=True, check=True, timeout=300
-    )
+    done = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
     bodies = functions(done.stdout)
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}

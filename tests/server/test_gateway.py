@@ -20,7 +20,7 @@ import pytest
 import zmq
 from helpers.called import called
 from helpers.encoder import contact_map
-from helpers.programs import Program
+from helpers.programs import Program, run_program
 from helpers.telemetry_records import synthetic
 from helpers.waits import eventually
 from zmq.utils.monitor import recv_monitor_message
@@ -332,9 +332,7 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     ):
         try:
             source = f"softfinger {publisher.endpoint}"
-            done = subprocess.run(
-                [sys.executable, "-c", INLET, source], env=env, capture_output=True, text=True, timeout=WAIT_S
-            )
+            done = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
             assert done.returncode == 0, done.stderr
             process.send_signal(signal.SIGINT)
             assert json.loads(process.stdout.read())["lsl"]["streams"] == ["softfinger"]

@@ -105,82 +105,60 @@ END = time.monotonic() + float(sys.argv[2])
 kept = []
 """
 
-ATTACKS = {
+STEPS = {
     # long topics, many of them
     "a megabyte of topic": """
-def step():
     with greeted() as made:
         for _ in range(200):
-            made.sendall(frame(b"\\1" + os.urandom(1 << 20)))
-attack(step)""",
+            made.sendall(frame(b"\\1" + os.urandom(1 << 20)))""",
     # below any limit of size; their number fills memory
     "thousands of topics": """
-data = subscriptions(200)
-def step():
+    data = subscriptions(200)
     with greeted() as made:
         while time.monotonic() < END:
-            made.sendall(data)
-attack(step)""",
+            made.sendall(data)""",
     "one topic again and again": """
-data = frame(b"\\1contact") * 5000
-def step():
+    data = frame(b"\\1contact") * 5000
     with greeted() as made:
         while time.monotonic() < END:
-            made.sendall(data)
-attack(step)""",
+            made.sendall(data)""",
     "a frame that claims 2**63 bytes": """
-def step():
     with greeted() as made:
         made.sendall(b"\\2" + struct.pack(">Q", 1 << 63) + bytes(4096))
         made.recv(1 << 16)
         while made.recv(1 << 16) and time.monotonic() < END:
-            pass
-attack(step)""",
+            pass""",
     "no ZMTP": """
-def step():
     with dial() as made:
         while time.monotonic() < END:
-            made.sendall(os.urandom(1 << 16))
-attack(step)""",
+            made.sendall(os.urandom(1 << 16))""",
     "connections that say nothing": """
-def step():
     if len(kept) < 900:
         kept.append(dial())
-    time.sleep(0.001)
-attack(step)""",
+    time.sleep(0.001)""",
     "subscribers to nothing": """
-def step():
     if len(kept) < 900:
         kept.append(greeted())
-    time.sleep(0.001)
-attack(step)""",
-    "connect and go": """
-def step():
-    dial().close()
-attack(step)""",
+    time.sleep(0.001)""",
+    "connect and go": "    dial().close()",
     "pings, and never reading": """
-def step():
     with greeted() as made:
         made.sendall(frame(b"\\1"))
         while time.monotonic() < END:
             made.sendall(frame(b"\\4PING\\0\\1" + bytes(16), 4))
-            time.sleep(0.001)
-attack(step)""",
+            time.sleep(0.001)""",
     "a handshake byte by byte": """
-def step():
     with dial() as made:
         for byte in GREETING:
             made.sendall(bytes((byte,)))
-            time.sleep(0.1)
-attack(step)""",
+            time.sleep(0.1)""",
     "subscribers who never read": """
-def step():
     if len(kept) < 40:
         kept.append(greeted())
         kept[-1].sendall(frame(b"\\1"))
-    time.sleep(0.01)
-attack(step)""",
+    time.sleep(0.01)""",
 }
+ATTACKS = {name: f"{PEER}def step():\n{step}\nattack(step)" for name, step in STEPS.items()}
 
 SECONDS = 1.0
 """Time in which an unlimited attack among others fills 100 MB and opens all its connections."""
@@ -250,35 +228,11 @@ def endpoint_of(transport: str, folder: Path) -> str:
     return "tcp://127.0.0.1:*" if transport == "tcp" else f"ipc://{folder}/telemetry"
 
 
-TOGETHER = {
-    "by what they send": (
-        "a megabyte of topic",
-        "thousands of topics",
-        "one topic again and again",
-        "a frame that claims 2**63 bytes",
-        "no ZMTP",
-        "pings, and never reading",
-        "a handshake byte by byte",
-    ),
-    "by how many they are": (
-        "connections that say nothing",
-        "subscribers to nothing",
-        "subscribers who never read",
-        "connect and go",
-    ),
-}
+MANY = ("connections that say nothing", "subscribers to nothing", "subscribers who never read", "connect and go")
+TOGETHER = {"by what they send": tuple(name for name in ATTACKS if name not in MANY), "by how many they are": MANY}
 """All attacks, in groups that do not block each other."""
-WITHSTOOD = (
-    "a megabyte of topic",
-    "a frame that claims 2**63 bytes",
-    "no ZMTP",
-    "connections that say nothing",
-    "subscribers to nothing",
-    "a handshake byte by byte",
-    "subscribers who never read",
-)
-"""Attacks that libzmq withstands: a healthy subscriber misses nothing, and the publisher is not restarted."""
-assert sorted(name for names in TOGETHER.values() for name in names) == sorted(ATTACKS)
+COSTLY = ("thousands of topics", "one topic again and again", "pings, and never reading", "connect and go")
+"""Attacks that may restart the publisher, or cost a healthy subscriber messages; libzmq withstands the others."""
 
 # Data of peers is read the same way for both transports; connections depend on the transport.
 OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and go")
@@ -299,7 +253,7 @@ def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str
     found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
     # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
     # `ipc_listener_t::accept` has no EMFILE.
-    if name in WITHSTOOD and (name, transport) != ("connections that say nothing", "ipc"):
+    if name not in COSTLY and (name, transport) != ("connections that say nothing", "ipc"):
         assert (found["missing"], found["restarts"]) == (0, 0)
 
 
@@ -312,7 +266,7 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
             with ExitStack() as ends:
                 peers = []
                 for name in names:
-                    program = [sys.executable, "-c", PEER + ATTACKS[name], bound, "120"]
+                    program = [sys.executable, "-c", ATTACKS[name], bound, "120"]
                     peers.append(subprocess.Popen(program, stdin=subprocess.PIPE))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
@@ -413,7 +367,7 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
     """With 40 connections that never read and a suspended subscriber, memory is bounded and losses are counted."""
     with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
-        never_read = [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"]
+        never_read = [sys.executable, "-c", ATTACKS["subscribers who never read"], bound, "60"]
         with (
             Program(words, stdout=subprocess.PIPE, text=True) as stopped,
             Program(
@@ -448,7 +402,7 @@ def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
         with (
             Program([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
             Program(
-                [sys.executable, "-c", PEER + ATTACKS["subscribers who never read"], bound, "60"],
+                [sys.executable, "-c", ATTACKS["subscribers who never read"], bound, "60"],
                 stdin=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             ) as silent,

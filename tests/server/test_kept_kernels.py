@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
+from helpers.programs import run_program
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
@@ -101,7 +102,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> 
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
     words = [sys.executable, "-m", "softfinger.server.cli"]
     warm = [*words, "warmup", scene]
-    first = subprocess.run(warm, env=environment, capture_output=True, text=True, check=True)
+    first = run_program(warm, env=environment, check=True)
     assert str(cache) in first.stdout
     after = kept(cache)
     assert loops.items() <= after.items()
@@ -111,12 +112,10 @@ def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> 
     other, foreign = cache / "0123456789abcdef", cache / "notes"
     other.mkdir()
     foreign.mkdir()
-    subprocess.run([*warm, "--prune"], env=environment, capture_output=True, text=True, check=True)
+    run_program([*warm, "--prune"], env=environment, check=True)
     assert not other.exists() and foreign.exists()  # kernels of another version, and an unrelated folder
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
-    subprocess.run(
-        [*words, "run", "--scene", scene, *brief], env=environment, capture_output=True, text=True, check=True
-    )
+    run_program([*words, "run", "--scene", scene, *brief], env=environment, check=True)
     assert kept(cache) == after
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import zmq
 import zmq.auth
+from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
@@ -63,11 +64,11 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
 def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     """A pair is made for each name, with JSON output, too; a second call exits with code 2."""
     words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    done = run_program(words, check=True)
     made = json.loads(done.stdout)
     assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
-    told = subprocess.run([*words[:-3], "ben"], capture_output=True, text=True, check=True).stdout
+    told = run_program([*words[:-3], "ben"], check=True).stdout
     assert (
         f"{tmp_path}/new/keys/ben.key: public key: copy it to the other side" in told
         and "ben.key_secret: secret key: do not share it" in told
@@ -219,5 +220,5 @@ def test_a_client_needs_both_keys(tmp_path: Path) -> None:
     """A client key without the server's key, or the reverse, is refused."""
     public, secret = make_pair(tmp_path, "rig")
     for words in (["--keys", str(secret)], ["--server-key", str(public)]):
-        done = subprocess.run([*COMMAND, "ctl", "heartbeat", *words], capture_output=True, text=True, check=False)
+        done = run_program([*COMMAND, "ctl", "heartbeat", *words])
         assert done.returncode == 2 and "requires --" in done.stderr

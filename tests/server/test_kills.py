@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from emulators.serialboard import Board, Cable
-from helpers.programs import Program
+from helpers.programs import Program, run_program
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
 
@@ -91,7 +91,7 @@ def command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
 def start_to_end(tmp_path: Path, rig: Path) -> None:
     """An undisturbed run exits with 0 and leaves no socket, not even one of a previous killed run."""
     words = command(tmp_path, rig, "--duration", "0.3")
-    done = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
+    done = run_program(words, timeout=START_S)
     assert done.returncode == 0, done.stderr
     assert not [path for path in tmp_path.iterdir() if path.is_socket()]
 

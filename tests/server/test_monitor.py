@@ -17,7 +17,7 @@ import time
 import numpy as np
 import pytest
 from helpers.called import called
-from helpers.programs import Program
+from helpers.programs import Program, run_program
 from helpers.telemetry_records import put, synthetic
 from rich.console import Console
 
@@ -83,7 +83,7 @@ def command(*arguments):
 
 
 def piped(*arguments):
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=60, check=False)
+    return run_program(command(*arguments))
 
 
 def test_once_writes_one_line_with_everything(endpoint):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from helpers import faulty_device
+from helpers.programs import run_program
 
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -149,5 +150,5 @@ def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: P
     environment = os.environ | manager.environment | {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--duration", "0.5"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=WAIT_S)
+    done = run_program(command, env=environment, timeout=WAIT_S)
     assert done.returncode == 0, done.stderr

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
+
+from helpers.programs import run_program
 
 
 def test_a_daemon_without_machine_code_is_refused_in_one_line() -> None:
     """The error of `softfinger run` names the variable, and its exit code is that of real-time settings."""
-    done = subprocess.run(
+    done = run_program(
         [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120.0,
     )
     assert done.returncode == 5
     assert "NUMBA_DISABLE_JIT is set" in done.stderr and "Traceback" not in done.stderr

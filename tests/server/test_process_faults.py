@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
+from helpers.programs import run_program
 from helpers.waits import until
 from test_kills import children
 from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state
@@ -249,7 +250,7 @@ def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
+    done = run_program(words, timeout=START_S)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
     seen = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}

@@ -2,7 +2,6 @@
 
 import inspect
 import re
-import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -11,6 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
+from helpers.programs import run_program
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.load import load_rig, load_scene
@@ -232,7 +232,7 @@ def test_command_program_on_the_page_runs():
         daemon.start()
         assert "tcp://127.0.0.1:5556" in program
         code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+        done = run_program([sys.executable, "-c", code])
         assert daemon.rendering.scene.object[0].material.stiffness_n_per_m == 800.0, done.stderr
     assert "'success': True" in done.stdout
 
@@ -263,12 +263,8 @@ def test_program_on_the_page_runs():
         thread = threading.Thread(target=publish, args=(publisher,))
         thread.start()
         try:
-            done = subprocess.run(
-                [sys.executable, "-W", "error", "-c", program.replace("tcp://127.0.0.1:5555", publisher.endpoint)],
-                capture_output=True,
-                text=True,
-                timeout=60,
-                check=False,
+            done = run_program(
+                [sys.executable, "-W", "error", "-c", program.replace("tcp://127.0.0.1:5555", publisher.endpoint)]
             )
         finally:
             stop.set()

@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from helpers.programs import run_program
 
 pytestmark = pytest.mark.real_time
 
@@ -45,14 +46,12 @@ def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
     with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands use a socket in it
         environment = os.environ | {"XDG_RUNTIME_DIR": runtime}
-        return subprocess.run(
-            words, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
-        )
+        return run_program(words, cwd=folder, env=environment, timeout=600)
 
 
 def test_the_plugin_imports_no_large_modules() -> None:
     """Every pytest in the environment loads the plugin, so it imports neither a compiler nor NumPy."""
-    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=False)
+    done = run_program([sys.executable, "-c", LIGHT])
     assert done.returncode == 0, done.stderr
 
 

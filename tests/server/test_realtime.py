@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.programs import run_program
 
 from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, refused_elsewhere
 
@@ -119,9 +119,7 @@ def child(
     """Return the settings' effect in a new process with `limits`, without root if `drop`, but what to `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
     wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, json.dumps(wish)], capture_output=True, text=True, timeout=60, check=False
-    )
+    done = run_program([sys.executable, "-c", CHILD, json.dumps(wish)])
     assert done.returncode == 0, done.stderr
     told: dict[str, Any] = json.loads(done.stdout)
     told["by_name"] = {s["name"]: s for s in told.get("settings", [])}
@@ -221,7 +219,7 @@ print(after < before / 4, code() > after)
 @privileged
 def test_the_compiler_is_not_locked_in_memory() -> None:
     """Its code is released when memory is locked, and is loaded again when it is called."""
-    done = subprocess.run([sys.executable, "-c", COMPILER], capture_output=True, text=True, timeout=60, check=False)
+    done = run_program([sys.executable, "-c", COMPILER])
     assert done.stdout == "True True\n", done.stderr
 
 
@@ -240,7 +238,7 @@ with open(os.fsencode(sys.argv[1]) + bytes([47, 255]), "wb+") as file:
 def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
     """File names need not be valid UTF-8."""
     words = [sys.executable, "-c", MAPPED, str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    done = run_program(words)
     assert "mlockall" in done.stdout, done.stderr
 
 

@@ -1,11 +1,11 @@
 """A shipped recording over a bumpy mesh, by the command line: every change of the force has a cause."""
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.programs import run_program
 from helpers.touching import FRICTION, Array, R, saved
 
 from softfinger.drivers.poses import load_poses
@@ -54,7 +54,7 @@ def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     (folder / "scan.toml").write_text(SCENE)
     words = ["simulate", "--scene", "scan.toml", "--poses", "hand.csv", "--out", "out.npz"]
     command = [sys.executable, "-m", "softfinger.server.cli", *words]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=550)
+    done = run_program(command, cwd=folder, timeout=550)
     assert done.returncode == 0, done.stderr
     with np.load(folder / "out.npz") as found:
         return dict(found)

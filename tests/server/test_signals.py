@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers.called import called
-from helpers.programs import Program
+from helpers.programs import Program, run_program
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
 
@@ -91,7 +91,7 @@ for number in sorted(signal.valid_signals()):
 
 def test_every_signal_that_ends_a_process_is_handled() -> None:
     """All signals that kill a process without handlers are in ENDING, except those that none can help."""
-    asked = subprocess.run([sys.executable, "-S", "-c", FATAL], capture_output=True, text=True, check=True)
+    asked = run_program([sys.executable, "-S", "-c", FATAL], check=True)
     fatal = set(map(int, asked.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
     assert fatal - helpless == signals.ENDING
@@ -258,9 +258,7 @@ with signals.handle_signals():
 @pytest.mark.parametrize("where", ["python", "native", "callback"])
 def test_a_signal_ends_the_process_wherever_the_main_thread_is(where: str) -> None:
     """In Python, in native code and in a callback that cannot raise, the device is closed and the process ends."""
-    done = subprocess.run(
-        [sys.executable, "-c", STUCK, where], capture_output=True, text=True, timeout=END_S, check=False
-    )
+    done = run_program([sys.executable, "-c", STUCK, where], timeout=END_S)
     assert done.returncode == 128 + signal.SIGTERM, done.stderr
     assert done.stdout == "closed\n" and "Traceback" not in done.stderr
 
@@ -293,14 +291,7 @@ sys.exit(cli.main())
 )
 def test_a_device_that_cannot_be_stopped_is_reported(words: list[str], code: int) -> None:
     """One line names the device, and the exit code of the verb is unchanged."""
-    done = subprocess.run(
-        [sys.executable, "-c", REFUSING, *words],
-        capture_output=True,
-        text=True,
-        timeout=END_S,
-        check=False,
-        start_new_session=words != ["TSTP"],
-    )
+    done = run_program([sys.executable, "-c", REFUSING, *words], timeout=END_S, start_new_session=words != ["TSTP"])
     assert done.returncode == code, done.stderr
     assert "could not be stopped (OSError: the port has gone): it may still push" in done.stderr
     assert "Traceback" not in done.stderr
@@ -323,7 +314,7 @@ with signals.handle_signals():
 
 def test_a_swallowed_signal_is_not_lost() -> None:
     """A later `stop_on_signal` stops immediately."""
-    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=END_S, check=False)
+    done = run_program([sys.executable, "-c", SWALLOWED], timeout=END_S)
     assert done.returncode == 0, done.stderr
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from helpers.called import called
+from helpers.programs import run_program
 
 POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
 
@@ -59,7 +59,5 @@ def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> No
     table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
     scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")
     words = [sys.executable, "-m", "softfinger.server.cli", "check", str(scene)]
-    done = subprocess.run(
-        words, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, text=True, check=False
-    )
+    done = run_program(words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0 and "\\u0441\\u0442\\u043e\\u043b" in done.stdout and "Traceback" not in done.stderr

@@ -20,6 +20,7 @@ import pytest
 import test_falcon_emulated
 import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
+from helpers.programs import run_program
 from test_hid_emulated import WHY_NOT, beside
 
 from softfinger.config.errors import ConfigError
@@ -55,10 +56,9 @@ def home(tmp_path: Path) -> Path:
 
 def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[str]:
     """Run the verb as that user, from the home folder."""
-    return subprocess.run(
-        [*COMMAND, "--device-report", *words],
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, cwd=home, env=environment(home), **popen,
-    )  # fmt: skip
+    return run_program(
+        [*COMMAND, "--device-report", *words], stdin=subprocess.DEVNULL, cwd=home, env=environment(home), **popen
+    )
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import zmq
+from helpers.programs import run_program
 
 from softfinger.config.errors import Unfit
 from softfinger.config.load import load_rig
@@ -35,9 +36,7 @@ def write(root: Path, **files: str) -> Path:
 
 
 def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *words], capture_output=True, text=True, timeout=300, env={**os.environ, **environment}
-    )
+    return run_program([*COMMAND, *words], env={**os.environ, **environment})
 
 
 @pytest.fixture(scope="module")

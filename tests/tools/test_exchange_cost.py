@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.programs import run_program
 
 pytestmark = [pytest.mark.real_time, pytest.mark.exhaustive]
 
@@ -20,7 +20,7 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
     """Each tick reads and writes completely; its time is that of the direct calls plus the driver's own."""
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run_program(command)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["ticks"] == 300

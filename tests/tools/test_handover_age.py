@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
+from helpers.programs import run_program
 
 SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 
@@ -20,7 +20,7 @@ SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 def test_every_driver_is_measured() -> None:
     """Of each driver there are ages of new poses and of forces that arrived, in their order, and shares of both."""
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = run_program(command)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["ticks"] == 300

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import mesh_truth
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.programs import run_program
 from helpers.surface_hand import hand
 from helpers.touching import R, saved, scene_with, thing
 from references.brute_force import balls_of, brute_distances
@@ -23,7 +23,7 @@ SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 def test_a_ball_is_true(tmp_path: Path) -> None:
     """Distances to 1e-9 of its size, a proxy that is never inside, and times of ticks; exit code 0."""
     words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
-    done = subprocess.run((sys.executable, str(SCRIPT), *words), capture_output=True, text=True, check=False)
+    done = run_program((sys.executable, str(SCRIPT), *words))
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)["ball"]
     assert found["distances"]["points"] == 300 and found["distances"]["error"] < 1e-9

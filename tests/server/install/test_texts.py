@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from helpers.programs import run_program
 
 from softfinger.config.load import load_rig
 from softfinger.config.schema import DeviceConfig
@@ -38,7 +39,7 @@ def tool(name: str) -> str:
 
 def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     env = os.environ | environment
-    return subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=120, env=env)
+    return run_program([*map(str, words)], env=env)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.pressed import pressed_scene
+from helpers.programs import run_program
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import load_rig, load_scene
@@ -67,7 +67,7 @@ def test_a_file_without_a_recording_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
 def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
     code = f"import sys; sys.modules['viser'] = None; from softfinger.server.cli import main; sys.exit(main({words}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+    done = run_program([sys.executable, "-c", code])
     assert done.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in done.stderr
     assert "Traceback" not in done.stderr
 
