@@ -17,7 +17,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
-from helpers.programs import run_program
+from helpers.programs import Program, run_program
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -230,19 +230,14 @@ def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_lib
         f'[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n[servo]\nrealtime = "off"\n'
     )
     settings = ",".join(f"{name}={value}" for name, value in PRESSING.items())
-    process = subprocess.Popen(
-        [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)],
-        env=os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)},
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)]
+    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)}
+    with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         for sample in subscribe(f"ipc://{tmp_path}/t"):
             if sample.force[2] > 0.5:
                 break
         process.send_signal(number)
         _, said = process.communicate(timeout=60)
-    finally:
-        process.kill()
     assert process.returncode == 0, said
     state = {name: float(value) for name, value in (line.split() for line in left.read_text().splitlines())}
     assert state["peak"] > 0.5

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -19,7 +18,7 @@ import pytest
 from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
-from helpers.programs import run_program
+from helpers.programs import Program, run_program
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
@@ -120,16 +119,10 @@ def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
 def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Run the daemon in contact, in a separate process."""
     service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
-    running = subprocess.Popen(command_line(service, folder, "a"), stderr=subprocess.PIPE, text=True)
-    timer = threading.Timer(300.0, running.kill)
-    timer.start()
-    try:
+    words = command_line(service, folder, "a")
+    with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as running:
         pushes(service)
         yield running
-    finally:
-        timer.cancel()
-        running.kill()
-        running.communicate()
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from emulators.haply2diy import LINKS, Firmware, place
 from emulators.woodenhaptics import Arm, Woody
 from helpers.compiled_code import called_in, functions
 from helpers.described_boards import REST, TO_WORLD, force_of
-from helpers.hid_devices import RIGS, Answering, RefusedNode, described, ends, rig_options, woody
+from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
@@ -47,16 +47,15 @@ COUNT_M = 3e-4
 """Half an encoder count at a motor is up to 0.13 mm at the end of the longest arm along each joint."""
 
 
-class Bench(driver_contract.Bench):
+class Bench(RefusingBench):
     """Bench with an emulated arm at the end of a packet socket; refusals come from a plain file."""
 
     # An encoder count and 1 mA of a motor are 8 mN at the end.
     force_step_n: ClassVar[float] = 0.012
-    patience_s: ClassVar[float] = 10.0
 
     def __init__(self, rig: str, through: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        self.rig, self.through, self.node, self._undo = rig, through, node, undo
-        self.case = ""
+        super().__init__(node)
+        self.rig, self.through, self._undo = rig, through, undo
         self.device: HidDevice | None = None
 
     def open(self) -> Device:
@@ -73,19 +72,12 @@ class Bench(driver_contract.Bench):
         self.answering.settle(self.device)
         return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
 
-    def make(self, case: str) -> None:
+    def fault(self, case: str) -> bool:
         if case == "lost":
             self.answering.unplug()
         elif case == "timeout":
             self.answering.mute.set()
-        else:
-            self.case = case
-            if case != "not_found":
-                self.node.make(case)
-
-    def mend(self) -> None:
-        self.node.mend()
-        self.case = ""
+        return case in ("lost", "timeout")
 
 
 @pytest.fixture(

@@ -14,6 +14,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import COMPILE_S, assert_engine_agrees, records_of_daemon
 from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
+from helpers.programs import Program
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -146,12 +147,9 @@ def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library:
         '[servo]\nrealtime = "off"\n'
     )
     settings = ",".join(f"{name}={value}" for name, value in DEEP.items())
-    process = subprocess.Popen(
-        [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"],
-        env=os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)},
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"]
+    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)}
+    with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         pressed = 0
         for sample in subscribe(f"ipc://{tmp_path}/t"):
             pressed += sample.force[2] > 0.5
@@ -159,8 +157,6 @@ def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library:
                 break
         process.send_signal(number)
         _, said = process.communicate(timeout=60)
-    finally:
-        process.kill()
     last = np.linalg.norm(journal_in(left)["force"], axis=1)
     assert last.max() > 0.5
     if number == signal.SIGKILL:

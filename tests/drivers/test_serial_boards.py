@@ -13,7 +13,7 @@ import pytest
 from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port, place
 from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
-from helpers.hid_devices import RefusedNode
+from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import fresh
 
 from softfinger.config.errors import DeviceNotFound
@@ -27,27 +27,18 @@ from softfinger.server.driver_contract import Servo
 pytestmark = pytest.mark.real_time
 
 
-class BoardBench(driver_contract.Bench):
+class BoardBench(RefusingBench):
     """Common part of both benches: refusals of a port from a plain file."""
 
     rig: ClassVar[str]
-    patience_s: ClassVar[float] = 10.0
 
     def __init__(self, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        self.node, self.undo, self.case = node, undo, ""
+        super().__init__(node)
+        self.undo = undo
 
     def refused(self) -> Device:
         path = "/dev/ttyACM-none" if self.case == "not_found" else str(self.node.path)
         return open_device(rig_options(self.rig, path=path), driver_contract.RATE_HZ)
-
-    def refuse(self, case: str) -> None:
-        self.case = case
-        if case != "not_found":
-            self.node.make(case)
-
-    def mend(self) -> None:
-        self.node.mend()
-        self.case = ""
 
 
 class TwoDiy(BoardBench):
@@ -74,13 +65,12 @@ class TwoDiy(BoardBench):
             settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda seen: seen >= written, 0.5)
         return (*force_of(self.board), 0.0, 0.0, 0.0)
 
-    def make(self, case: str) -> None:
+    def fault(self, case: str) -> bool:
         if case == "lost":
             self.port.pull()
         elif case == "timeout":
             self.port.mute.set()
-        else:
-            self.refuse(case)
+        return case in ("lost", "timeout")
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +103,12 @@ class HapkitBench(BoardBench):
         time.sleep(0.005)  # a loop of the sketch takes 0.1 ms
         return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
 
-    def make(self, case: str) -> None:
+    def fault(self, case: str) -> bool:
         if case == "lost":
             self.board.pull()
         elif case == "timeout":
             self.board.mute()
-        else:
-            self.refuse(case)
+        return case in ("lost", "timeout")
 
 
 class Contract(driver_contract.DriverContract):

@@ -21,6 +21,7 @@ from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
 from helpers.called import called
 from helpers.described_boards import force_of, settled
+from helpers.programs import Program
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.config.load import load_rig, load_scene
@@ -140,14 +141,8 @@ def command(
 ) -> Iterator[subprocess.Popen[str]]:
     """Run `softfinger run` in a separate process."""
     words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
-    try:
+    with Program(words, stderr=subprocess.PIPE, text=True, env=environment, kill_at_end=True) as process:
         yield process
-    finally:
-        process.kill()
-        process.wait()
-        if process.stderr is not None:
-            process.stderr.close()
 
 
 SIGNALS = [

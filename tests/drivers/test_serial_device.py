@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.compiled_code import called_in, functions
-from helpers.hid_devices import RefusedNode
+from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.serial_devices import PLACE, board, opened, rig_options, settle
 from helpers.waits import fresh, until
 from numba import types
@@ -45,15 +45,14 @@ STEP_N = 0.5e-3 * 1.001
 """A frame has millinewtons: half of one, and rounding."""
 
 
-class Bench(driver_contract.Bench):
+class Bench(RefusingBench):
     """Bench with an emulated board at the end of a pseudo terminal; refusals of a port come from a plain file."""
 
     force_step_n: ClassVar[float] = STEP_N
-    patience_s: ClassVar[float] = 10.0
 
     def __init__(self, early_end: bool, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        self.early_end, self.node, self._undo = early_end, node, undo
-        self.case = ""
+        super().__init__(node)
+        self.early_end, self._undo = early_end, undo
 
     def open(self) -> Device:
         if self.case:
@@ -69,19 +68,12 @@ class Bench(driver_contract.Bench):
         settle(self.device, self.cable)
         return self.cable.board.force
 
-    def make(self, case: str) -> None:
+    def fault(self, case: str) -> bool:
         if case == "lost":
             self.cable.pull()
         elif case == "timeout":
             self.cable.hush()
-        else:
-            self.case = case
-            if case != "not_found":
-                self.node.make(case)
-
-    def mend(self) -> None:
-        self.node.mend()
-        self.case = ""
+        return case in ("lost", "timeout")
 
 
 @pytest.fixture(params=[False, True], ids=["one newline", "two newlines"])

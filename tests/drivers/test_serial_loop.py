@@ -6,8 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import pytest
 from emulators.hand import stroke
 from emulators.serialboard import Board, Cable
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
+from helpers.programs import Program, run_program
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import eventually, until
 
@@ -115,26 +114,17 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
         mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
         command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
         command += ["--scene", "paper-plane", "--endpoint"]
-        first = subprocess.Popen([*command, f"ipc://{tmp_path}/a"], stderr=subprocess.PIPE, text=True)
-        timer = threading.Timer(120.0, first.kill)
-        timer.start()
-        try:
-            while board.force[2] < 0.5 and first.poll() is None:
-                time.sleep(0.01)
+        words = [*command, f"ipc://{tmp_path}/a"]
+        with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as first:
+            until(lambda: board.force[2] >= 0.5 or first.poll() is not None)
             assert first.poll() is None, first.communicate()[1]
-            second = subprocess.run(
-                [*command, f"ipc://{tmp_path}/b"], stderr=subprocess.PIPE, text=True, timeout=120, check=False
-            )
+            second = run_program([*command, f"ipc://{tmp_path}/b"])
             assert second.returncode == 4
             assert re.search(
                 rf"{cable.path} is used by process {first.pid} \(python.*\): end that process", second.stderr
             )
             first.send_signal(signal.SIGINT)
             said = first.communicate(timeout=60)[1]
-        finally:
-            timer.cancel()
-            first.kill()
-            first.wait()
         assert first.returncode == 0, said
         assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in said
         assert "force is zero" in said

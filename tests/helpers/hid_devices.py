@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from emulators.hand import Vector
 from emulators.woodenhaptics import Woody
@@ -24,6 +24,7 @@ from emulators.woodenhaptics import Woody
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
+from softfinger.server import driver_contract
 
 RIGS = {
     "woodenhaptics-2019": "woody-2019",
@@ -227,3 +228,26 @@ class RefusedNode:
     def __exit__(self, *_: object) -> None:
         self.mend()
         self._folder.cleanup()
+
+
+class RefusingBench(driver_contract.Bench):
+    """Bench of a node or port: refusals come from a `RefusedNode`, faults of the open device from `fault`."""
+
+    patience_s: ClassVar[float] = 10.0
+
+    def __init__(self, node: RefusedNode) -> None:
+        self.node, self.case = node, ""
+
+    def fault(self, case: str) -> bool:
+        """Cause a fault; return False if the case is a refusal."""
+        raise NotImplementedError
+
+    def make(self, case: str) -> None:
+        if not self.fault(case):
+            self.case = case
+            if case != "not_found":
+                self.node.make(case)
+
+    def mend(self) -> None:
+        self.node.mend()
+        self.case = ""

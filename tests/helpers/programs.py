@@ -13,14 +13,15 @@ LIMIT_S: Final = 300.0
 
 
 class Program(subprocess.Popen[Any]):
-    """A program that is killed at the end of the block.
+    """A program that is killed after LIMIT_S, and at the end of the block if that fails or with `kill_at_end`.
 
     `Popen` would wait at the end of its block until the program ends, and a program that does not end would block a
     failed test, as would a read of its output.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, kill_at_end: bool = False, **options: Any) -> None:
         super().__init__(*args, **options)
+        self._kill_at_end = kill_at_end
         self._over = threading.Timer(LIMIT_S, self.kill)
         self._over.daemon = True
         self._over.start()
@@ -28,7 +29,7 @@ class Program(subprocess.Popen[Any]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None:
+        if kind is not None or self._kill_at_end:
             self.kill()
         super().__exit__(kind, error, trace)
         self._over.cancel()

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers.faulty_device import registered
-from helpers.programs import run_program
+from helpers.programs import Program, run_program
 from helpers.waits import eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
@@ -48,12 +48,9 @@ def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run `softfinger run` on a private endpoint; kill it at the end."""
     with TemporaryDirectory(prefix="daemon") as folder:  # no port, because another program may use one
         endpoint = f"ipc://{folder}/t"
-        process = subprocess.Popen([*COMMAND, "run", "--endpoint", endpoint, *words], stderr=subprocess.PIPE, text=True)
-        try:
+        command = [*COMMAND, "run", "--endpoint", endpoint, *words]
+        with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
             yield process, endpoint
-        finally:
-            process.kill()
-            process.communicate()
 
 
 @contextmanager

@@ -19,6 +19,7 @@ import pytest
 import zmq
 from emulators.serialboard import Board, Cable
 from helpers.faulty_device import Driver, acts, registered
+from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 from helpers.telemetry_records import join, put, synthetic
 from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
@@ -264,20 +265,11 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
         (tmp_path / "scene.toml").write_text(SCENE)
         command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off"]
         command += ["--rig", str(tmp_path / "rig.toml"), "--scene", str(tmp_path / "scene.toml")]
-        process = subprocess.Popen(
-            [*command, "--endpoint", f"ipc://{tmp_path}/t", *words], stderr=subprocess.PIPE, text=True
-        )
-        timer = threading.Timer(WAIT_S, process.kill)
-        timer.start()
-        try:
+        command += ["--endpoint", f"ipc://{tmp_path}/t", *words]
+        with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
             until(lambda: all(board.force[2] > FORCE_N for board in boards) or process.poll() is not None)
             assert process.poll() is None, process.communicate()[1]
             yield boards, cables, process
-        finally:
-            timer.cancel()
-            process.kill()
-            process.wait()
-            process.stderr.close()  # type: ignore[union-attr]
 
 
 def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:

@@ -192,15 +192,10 @@ def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
 @contextlib.contextmanager
 def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     """Run `softfinger forward`; yield it and its endpoint."""
-    process = subprocess.Popen(
-        [*COMMAND, "forward", "--json", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    with process:
-        try:
-            said = next((line for line in process.stderr if "forwarded on" in line), "")
-            yield process, said.partition("forwarded on ")[2].partition(",")[0]
-        finally:
-            process.kill()
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "kill_at_end": True}
+    with Program([*COMMAND, "forward", "--json", *words], **pipes) as process:
+        said = next((line for line in process.stderr if "forwarded on" in line), "")
+        yield process, said.partition("forwarded on ")[2].partition(",")[0]
 
 
 BATCH = 50

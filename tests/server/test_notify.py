@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers import faulty_device
-from helpers.programs import run_program
+from helpers.programs import Program, run_program
 
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -95,9 +94,8 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
     said = tmp_path / "stderr"
-    with said.open("w") as stderr:
-        process = subprocess.Popen(command, env=os.environ | manager.environment, stderr=stderr)
-    try:
+    environment = os.environ | manager.environment
+    with said.open("w") as stderr, Program(command, env=environment, stderr=stderr, kill_at_end=True) as process:
         first = manager.until("READY=1")
         ticks = [int(line.split("=")[1].split()[0]) for line in first if line.startswith("STATUS=")]
         assert ticks and ticks[0] > 0
@@ -109,9 +107,6 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
         last = manager.until("STOPPING=1", process.terminate)
         assert "WATCHDOG_USEC=0" in last  # a slow shutdown is not mistaken for a hung servo
         assert process.wait(60) == 0, said.read_text()
-    finally:
-        process.kill()
-        process.wait()
 
 
 @ABSTRACT

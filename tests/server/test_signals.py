@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,24 +48,13 @@ def pressing(
         named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
         mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
         command = [*COMMAND, "run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
-        process = subprocess.Popen(
-            [*command, "--endpoint", f"ipc://{tmp_path}/t", *words],
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | (environment or {}),
-            process_group=0,  # without a parent in its session, as under a service manager, Ctrl-Z has no effect
-        )
-        timer = threading.Timer(START_S, process.kill)
-        timer.start()
-        try:
+        command += ["--endpoint", f"ipc://{tmp_path}/t", *words]
+        # Without a parent in its session (process_group), as under a service manager, Ctrl-Z has no effect.
+        more = {"env": os.environ | (environment or {}), "process_group": 0, "kill_at_end": True}
+        with Program(command, stderr=subprocess.PIPE, text=True, **more) as process:
             until(lambda: board.force[2] > FORCE_N or process.poll() is not None, START_S, "a force")
             assert process.poll() is None, process.communicate()[1]
             yield board, process
-        finally:
-            timer.cancel()
-            process.kill()
-            process.wait()
-            process.stderr.close()
 
 
 FATAL = """
@@ -204,18 +192,13 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
     }[verb]
     last_kernel = "tick_many" if verb == "simulate" else "servo_loop"
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "cache")}
-    process = subprocess.Popen(
-        [*COMMAND, *words], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with Program([*COMMAND, *words], env=environment, **pipes) as process:
         for line in process.stderr:
             if "compiling kernel" in line:  # logged after half a second
                 break
         process.send_signal(number)
         said = process.communicate(timeout=END_S)[1]
-    finally:
-        process.kill()
-        process.wait()
     assert process.returncode == 128 + number, said
     assert said.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in said
     assert not list((tmp_path / "cache").rglob(f"{last_kernel}-*.kernel")), "it ended after the compilation"
@@ -377,21 +360,14 @@ print("left with", os.waitstatus_to_exitcode(status), flush=True)
 def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
     """A verb that has a device but no pause writes zero before the process stops, and ends in order after `fg`."""
     ours, theirs = pty.openpty()
-    with Program([sys.executable, "-c", SHELL, JOB], stdin=theirs, stdout=theirs, stderr=theirs) as shell:
+    words, said = [sys.executable, "-c", SHELL, JOB], b""
+    with Program(words, stdin=theirs, stdout=theirs, stderr=theirs, kill_at_end=True), open(ours, "r+b", 0) as terminal:
         os.close(theirs)
-        timer = threading.Timer(START_S, shell.kill)
-        timer.start()
-        said = b""
-        try:
-            while b"ready\r\n" not in said:
-                said += os.read(ours, 4096)
-            os.write(ours, b"\x1a")
-            while not said.endswith(b"\n") or b"left with" not in said:
-                said += os.read(ours, 4096)
-        finally:
-            timer.cancel()
-            shell.kill()
-            os.close(ours)
+        while b"ready\r\n" not in said:
+            said += terminal.read(4096)
+        terminal.write(b"\x1a")
+        while not said.endswith(b"\n") or b"left with" not in said:
+            said += terminal.read(4096)
     lines = said.decode().split("\r\n")
     assert lines[:4] == ["ready", "zero", "stopped", "closed"], said
     assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], said
@@ -414,13 +390,7 @@ sys.exit(cli.main(sys.argv[1:]))
 def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
     """Its stop and close never return: the process reports it and ends with the exit code of a device error."""
     words = ["run", "--rig", "simulated", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", HANGING, *words, "--duration", "0.2"], stderr=subprocess.PIPE, text=True
-    )
-    try:
-        _, said = process.communicate(timeout=START_S)
-    finally:
-        process.kill()
-    assert process.returncode == DeviceError.exit_code, said
-    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still apply a force", said)
-    assert "Traceback" not in said
+    done = run_program([sys.executable, "-c", HANGING, *words, "--duration", "0.2"], timeout=START_S)
+    assert done.returncode == DeviceError.exit_code, done.stderr
+    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still apply a force", done.stderr)
+    assert "Traceback" not in done.stderr

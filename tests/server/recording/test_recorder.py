@@ -278,20 +278,18 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "killed.mcap"
     endpoint = f"ipc://{tmp_path}/t"
     words = ["run", "--endpoint", endpoint, "--commands", "off", "--realtime", "off", "--record", str(path)]
-    process = subprocess.Popen([*COMMAND, *words], stderr=subprocess.DEVNULL)
-    try:
-        with subscribe(endpoint, timeout_s=WAIT_S) as samples:
-            enough = random.Random(seed).randrange(300, 900)
+    with (
+        Program([*COMMAND, *words], stderr=subprocess.DEVNULL) as process,
+        subscribe(endpoint, timeout_s=WAIT_S) as samples,
+    ):
+        enough = random.Random(seed).randrange(300, 900)
+        seen = next(samples).tick
+        while seen < enough:
             seen = next(samples).tick
-            while seen < enough:
-                seen = next(samples).tick
-            process.kill()
-            process.wait()
-            while (sample := samples.receive(0.2)) is not None:
-                seen = sample.tick
-    finally:
         process.kill()
         process.wait()
+        while (sample := samples.receive(0.2)) is not None:
+            seen = sample.tick
     ticks = []
     with path.open("rb") as file:
         reader = NonSeekingReader(file, decoder_factories=[DecoderFactory()])

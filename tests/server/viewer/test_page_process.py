@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
@@ -131,11 +131,7 @@ def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeyp
     monkeypatch.setenv("BROWSER", f"{shlex.quote(str(program))} %s")
     monkeypatch.setenv("DISPLAY", ":0")
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
-    with Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True) as process, ExitStack() as failing:
-        failing.callback(process.kill)
-        timer = threading.Timer(WAIT_S, process.kill)
-        timer.start()
-        failing.callback(timer.cancel)
+    with Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True, kill_at_end=True) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         while not (tmp_path / "words").exists():
