@@ -4,7 +4,6 @@ import re
 import shlex
 import subprocess
 import sys
-import threading
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import paper_mapping
+from helpers.programs import Program
 from helpers.telemetry_records import put, synthetic
+from helpers.waits import repeated
 
 from softfinger import run_recording
 from softfinger.config import errors
@@ -190,22 +191,12 @@ def test_python_of_the_readme_runs():
     with Publisher("tcp://127.0.0.1:*") as publisher:
         code = code.replace("tcp://127.0.0.1:5555", publisher.endpoint)
         assert len(code.strip().splitlines()) == 5  # as the README promises
-        stop = threading.Event()
-
-        def publish() -> None:
-            while not stop.wait(0.02):
-                publisher.publish(records)
-
-        thread = threading.Thread(target=publish)
-        thread.start()
-        try:
-            process = subprocess.Popen([sys.executable, "-u", "-c", code], stdout=subprocess.PIPE, text=True)
+        words = [sys.executable, "-u", "-c", code]
+        with (
+            repeated(lambda: publisher.publish(records)),
+            Program(words, stdout=subprocess.PIPE, text=True, kill_at_end=True) as process,
+        ):
             line = process.stdout.readline()
-        finally:
-            process.kill()
-            process.communicate()
-            stop.set()
-            thread.join()
     assert "sliding" in line and "lost:" in line
 
 

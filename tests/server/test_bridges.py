@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.recorded import event, recorded, run
+from helpers.waits import repeated
 from helpers.websocket import Viewer
 from mcap.reader import make_reader
 
@@ -166,24 +165,15 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     assert list(tick.force) == row["force"].tolist() and time_ns == round(tick.timestamp * 1e9)
 
 
-@contextmanager
-def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> Iterator[None]:
+def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> AbstractContextManager[None]:
     """Send from another thread repeatedly, because a subscription takes effect with a delay."""
-    over = threading.Event()
+    later = records.copy()
 
     def send() -> None:
-        later = records.copy()
-        while not over.wait(0.02):
-            shown.take(later, 0)
-            later[:, AT.timestamp] += 1.0  # so that the scene is due again
+        shown.take(later, 0)
+        later[:, AT.timestamp] += 1.0  # so that the scene is due again
 
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return repeated(send)
 
 
 def test_a_port_in_use_raises_an_error_with_advice() -> None:

@@ -31,7 +31,7 @@ from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.programs import Program, run_program
 from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
-from helpers.waits import eventually
+from helpers.waits import eventually, repeated
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
@@ -460,25 +460,13 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
         assert control.describe()["armed"] is False and kept.force_n == 0.0
         control.heartbeat()
         assert following("command")["what"] == {"armed": True}
-        alive = threading.Event()
-
-        def beat() -> None:
-            with Control(daemon.commands_endpoint) as other:
-                while not alive.wait(0.05):
-                    other.heartbeat()
-
-        beating = threading.Thread(target=beat)
-        beating.start()
-        try:
+        with Control(daemon.commands_endpoint) as other, repeated(other.heartbeat, 0.05):
             assert eventually(lambda: kept.force_n > 1.9)
             control.disarm()
             assert eventually(lambda: kept.force_n == 0.0)
             control.heartbeat()
             time.sleep(0.2)
             assert kept.force_n == 0.0 and control.describe()["armed"] is False
-        finally:
-            alive.set()
-            beating.join()
 
 
 def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):

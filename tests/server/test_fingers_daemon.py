@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import re
 import signal
 import subprocess
@@ -23,7 +24,7 @@ from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 from helpers.telemetry_records import join, put, synthetic
 from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
-from helpers.waits import until
+from helpers.waits import repeated, until
 from rich.console import Console
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
@@ -225,26 +226,14 @@ def test_clients_separate_the_fingers() -> None:
 
 def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
     """One file for two fingers is refused with advice."""
-    stop = threading.Event()
-
-    def publish() -> None:
-        for first in range(0, 100_000, 10):
-            if stop.wait(0.01):
-                return
-            publisher.publish(two_records(10, first))
-
+    firsts = itertools.count(0, 10)
     with (
         Publisher("tcp://127.0.0.1:*", fingers=NAMES) as publisher,
         subscribe(publisher.endpoint, ("contact", "finger/", "event")) as wire,
+        repeated(lambda: publisher.publish(two_records(10, next(firsts))), 0.01),
+        pytest.raises(ConfigError, match=r"several fingers, such as \w+: --poses \w+=FILE"),
     ):
-        thread = threading.Thread(target=publish)
-        thread.start()
-        try:
-            with pytest.raises(ConfigError, match=r"several fingers, such as \w+: --poses \w+=FILE"):
-                record(wire, {"": tmp_path / "one.csv"})
-        finally:
-            stop.set()
-            thread.join()
+        record(wire, {"": tmp_path / "one.csv"})
 
 
 # --- two boards on two lines, and the daemon of the command line ------------------------------------

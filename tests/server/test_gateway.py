@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from helpers.called import called
 from helpers.encoder import contact_map
 from helpers.programs import Program, run_program
 from helpers.telemetry_records import synthetic
-from helpers.waits import eventually
+from helpers.waits import eventually, repeated
 from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
@@ -201,24 +200,10 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
 BATCH = 50
 
 
-@contextlib.contextmanager
-def ticking(publisher: Publisher) -> Iterator[None]:
+def ticking(publisher: Publisher) -> contextlib.AbstractContextManager[None]:
     """Publish BATCH ticks at a time while the block runs."""
-    stop = threading.Event()
-
-    def publish() -> None:
-        first = 0
-        while not stop.wait(0.02):
-            publisher.publish(synthetic(BATCH, first_tick=first))
-            first += BATCH
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
+    firsts = itertools.count(0, BATCH)
+    return repeated(lambda: publisher.publish(synthetic(BATCH, first_tick=next(firsts))))
 
 
 def test_forwarded_messages_equal_published_ones() -> None:

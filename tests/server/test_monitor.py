@@ -2,6 +2,7 @@
 
 import argparse
 import fcntl
+import itertools
 import json
 import os
 import pty
@@ -19,6 +20,7 @@ import pytest
 from helpers.called import called
 from helpers.programs import Program, run_program
 from helpers.telemetry_records import put, synthetic
+from helpers.waits import repeated
 from rich.console import Console
 
 from softfinger.config.errors import ConfigError
@@ -47,35 +49,25 @@ except HapticError as error:
 @pytest.fixture
 def endpoint():
     """Publish sliding at 1 kHz: 20 ticks every 20 ms, each batch with a slip event."""
-    stop = threading.Event()
+    firsts = itertools.count(0, 20)
+    values = {
+        "contact.mode": 2, "contact.object": 3, "contact.normal_force": 1.25, "contact.tangential_force": 0.625,
+        "contact.penetration": 0.0015, "contact.spin": np.pi / 4, "force": [0.5, -0.25, 1.25],
+        "torque": [0.0, 0.0, 0.002], "servo.late": 12e-6, "servo.exec": 1e-6, "servo.missed": 7,
+    }  # fmt: skip
 
-    def publish(publisher):
-        first = 0
-        while not stop.wait(0.02):
-            if not publisher.subscribers:  # health is sent after a second of ticks, and events after it
-                continue
-            records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)
-            put(records, "contact.mode", 2)
-            put(records, "contact.object", 3)
-            put(records, "contact.normal_force", 1.25)
-            put(records, "contact.tangential_force", 0.625)
-            put(records, "contact.penetration", 0.0015)
-            put(records, "contact.spin", np.pi / 4)
-            put(records, "force", [0.5, -0.25, 1.25])
-            put(records, "torque", [0.0, 0.0, 0.002])
-            put(records, "servo.late", 12e-6)
-            put(records, "servo.exec", 1e-6)
-            put(records, "servo.missed", 7)
-            put(records[:1], "contact.cause", CAUSE_NAMES.index("drag"))
-            publisher.publish(records, drops=4)
-            first += 20
+    def publish():
+        if not publisher.subscribers:  # health is sent after a second of ticks, and events after it
+            return
+        first = next(firsts)
+        records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)
+        for name, value in values.items():
+            put(records, name, value)
+        put(records[:1], "contact.cause", CAUSE_NAMES.index("drag"))
+        publisher.publish(records, drops=4)
 
-    with Publisher("tcp://127.0.0.1:*") as publisher:
-        thread = threading.Thread(target=publish, args=(publisher,))
-        thread.start()
+    with Publisher("tcp://127.0.0.1:*") as publisher, repeated(publish):
         yield publisher.endpoint
-        stop.set()
-        thread.join()
 
 
 def command(*arguments):
@@ -175,17 +167,8 @@ def test_a_stopped_stream_is_reported():
             command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=pipe, stderr=pipe, text=True
         ) as process,
     ):
-        stop = threading.Event()
-
-        def publish():
-            while not stop.wait(0.02):
-                publisher.publish(synthetic(1, first_tick=41))
-
-        thread = threading.Thread(target=publish)
-        thread.start()
-        first = process.stdout.readline()
-        stop.set()
-        thread.join()
+        with repeated(lambda: publisher.publish(synthetic(1, first_tick=41))):
+            first = process.stdout.readline()
         assert "no data" not in first
         while "no data" not in (line := process.stdout.readline()):
             assert "tick 41 free object -1" in line

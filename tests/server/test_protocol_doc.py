@@ -1,9 +1,9 @@
 """docs/protocol.md and the reference of telemetry against the code and against received messages."""
 
 import inspect
+import itertools
 import re
 import sys
-import threading
 from pathlib import Path
 
 import msgpack
@@ -12,6 +12,7 @@ import pytest
 import zmq
 from helpers.programs import run_program
 from helpers.telemetry_records import join, put, synthetic
+from helpers.waits import repeated
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
@@ -250,25 +251,13 @@ def test_program_on_the_page_runs():
     """The documented subscriber receives consecutive ticks from a publisher and ends."""
     program = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)[0]
     assert "tcp://127.0.0.1:5555" in program
-    stop = threading.Event()
-
-    def publish(publisher):
-        # Until the program has its ticks, because the machine determines when it connects.
-        first = 0
-        while not stop.wait(0.01):
-            publisher.publish(synthetic(50, first_tick=first))
-            first += 50
-
-    with Publisher("tcp://127.0.0.1:*") as publisher:
-        thread = threading.Thread(target=publish, args=(publisher,))
-        thread.start()
-        try:
-            done = run_program(
-                [sys.executable, "-W", "error", "-c", program.replace("tcp://127.0.0.1:5555", publisher.endpoint)]
-            )
-        finally:
-            stop.set()
-            thread.join()
+    firsts = itertools.count(0, 50)
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        repeated(lambda: publisher.publish(synthetic(50, first_tick=next(firsts))), 0.01),
+    ):
+        program = program.replace("tcp://127.0.0.1:5555", publisher.endpoint)
+        done = run_program([sys.executable, "-W", "error", "-c", program])
     assert done.returncode == 0, done.stderr
     ticks = [int(line.split()[0]) for line in done.stdout.splitlines()]
     assert len(ticks) > 0

@@ -10,9 +10,7 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.programs import Program
+from helpers.waits import repeated
 from test_trial_order import small
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
@@ -303,22 +302,9 @@ gap_s = 0.0
 """
 
 
-@contextmanager
-def held_down(terminal: int, key: bytes) -> Iterator[None]:
+def held_down(terminal: int, key: bytes) -> AbstractContextManager[None]:
     """Type a key 30 times a second, like the key repeat of a terminal."""
-    released = threading.Event()
-
-    def repeat() -> None:
-        while not released.wait(0.033):
-            os.write(terminal, key)
-
-    thread = threading.Thread(target=repeat)
-    thread.start()
-    try:
-        yield
-    finally:
-        released.set()
-        thread.join()
+    return repeated(lambda: os.write(terminal, key), 0.033)
 
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
