@@ -397,9 +397,9 @@ def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, An
         mapping = describe(scene)
         return {index_entries(mapping, key): change["to"] for key, change in what.items()}
     if event["name"] == "drive":
-        object_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
-        return None if object_index is None else {
-            f"object.{object_index}.{key}": value for key, value in what.items() if key != "object"
+        scene_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
+        return None if scene_index is None else {
+            f"object.{scene_index}.{key}": value for key, value in what.items() if key != "object"
         }  # fmt: skip
     return {}
 

@@ -209,10 +209,10 @@ class Page:
         client.camera.position = look_at + factor * (camera.position - look_at)
         client.camera.look_at, client.camera.fov = look_at, camera.fov
 
-    def drive(self, object_index: int, position: Any, orientation: Any) -> None:
+    def drive(self, scene_index: int, position: Any, orientation: Any) -> None:
         """Move a driven object of the scene."""
         if self.bodies is not None:
-            self.bodies.drive(object_index, position, orientation)
+            self.bodies.drive(scene_index, position, orientation)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
         """Move the bodies of the scene's [world], by name."""
@@ -222,11 +222,11 @@ class Page:
                 self._awaits_body_poses = False
                 self._set_camera()
 
-    def draw(self, object_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: Mesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
-            self.bodies.draw(object_index, mesh)
-            self._file_vertices[object_index] = mesh.vertices
+            self.bodies.draw(scene_index, mesh)
+            self._file_vertices[scene_index] = mesh.vertices
             self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:

@@ -25,13 +25,13 @@ class Projection(NamedTuple):
     point   (3,) m
     normal  (3,)  unit normal of the surface, upwards
     flat          whether the surface is flat
-    object_index  index of the object in `Bodies.poses`
+    scene_index   index of the object in `Bodies.poses`
     """
 
     point: Array
     normal: Array
     flat: bool
-    object_index: int = -1
+    scene_index: int = -1
 
 
 class PlaneSurface:
