@@ -28,7 +28,7 @@ class Fault(NamedTuple):
 
 
 @dataclass
-class Report:
+class FaultCollector:
     """Faults found so far; `sources` maps single keys to their source, such as a command-line flag."""
 
     where: str
@@ -45,7 +45,7 @@ class Report:
 
 
 def checked_number(
-    kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: Report
+    kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: FaultCollector
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
     whole = isinstance(kind, inspect.IntType)
@@ -67,7 +67,7 @@ def checked_number(
     return report.add(key, wanted + reason)
 
 
-def checked_text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any:
+def checked_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:
     """Return a text of the length and pattern of `kind`."""
     if not isinstance(value, str):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
@@ -80,7 +80,7 @@ def checked_text(kind: inspect.StrType, value: object, key: str, report: Report)
     return value
 
 
-def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: Report) -> Any:
+def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
     """Return one of the values of `kind`."""
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value

@@ -50,7 +50,7 @@ HUNG: Final = 0.1
 Array = NDArray[np.float64]
 
 
-class Hold:
+class HoldController:
     """Controller that holds the knob and records time (s) and vertical force (N) of every exchange."""
 
     def __init__(self, device: Device) -> None:
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         if not isinstance(device, Falcon):
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
         device.arm()
-        hold = Hold(device)
+        hold = HoldController(device)
         print("hold the knob still, then release it: it stays in place", file=sys.stderr)
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)

@@ -33,7 +33,7 @@ ICE: Final = {"kinetic": 0.0}
 EIGHTH: Final = float(np.pi / 8.0)
 
 
-class Case(NamedTuple):
+class TouchCase(NamedTuple):
     """Touched objects, and poses (n, 7)."""
 
     objects: list[dict[str, Any]]
@@ -59,31 +59,31 @@ def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
     return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
 
 
-def record_case(case: Case) -> Array:
+def record_case(case: TouchCase) -> Array:
     """Return the records of a case."""
     tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
     return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
 
 
-def over(objects: list[dict[str, Any]]) -> Case:
+def over(objects: list[dict[str, Any]]) -> TouchCase:
     """Return a case that presses onto z = 0 and drags by 20 mm along x, at 50 mm/s."""
     z = RADIUS_M - PRESS_M
-    return Case(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
+    return TouchCase(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
 
 
-def plane() -> Case:
+def plane() -> TouchCase:
     """Return the plane that the seam is compared with."""
     return over([{"name": "floor", "shape": "plane", "material": GRIP}])
 
 
-def seam() -> Case:
+def seam() -> TouchCase:
     """Return two flush boxes, with a drag from one to the other."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "material": GRIP}
     boxes = [box | {"name": f"box {i}", "position_m": [x, 0.0, -0.05]} for i, x in enumerate((-0.05, 0.05))]
     return over(boxes)
 
 
-def groove() -> Case:
+def groove() -> TouchCase:
     """Return two walls at right angles, one of them without friction, with a press and a drag along them."""
     walls = [
         {
@@ -95,10 +95,10 @@ def groove() -> Case:
         for i, (side, stuff) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
     ]
     z = 2.0**0.5 * RADIUS_M - PRESS_M
-    return Case(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
+    return TouchCase(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
 
 
-def pinch() -> Case:
+def pinch() -> TouchCase:
     """Return a finger at rest 1 mm deep in the floor, and a ceiling that descends onto it."""
     down = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.008], "frequency_hz": 0.3}
     floor = {"name": "floor", "shape": "plane", "material": GRIP}
@@ -109,10 +109,10 @@ def pinch() -> Case:
         "motion": down,
     }
     at = (0.0, 0.0, RADIUS_M - PRESS_M)
-    return Case([floor, ceiling], make_path(at, at, ticks=800))
+    return TouchCase([floor, ceiling], make_path(at, at, ticks=800))
 
 
-def drag(case: Case) -> Drag:
+def drag(case: TouchCase) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
     records = record_case(case)
     kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])

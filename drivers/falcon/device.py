@@ -16,7 +16,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 
 log: Final = logging.getLogger(__name__)
 
@@ -230,7 +230,7 @@ def _address(library: ctypes.CDLL, name: str) -> int:
     return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
-def identify(device: Attached, options: Options) -> dict[str, bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, bool]:
     """Return whether firmware runs in an attached Falcon; opens it to find out, and sends none.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.

@@ -27,7 +27,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
@@ -288,7 +288,7 @@ class ForceDimension(Device):
         )
 
 
-def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
     """Return the library's description of the device that the options select, or of the first; switches no force on.
 
     USB does not identify which of several attached devices is `device`: select one in the options.

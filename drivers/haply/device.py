@@ -15,10 +15,10 @@ from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
-from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, Model
+from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.pack import flatten
 
 __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
@@ -37,7 +37,9 @@ class HaplyDevice(Device):
         self._options, self._zero_failure = options, ""
         self._block = Block(AT)
         word = self._block.word
-        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(Model(*options.mounting.frame(), options.force_max_n))
+        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
+            FrameConversion(*options.mounting.frame(), options.force_max_n)
+        )
         word[AT.opened_at] = time.monotonic_ns()
         word[AT.increment] = 1
         spans = (options.quiet_s, options.timeout_s, options.stale_s)
@@ -138,6 +140,6 @@ def open_device(options: Options, rate_hz: float) -> HaplyDevice:
     return HaplyDevice(options, opening.find(options))
 
 
-def identify(_: Attached, options: Options) -> dict[str, Any]:
+def identify(_: SystemDevice, options: Options) -> dict[str, Any]:
     """Return the service's description of itself and its devices; sends nothing to a device."""
     return opening.identify(options.port, options.version)

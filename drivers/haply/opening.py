@@ -15,7 +15,7 @@ from msgspec import Struct
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.claim import claim
 from softfinger.drivers.haply.dial import START, request
-from softfinger.drivers.haply.link import Link, library
+from softfinger.drivers.haply.link import WebSocketLink, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
@@ -55,7 +55,7 @@ class Version(Struct):
 class Connection(NamedTuple):
     """Open connection with its lock, device, grip, key of forces and first pose."""
 
-    link: Link
+    link: WebSocketLink
     lock: socket.socket
     device: DeviceRef
     grip: DeviceRef | None
@@ -69,7 +69,7 @@ def find(options: Options) -> Connection:
     until = time.monotonic() + OPEN_S
     version = _checked_version(options, until)
     with ExitStack() as opened:
-        link = Link(options.port, until)
+        link = WebSocketLink(options.port, until)
         opened.callback(link.close)
         try:
             inventory = _inventory(link, until)
@@ -91,7 +91,7 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
     until = time.monotonic() + OPEN_S
     version_info = version or _version(port, until)
     parse_version(version_info)
-    link = Link(port, until)
+    link = WebSocketLink(port, until)
     try:
         inventory = _inventory(link, until)
     finally:
@@ -185,7 +185,7 @@ def _checked_version(options: Options, until: float) -> tuple[int, int]:
     return version
 
 
-def _inventory(link: Link, until: float) -> Inventory:
+def _inventory(link: WebSocketLink, until: float) -> Inventory:
     try:
         return read_inventory(link.next(until))
     except DeviceTimeout:

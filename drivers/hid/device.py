@@ -16,7 +16,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
-from softfinger.drivers.hid.exchange import AT, Model
+from softfinger.drivers.hid.exchange import AT, FrameConversion
 from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.report_threads import ReportThreads
@@ -80,7 +80,7 @@ class HidDevice(Device):
         return block
 
     def _set_model(self, block: Block) -> None:
-        model = Model(self._mechanism, *self._options.mounting.frame())
+        model = FrameConversion(self._mechanism, *self._options.mounting.frame())
         block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
 
     def io(self) -> DeviceIO:

@@ -16,7 +16,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.hidraw import ids
 
 
-class Link(NamedTuple):
+class ReportLink(NamedTuple):
     """File descriptor that the exchange reads and writes: a node, or with a pump the socket that replaces it.
 
     node  path of the device's hidraw node; empty on the USB bus
@@ -27,7 +27,7 @@ class Link(NamedTuple):
     node: str = ""
 
 
-def open_link(options: Options) -> Link:
+def open_link(options: Options) -> ReportLink:
     """Find the device of a rig and open it with the method that the rig selects.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
@@ -41,7 +41,7 @@ def open_link(options: Options) -> Link:
         return link_by_threads(opened.device, options, opened.lock_fd)
     fd = node.open_node(path, options)
     if options.through != "thread":
-        return Link(fd, None, path)
+        return ReportLink(fd, None, path)
     try:
         return link_by_threads(node.open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
@@ -49,12 +49,12 @@ def open_link(options: Options) -> Link:
         raise
 
 
-def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> Link:
+def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:
     """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
     write_timeout_s = min(options.timeout_s, IGNORED_WRENCH_MAX_S)
     threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, write_timeout_s, lock_fd)
-    return Link(threads.fd, threads)
+    return ReportLink(threads.fd, threads)
 
 
 def find_device(options: Options) -> str:

@@ -14,7 +14,7 @@ from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import hidapi, ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
@@ -105,7 +105,7 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
     return OpenInterface(device, lock_fd), descriptor
 
 
-def _find_device(path: str) -> Attached | None:
+def _find_device(path: str) -> SystemDevice | None:
     """Return the device of an interface: hidapi's path starts with the system's name for it."""
     return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
 

@@ -30,7 +30,7 @@ from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM,
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
@@ -327,7 +327,7 @@ _CALIBRATION_REMEDIES: Final = {
 }
 
 
-def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
     """Return the library's description of the device that the options select; no force is switched on, no calibration.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.

@@ -19,7 +19,7 @@ from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
 from softfinger.drivers.kinematics.subspace import subspace_rows
 from softfinger.drivers.serial import exchange, frames, line, packets
-from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, Model
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, FrameConversion
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -54,7 +54,7 @@ class SerialDevice(Device):
             self._setup = b"" if spec.setup is None else resync + _encode_frame(spec.setup, spec)
             self._zero = (self._setup or resync) + _encode_frame(spec.output, spec)
         mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
-        self._block = self._make_block(fd, Model(origin, rotation, options.force_max_n, mechanism))
+        self._block = self._make_block(fd, FrameConversion(origin, rotation, options.force_max_n, mechanism))
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if kinematics is None:
@@ -73,7 +73,7 @@ class SerialDevice(Device):
             self.close()
             raise
 
-    def _make_block(self, fd: int, model: Model) -> Block:
+    def _make_block(self, fd: int, model: FrameConversion) -> Block:
         block, options = Block(BOARD, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames

@@ -82,7 +82,7 @@ class Histogram:
         )
 
 
-class Finger:
+class FingerCounts:
     """Sums of one finger."""
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class MetricsCollector(Collector):
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
         self._pending_rows = self._ticks = self._missed = self._drops = 0
         self._late, self._exec = Histogram(LATENESS_S), Histogram(EXECUTION_S)
-        self._fingers = [Finger() for _ in self._names]
+        self._fingers = [FingerCounts() for _ in self._names]
 
     def add_records(self, records: Array, drops: int) -> None:
         """Receive a batch (n, fingers x RECORD_SIZE), and the number of ticks lost by the ring buffer so far."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, build, load_rig, load_scene
-from softfinger.config.schema.pairing import Moved, pair
+from softfinger.config.schema.pairing import FingerDevice, pair
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -249,7 +249,7 @@ def simulate_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> It
         yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *lengths]))
 
 
-def _open_simulated(paired: Moved, rate_hz: float) -> Any:
+def _open_simulated(paired: FingerDevice, rate_hz: float) -> Any:
     """Return the opened device of a finger. Raises ConfigError if it needs a clock."""
     config = paired.device
     driver = registry.load(config.driver)

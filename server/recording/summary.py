@@ -14,7 +14,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import End, Event, Note, Ticks
+from softfinger.server.recording.reader import End, Event, Note, TickBlock
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
@@ -33,7 +33,7 @@ class _Finger:
         self.peaks: dict[str, float] = {}
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
-    def add(self, ticks: Ticks) -> None:
+    def add(self, ticks: TickBlock) -> None:
         numbers, stamps = ticks.column("tick"), ticks.column("timestamp")
         if numbers is None or stamps is None:
             raise RecordingError("its ticks have no tick, or no timestamp: not a recording of this program")
@@ -90,7 +90,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
     end = End([], "")
     for part in read_recording(path):
         match part:
-            case Ticks():
+            case TickBlock():
                 fingers.setdefault(part.finger, _Finger()).add(part)
             case Note():
                 notes[part.name] = part.value

@@ -33,7 +33,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.publishing.brake import SHORT
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
+from softfinger.server.services.compilation import NotCompiled, SceneChanges, SceneRequest, Superseded
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.prompts import Prompts
 from softfinger.server.services.recordings import Recordings
@@ -88,7 +88,7 @@ class DaemonInterface(NamedTuple):
     report: Callable[[str], None]
 
 
-class Commands:
+class CommandService:
     """Service that answers the requests of an endpoint.
 
     scene_name  name of the initial scene
@@ -332,7 +332,7 @@ class Commands:
             self._publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
             self._daemon.reply(client, encode_answer(request.command_id, result(outcome)))
 
-        self._scenes.request(Change(checked, name, done))
+        self._scenes.request(SceneRequest(checked, name, done))
 
     def _drive(self, request: Request) -> wire.Applied:
         params: wire.Drive = request.params

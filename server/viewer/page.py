@@ -21,7 +21,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
@@ -222,7 +222,7 @@ class Page:
                 self._awaits_body_poses = False
                 self._set_camera()
 
-    def draw(self, scene_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
             self.bodies.draw(scene_index, mesh)

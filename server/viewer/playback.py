@@ -16,8 +16,8 @@ from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Event, Note, Ticks, World
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
@@ -72,19 +72,19 @@ def load(recording: str, scene: str | None) -> Recording:
     RecordingError, ConfigError
         If the recording or the scene cannot be read, or their fingers differ.
     """
-    blocks: dict[str, list[Ticks]] = {}
+    blocks: dict[str, list[TickBlock]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
     worlds: list[dict[str, Any]] = []
     for part in read_recording(recording):
         match part:
-            case Ticks():
+            case TickBlock():
                 blocks.setdefault(part.finger, []).append(part)
             case Note():
                 notes[part.name] = part.value
             case Event():
                 events.append(part.event)
-            case World():
+            case RecordedWorld():
                 worlds.append(part.world)
     if not blocks:
         raise RecordingError(f"{recording}: has no tick")
@@ -211,7 +211,7 @@ class RecordedPage:
         except ConfigError as error:
             self._page.show_message(str(error))
             return
-        self._page.draw(scene_index, Mesh(vertices, triangles.astype(np.uint32)))
+        self._page.draw(scene_index, SurfaceMesh(vertices, triangles.astype(np.uint32)))
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""

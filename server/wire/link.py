@@ -64,7 +64,7 @@ class RequestHandlers(NamedTuple):
     each_period: Callable[[], None]
 
 
-class Link:
+class SocketProcess:
     """Process with ZeroMQ sockets, from construction until `close`.
 
     name          of its endpoints: telemetry or commands

@@ -31,7 +31,7 @@ TRAVEL: Final = (0.5, 0.3, 0.8)
 """Initial direction of the finger, projected onto the tangent plane. It is not an axis of any surface."""
 
 
-class Surface(NamedTuple):
+class StudiedSurface(NamedTuple):
     """Surface of a few centimetres.
 
     shape    kernel shape
@@ -49,23 +49,23 @@ class Surface(NamedTuple):
 _ANY: Final = float("inf")
 # Starts are so close to an edge, an end or the crest of the tube that every path of some tenths of a radian crosses it.
 # The inside of a box and of a cylinder with ends consists of planes and an inside cylinder, so it has no rows here.
-SURFACES: Final[dict[str, Surface]] = {
-    "plane": Surface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
-    "sphere": Surface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
-    "sphere-inside": Surface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
-    "cylinder": Surface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _ANY),
-    "cylinder-inside": Surface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
-    "capped-cylinder": Surface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
-    "capsule": Surface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
-    "capsule-inside": Surface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
-    "box": Surface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
-    "ellipsoid": Surface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
-    "ellipsoid-inside": Surface(
+SURFACES: Final[dict[str, StudiedSurface]] = {
+    "plane": StudiedSurface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
+    "sphere": StudiedSurface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
+    "sphere-inside": StudiedSurface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
+    "cylinder": StudiedSurface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _ANY),
+    "cylinder-inside": StudiedSurface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
+    "capped-cylinder": StudiedSurface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
+    "capsule": StudiedSurface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
+    "capsule-inside": StudiedSurface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
+    "box": StudiedSurface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
+    "ellipsoid": StudiedSurface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
+    "ellipsoid-inside": StudiedSurface(
         model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
     ),
     # A fingertip thicker than the tube fits everywhere but in the hole.
-    "torus": Surface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
-    "torus-inside": Surface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
+    "torus": StudiedSurface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
+    "torus-inside": StudiedSurface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
 }  # fmt: skip
 
 METHODS: Final[dict[str, Callable[[float], Any]]] = {
@@ -84,7 +84,7 @@ def has_method(surface: str, method: str) -> bool:
     return method != "rotation_vector" or not isinstance(SURFACES[surface].shape, model.Ellipsoid | model.Torus)
 
 
-class Case(NamedTuple):
+class RollingCase(NamedTuple):
     """One measurement, in plain values that can be sent to another process.
 
     rate_hz                servo rate; a step is its inverse
@@ -117,12 +117,12 @@ class Track(NamedTuple):
     duration_s: float
 
 
-def ticks(case: Case) -> int:
+def ticks(case: RollingCase) -> int:
     """Return the number of steps of the motion."""
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 
-def track_of(case: Case) -> Track:
+def track_of(case: RollingCase) -> Track:
     return Track(
         case.surface, case.motion, case.turn_rate, case.curvature_ratio, case.spin_ratio, ticks(case) / case.rate_hz
     )
@@ -250,7 +250,7 @@ def longest_step(motions: Sequence[Motion]) -> float:
     return CHANGING_STEP_RAD if "changing" in motions else pi
 
 
-def cases(sweep: Sweep) -> list[Case]:
+def cases(sweep: Sweep) -> list[RollingCase]:
     """Return the cases, ordered so that cases with the same reference path are consecutive.
 
     Steps of at least `longest_step` and curvature ratios at which the fingertip does not fit are left out.
@@ -268,7 +268,7 @@ def cases(sweep: Sweep) -> list[Case]:
                 if turn_rate / rate >= longest_step([motion]):
                     continue
                 found += [
-                    Case(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)
+                    RollingCase(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)
                     for m in sweep.methods
                     if has_method(surface, m)
                 ]

@@ -17,7 +17,7 @@ from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     Array,
-    Case,
+    RollingCase,
     Track,
     angular_velocity,
     contact,
@@ -99,7 +99,7 @@ def _reference_path(track: Track) -> Any:
     return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
 
 
-def run_case(case: Case) -> dict[str, Any]:
+def run_case(case: RollingCase) -> dict[str, Any]:
     """Return a row of the table: the case, its errors and its time."""
     track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
@@ -126,7 +126,7 @@ def run_case(case: Case) -> dict[str, Any]:
     }
 
 
-def run_block(some: Sequence[Case]) -> list[dict[str, Any]]:
+def run_block(some: Sequence[RollingCase]) -> list[dict[str, Any]]:
     """Run `run_case` for each case."""
     return [run_case(case) for case in some]
 

@@ -58,7 +58,7 @@ MEASURES: Final = {
 }
 
 
-class Case(NamedTuple):
+class MeshCase(NamedTuple):
     """Surface: kernel shape, function from fineness to triangles, and point (3,) m near the start of a path."""
 
     shape: Any
@@ -131,9 +131,9 @@ def ball(radius: float, fineness: int) -> Arrays:
 
 
 CASES: Final = {
-    "ball": Case(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
-    "cylinder": Case(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, n), (0.04, 0.02, 0.003)),
-    "torus": Case(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, n), (0.06, 0.03, 0.01)),
+    "ball": MeshCase(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
+    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, n), (0.04, 0.02, 0.003)),
+    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, n), (0.06, 0.03, 0.01)),
 }
 
 
@@ -201,7 +201,7 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
     }
 
 
-def begins(case: Case) -> tuple[Array, Array]:
+def begins(case: MeshCase) -> tuple[Array, Array]:
     """Return the point (3,) m of the surface where a path starts, and its normal (3,)."""
     _, foot, up = closest(case.shape, case.near)
     return np.array(foot), np.array(up)

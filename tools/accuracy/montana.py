@@ -26,7 +26,7 @@ Pair = tuple[float, float]
 Profile = tuple[float, float, float, float, float, float]
 
 
-class Chart(NamedTuple):
+class SurfacePoint(NamedTuple):
     """Surface at one of its points.
 
     point       (3,)    m
@@ -76,10 +76,10 @@ def profile(shape: Any, v: float) -> Any:
 
 
 @chart.of(Plane)
-def chart_of_plane(shape: Plane, u: float, v: float) -> Chart:
+def chart_of_plane(shape: Plane, u: float, v: float) -> SurfacePoint:
     x, y = rotations.tangent_frame(shape.normal)
     point = vec3.add_scaled(vec3.add_scaled(vec3.scale(shape.offset, shape.normal), u, x), v, y)
-    return Chart(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
+    return SurfacePoint(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
 
 
 @locate.of(Plane)
@@ -111,7 +111,7 @@ def profile_of_spheroid(shape: Ellipsoid, v: float) -> Profile:
     return a * cos(v), -a * sin(v), -a * cos(v), b * sin(v), b * cos(v), -b * sin(v)
 
 
-def turned_profile(shape: Any, u: float, v: float) -> Chart:
+def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
     """Return the chart of a profile rotated about the z axis; from inside, v is reversed so that z points inwards."""
     side = shape.side
     out, d_out, dd_out, up, d_up, dd_up = profile(shape, side * v)
@@ -120,7 +120,7 @@ def turned_profile(shape: Any, u: float, v: float) -> Chart:
     y = (side * d_out * c / m, side * d_out * s / m, side * d_up / m)
     z = (side * d_up * c / m, side * d_up * s / m, -side * d_out / m)
     bent = (d_out * dd_up - d_up * dd_out) / (m * m * m)
-    return Chart(
+    return SurfacePoint(
         (out * c, out * s, up), (-s, c, 0.0), y, z,
         (out, m), (side * d_up / (m * out), side * bent), (-side * d_out / (m * out), 0.0),
     )  # fmt: skip
@@ -152,7 +152,7 @@ def locate_on_spheroid(shape: Ellipsoid, point: Vec3) -> Pair:
 
 
 @jit
-def finger_axes(on_object: Chart, psi: float) -> tuple[Vec3, Vec3, Vec3]:
+def finger_axes(on_object: SurfacePoint, psi: float) -> tuple[Vec3, Vec3, Vec3]:
     """Return the contact frame of the fingertip in the object frame; its z points out of the fingertip, along -z_o.
 
     x_f = cos psi x_o - sin psi y_o, y_f = -sin psi x_o - cos psi y_o: the columns of R_psi.

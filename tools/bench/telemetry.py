@@ -31,7 +31,7 @@ from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import StateInfo, Ticks
+from softfinger.server.publishing.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, microseconds, quantiles, show
@@ -72,14 +72,14 @@ os.execv(sys.argv[1], sys.argv[1:])
 FORWARD: Final = "forward"
 
 
-class Turn(NamedTuple):
+class SourceResult(NamedTuple):
     """Data of the subscribers of a source: (n, 2) tick, latency s, of each; and the source's share of a processor."""
 
     seen: list[Array]
     load: float
 
 
-class Source(NamedTuple):
+class PublisherProcess(NamedTuple):
     """Publisher: its process, the endpoint, and the client's key files, empty if no key is needed."""
 
     process: subprocess.Popen[Any]
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     with tempfile.TemporaryDirectory() as folder:
         sources = commands(args, Path(folder))
-        found: dict[str, list[Turn]] = {name: [] for name in sources}
+        found: dict[str, list[SourceResult]] = {name: [] for name in sources}
         for _ in range(turns):
             for name, words in sources.items():
                 found[name].append(measure(name, words, args, args.seconds / turns))
@@ -156,14 +156,14 @@ def body(folder: Path) -> list[str]:
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
+    ((_, made),) = Messages(TickParameters(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
         tuple(record)
     )
     path.write_bytes(made)
     return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
 
 
-def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> Turn:
+def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> SourceResult:
     """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
     with tempfile.TemporaryDirectory() as made, ExitStack() as running:
         shown = running.enter_context(source(words, args.transport, Path(made)))
@@ -172,7 +172,7 @@ def measure(name: str, words: list[str], args: argparse.Namespace, seconds: floa
             shown = running.enter_context(forward(shown.endpoint, args.keys, Path(made)))
         used, begun = processor_s(shown.process.pid), time.monotonic()
         seen = subscribe_all(name, shown, args.subscribers, seconds, Path(made))
-        return Turn(seen, (processor_s(shown.process.pid) - used) / (time.monotonic() - begun))
+        return SourceResult(seen, (processor_s(shown.process.pid) - used) / (time.monotonic() - begun))
 
 
 def processor_s(pid: int) -> float:
@@ -184,7 +184,7 @@ def processor_s(pid: int) -> float:
 
 
 @contextmanager
-def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
+def source(words: list[str], transport: str, folder: Path) -> Iterator[PublisherProcess]:
     """Run a process that publishes until the block ends."""
     if transport == "ipc":
         endpoint = f"ipc://{folder}/source.sock"
@@ -194,14 +194,14 @@ def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
     started = [endpoint if word == "ENDPOINT" else word for word in words]
     with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
         try:
-            yield Source(process, endpoint)
+            yield PublisherProcess(process, endpoint)
         finally:
             process.terminate()
             process.wait(timeout=30.0)
 
 
 @contextmanager
-def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
+def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProcess]:
     """Run a process that forwards from an endpoint; its keys, if any, are in the folder."""
     words = [sys.executable, "-m", "softfinger.server.cli", "forward", "--from", endpoint, "--to", "tcp://127.0.0.1:*"]
     pair: tuple[str, ...] = ()
@@ -216,7 +216,7 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
         assert process.stderr is not None
         try:
             said = next((line for line in process.stderr if "forwarded on " in line), "")
-            yield Source(process, said.partition("forwarded on ")[2].partition(",")[0], pair)
+            yield PublisherProcess(process, said.partition("forwarded on ")[2].partition(",")[0], pair)
         finally:
             process.terminate()
             process.communicate(timeout=30.0)
@@ -233,7 +233,7 @@ def await_messages(endpoint: str) -> None:
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 
 
-def subscribe_all(name: str, shown: Source, subscribers: int, seconds: float, folder: Path) -> list[Array]:
+def subscribe_all(name: str, shown: PublisherProcess, subscribers: int, seconds: float, folder: Path) -> list[Array]:
     """Return the messages of every subscriber, (n, 2): tick, latency s."""
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
     words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", shown.endpoint, repr(seconds)]

@@ -57,14 +57,14 @@ COUNT: Final = """() => {
 }"""
 
 
-class Case(NamedTuple):
+class PageCounts(NamedTuple):
     """Number of viewer processes, and number of browser pages that are open at the first of them."""
 
     viewers: int
     pages: int
 
 
-class Turn(NamedTuple):
+class TurnResult(NamedTuple):
     """Results of a turn.
 
     ticks   (n, 3)  lateness s, busy s, deadlines missed so far
@@ -80,7 +80,7 @@ class Turn(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     known = cases(args)
     turns = max(1, round(args.seconds / TURN_S))
-    found: dict[str, list[Turn]] = {name: [] for name in known}
+    found: dict[str, list[TurnResult]] = {name: [] for name in known}
     with tempfile.TemporaryDirectory() as folder:
         commands = f"ipc://{folder}/commands"
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
@@ -98,23 +98,23 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def cases(args: argparse.Namespace) -> dict[str, Case]:
+def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
     """Return the cases by name; raises ConfigError if browsers are not available."""
     if args.viewers < 1 or args.browsers < 0:
         raise ConfigError(f"--viewers {args.viewers} --browsers {args.browsers}: give at least 1 viewer, 0 browsers")
-    found = {"no viewer": Case(0, 0), "1 viewer": Case(1, 0)}
+    found = {"no viewer": PageCounts(0, 0), "1 viewer": PageCounts(1, 0)}
     if args.viewers > 1:
-        found[f"{args.viewers} viewers"] = Case(args.viewers, 0)
+        found[f"{args.viewers} viewers"] = PageCounts(args.viewers, 0)
     if args.browsers:
         if shutil.which("chromium") is None:
             raise ConfigError("--browsers: chromium is not installed (Debian: apt install chromium)")
-        found["1 page"] = Case(1, 1)
+        found["1 page"] = PageCounts(1, 1)
     if args.browsers > 1:
-        found[f"{args.browsers} pages"] = Case(1, args.browsers)
+        found[f"{args.browsers} pages"] = PageCounts(1, args.browsers)
     return found
 
 
-def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
+def measure(case: PageCounts, endpoint: str, commands: str, seconds: float) -> TurnResult:
     """Return the daemon's ticks with the viewers and pages of a case."""
     with ExitStack() as running:
         words = ["--endpoint", endpoint, "--commands", commands]
@@ -126,7 +126,7 @@ def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
         ticks = receive_ticks(endpoint, seconds)
         frames = [float(page.evaluate("framesPerSecond()")) for page in pages]
         spent = [processor_s(process.pid) - before for (process, _), before in zip(served, used, strict=True)]
-        return Turn(ticks, float(np.mean(spent)) / (time.monotonic() - begun) if spent else 0.0, frames)
+        return TurnResult(ticks, float(np.mean(spent)) / (time.monotonic() - begun) if spent else 0.0, frames)
 
 
 def receive_ticks(endpoint: str, seconds: float) -> Array:
@@ -188,7 +188,7 @@ def opened(address: str, count: int) -> Iterator[list[Any]]:
             browser.close()
 
 
-def summary(turns: list[Turn]) -> dict[str, Any]:
+def summary(turns: list[TurnResult]) -> dict[str, Any]:
     """Return the results of a case."""
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
@@ -218,7 +218,7 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
 
 
-def draw(path: Path, found: dict[str, list[Turn]]) -> None:
+def draw(path: Path, found: dict[str, list[TurnResult]]) -> None:
     drawing = figure()
     axes = drawing.add_subplot()
     for name, turns in found.items():

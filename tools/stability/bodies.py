@@ -85,7 +85,7 @@ class Cell(NamedTuple):
     stiffness: float
 
 
-class Found(NamedTuple):
+class CellResult(NamedTuple):
     """Results of a cell.
 
     depth_m       penetration depth of a finger
@@ -255,9 +255,9 @@ def slips(mode: Array) -> int:
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 
-def measure(cell: Cell) -> Found:
+def measure(cell: Cell) -> CellResult:
     """Run a cell twice."""
-    found = Found(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
+    found = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if found.depth_m > 2.0 * RADIUS_M:
         return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
     forward = way_there(cell)
@@ -286,7 +286,7 @@ def measure(cell: Cell) -> Found:
     return judge(found, bool(touching.all()))
 
 
-def judge(found: Found, touching: bool) -> Found:
+def judge(found: CellResult, touching: bool) -> CellResult:
     """Return the results with verdict and reason."""
     assert found.left is not None and found.grown is not None
     if not touching:
@@ -300,7 +300,7 @@ def judge(found: Found, touching: bool) -> Found:
 
 def measure_all(
     cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
-) -> list[Found]:
+) -> list[CellResult]:
     """Measure every cell."""
     found, cells = [], [Cell(*each) for each in product(cases, masses, stiffnesses)]
     with progress("bodies", len(cells)) as done:

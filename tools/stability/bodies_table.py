@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.stability.bodies import AT_REST, BALANCED, Found
+from softfinger.tools.stability.bodies import AT_REST, BALANCED, CellResult
 
 UNSTABLE: Final = ("unstable", "failed")
 
 
-def wrong(found: Sequence[Found]) -> list[Found]:
+def wrong(found: Sequence[CellResult]) -> list[CellResult]:
     """Return the cells that grow or fail, give energy to the hands, or have unbalanced forces."""
     return [
         row
@@ -23,12 +23,12 @@ def wrong(found: Sequence[Found]) -> list[Found]:
     ]
 
 
-def mass_text(row: Found) -> str:
+def mass_text(row: CellResult) -> str:
     mass = f"{row.mass_kg:g} kg" if row.mass_kg >= 1.0 else f"{1e3 * row.mass_kg:g} g"
     return mass if row.substeps == 1 else f"{mass}, {row.substeps} substeps"
 
 
-def lines(found: Sequence[Found]) -> list[str]:
+def lines(found: Sequence[CellResult]) -> list[str]:
     """Format one cell per line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
     text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
@@ -51,7 +51,7 @@ def lines(found: Sequence[Found]) -> list[str]:
     return text
 
 
-def case_table(found: Sequence[Found]) -> str:
+def case_table(found: Sequence[CellResult]) -> str:
     """Return the worst measured values of each case, and the bodies that do not come to rest, with the reason."""
     text = [
         "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
@@ -75,7 +75,7 @@ def case_table(found: Sequence[Found]) -> str:
     return "\n".join(text) + "\n"
 
 
-def draw(path: Path, found: Sequence[Found]) -> None:
+def draw(path: Path, found: Sequence[CellResult]) -> None:
     """Draw a panel for each case: remaining speed after a knock against the stiffness, a line for each mass."""
     cases = list(dict.fromkeys(row.case for row in found))
     drawing = figure(4.0 * len(cases), 4.0)

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class PlaneSurface:
 class TriangleSurface:
     """Surface of triangles in its frame, m."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: SurfaceMesh) -> None:
         self._corners, self._flat = mesh.vertices[mesh.faces], mesh.flat
         self._pose: Any = None
 

@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import pose_at, pose_in_world
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import PLANE_M, Mesh, surface_mesh
+from softfinger.server.surface_meshes import PLANE_M, SurfaceMesh, surface_mesh
 from softfinger.server.viewer.nodes.below import PlaneSurface, Projection, TriangleSurface
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
@@ -80,7 +80,7 @@ class Bodies:
             elif not isinstance(obj, Filed) and (mesh := surface_mesh(obj)) is not None:
                 self._surfaces[scene_index] = TriangleSurface(mesh)
 
-    def draw(self, scene_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         obj = self._scene.object[scene_index]
         if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
@@ -195,7 +195,7 @@ def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> 
     _add_surface(api, node, obj, mesh, colour)
 
 
-def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, int, int]) -> Any:
+def _add_surface(api: Any, node: str, obj: Any, mesh: SurfaceMesh, colour: tuple[int, int, int]) -> Any:
     """Add the surface of an object, and return its node; None for a height map."""
     if isinstance(obj, schema.Heightmap):
         add_relief(api, f"{node}/surface", mesh, colour)
