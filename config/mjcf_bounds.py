@@ -46,10 +46,10 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 def check_numbers(element: Element, name: str) -> None:
     """Raise ConfigError if a number of an element, or a list in it, is too large."""
     for bound in BOUNDS.get(element.tag, ()):
-        if (given := product(element, bound.attributes)) > bound.most:
+        if (value := product(element, bound.attributes)) > bound.most:
             what = " x ".join(dict.fromkeys(bound.attributes))
             raise ConfigError(
-                f"world.model {name}: <{element.tag}> has {what} = {given:,}; at most {bound.most:,} can be read"
+                f"world.model {name}: <{element.tag}> has {what} = {value:,}; at most {bound.most:,} can be read"
             )
     for key in LISTS:
         if len(element.get(key) or "") > TEXT:

@@ -49,22 +49,22 @@ def checked_number(
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
     whole = isinstance(kind, inspect.IntType)
-    wanted = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
+    expected = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        return report.add(key, wanted)
+        return report.add(key, expected)
     try:
         number: float = int(value) if whole else float(value)
         finite = math.isfinite(number)
     except OverflowError:  # an integer beyond the range of float
         finite = False
     if not finite:
-        return report.add(key, wanted)
+        return report.add(key, expected)
     low = kind.ge is None or number >= kind.ge
     high = kind.le is None or number <= kind.le
     if low and high and (kind.gt is None or number > kind.gt) and (kind.lt is None or number < kind.lt):
         return number
     reason = f" ({extra['reason']})" if extra.get("reason") else ""
-    return report.add(key, wanted + reason)
+    return report.add(key, expected + reason)
 
 
 def checked_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:

@@ -138,20 +138,20 @@ def _read_tagged(structs: list[inspect.StructType], value: object, key: str, rep
             return _fields(struct, value, key, report)
     hint = near(tag, tags)
     report.add(dotted, f"{dotted} = {format_value(tag)}: must be {allowed}{hint}")
-    meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
-    return _read_untagged(structs, meant or structs, value, key, report)
+    matching = [struct for struct in structs if hint and repr(struct.tag) in hint]
+    return _read_untagged(structs, matching or structs, value, key, report)
 
 
 def _read_untagged(
     structs: list[inspect.StructType],
-    meant: list[inspect.StructType],
+    matching: list[inspect.StructType],
     value: Mapping[Any, Any],
     key: str,
     report: FaultCollector,
 ) -> Any:
     """Read what is certain of a table whose kind is unknown, for the checks across tables."""
     start = len(report.faults)
-    cls, values = read_untagged(Untagged(structs, meant), value, key, report, _value)
+    cls, values = read_untagged(Untagged(structs, matching), value, key, report, _value)
     return UNSET if cls is None else _create(cls, values, key, report, start)
 
 
@@ -173,19 +173,23 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
 
     A table marked `resolved` is complete: the program that wrote it filled it from its library.
     """
-    given = {library.key: value} if isinstance(value, str) else value
-    if not isinstance(given, Mapping) or not isinstance(given.get(library.key), str) or given.get("resolved") is True:
-        return given
-    name, entries = given[library.key], library.entries()
+    mapping = {library.key: value} if isinstance(value, str) else value
+    if (
+        not isinstance(mapping, Mapping)
+        or not isinstance(mapping.get(library.key), str)
+        or mapping.get("resolved") is True
+    ):
+        return mapping
+    name, entries = mapping[library.key], library.entries()
     if name in entries:
-        return library.fill(given)
+        return library.fill(mapping)
     dotted = key if isinstance(value, str) else join_key(key, library.key)
     choices = ", ".join(entries)
     report.add(
         dotted,
         f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
     )
-    read_untagged(Untagged([info], [info]), given, key, report, _value)
+    read_untagged(Untagged([info], [info]), mapping, key, report, _value)
     return UNSET  # its keys would have the values of the library
 
 

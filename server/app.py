@@ -223,8 +223,8 @@ class Daemon:
             raise self._failure
         if ended.error is not None:
             raise ended.error
-        lost = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
-        failed = lost or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+        error = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
+        failed = error or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
         if failed is not None:
             raise failed
         return True

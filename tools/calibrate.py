@@ -134,12 +134,12 @@ def run(args: argparse.Namespace) -> int:
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
         if loaded is None:
             raise DeviceError(f"no weight was detected in {args.hang:g} s: attach it when prompted")
-        used = device.counts_per_nm
+        counts_in_use = device.counts_per_nm
     if loaded < bare:
         raise DeviceError("the weight reduced the force: the knob was touched: start again")
     result = {
-        "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": used,
-        "counts_per_nm": used * (loaded - bare) / weight,
+        "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": counts_in_use,
+        "counts_per_nm": counts_in_use * (loaded - bare) / weight,
     }  # fmt: skip
     if args.plot is not None:
         _draw(args.plot, np.array(hold.record), result)
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         result,
         args.json,
         [
-            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {used:g} counts per N m",
+            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {counts_in_use:g} counts per N m",
             f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
             "repeat, and take the mean: friction of the legs carries a part of the weight",
         ],

@@ -77,13 +77,13 @@ MESHES: Final = {
 def write_meshes(folder: Path) -> list[Path]:
     """Write the meshes as .obj files, the same bytes on every machine, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
+    paths = []
     for name, (points, faces) in MESHES.items():
         lines = ["v {:.7g} {:.7g} {:.7g}".format(*(point + 0.0)) for point in points.round(9)]
         lines += ["f {} {} {}".format(*face) for face in faces + 1]
-        written.append(folder / f"{name}.obj")
-        written[-1].write_text("\n".join(lines) + "\n", "utf-8")
-    return written
+        paths.append(folder / f"{name}.obj")
+        paths[-1].write_text("\n".join(lines) + "\n", "utf-8")
+    return paths
 
 
 def write_solution(scene: Any) -> str:

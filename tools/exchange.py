@@ -397,5 +397,5 @@ def check_seconds(seconds: float) -> None:
 
 def disarmed_guard(rig: Rig) -> Guard:
     """Return a guard that passes no force."""
-    given = rig.guard
-    return Guard(0.0, 0.0, given.force_slew_n_per_s, given.torque_slew_nm_per_s, given.ramp_s, 0.0)
+    guard = rig.guard
+    return Guard(0.0, 0.0, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 0.0)

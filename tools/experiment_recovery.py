@@ -63,14 +63,19 @@ def recovery(name: str, seeds: Sequence[int], slope: float | None = None) -> Ite
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
         for group in fit_groups(experiment.file, rows):
             condition = next(each for each in experiment.conditions if each.name == group.condition)
-            who = observer_for(experiment.file, condition)
+            observer = observer_for(experiment.file, condition)
             if isinstance(group.fit, PowerLaw):
-                what, truth, estimate, interval = "exponent", who.exponent, group.fit.exponent, group.fit.exponent_95
+                what, truth, estimate, interval = (
+                    "exponent",
+                    observer.exponent,
+                    group.fit.exponent,
+                    group.fit.exponent_95,
+                )
                 error = estimate / truth - 1.0
             else:
                 what, truth, estimate, interval = (
                     "threshold",
-                    who.threshold,
+                    observer.threshold,
                     group.fit.threshold,
                     group.fit.threshold_95,
                 )

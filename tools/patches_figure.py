@@ -90,9 +90,9 @@ def groove() -> TouchCase:
             "name": f"wall {i}",
             "shape": "plane",
             "orientation_wxyz": [np.cos(EIGHTH), 0.0, side * np.sin(EIGHTH), 0.0],
-            "material": stuff,
+            "material": material,
         }
-        for i, (side, stuff) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
+        for i, (side, material) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
     ]
     z = 2.0**0.5 * RADIUS_M - PRESS_M
     return TouchCase(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
@@ -116,7 +116,7 @@ def drag(case: TouchCase) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
     records = record_case(case)
     kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
-    size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
+    size, kinetic_load, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
     for i in range(3):
         columns = {name: getattr(AT, f"contacts{i}_{name}") for name in ("object", "mode", "normal", "force")}
@@ -126,12 +126,12 @@ def drag(case: TouchCase) -> Drag:
         load = np.sum(force * normal, axis=1)
         rubs = np.linalg.norm(force - load[:, None] * normal, axis=1)
         size += rubs
-        due += mu * load
+        kinetic_load += mu * load
         slides &= (mode == SLIDING) | (mu == 0.0)
         highest = max(highest, float(np.max(rubs[load > 0.0] / load[load > 0.0], initial=0.0)))
     steady = slides[1:] & slides[:-1]
     change = np.abs(np.diff(size))[1:][steady[1:] & steady[:-1]]
-    return Drag(float((size - due)[1:][steady].mean()), float(change.max()), highest)
+    return Drag(float((size - kinetic_load)[1:][steady].mean()), float(change.max()), highest)
 
 
 def drags_table() -> Any:

@@ -24,9 +24,9 @@ def runtime_folder() -> Path:
 
     It is `softfinger` in $XDG_RUNTIME_DIR or, if that is not set, a folder of this user in the temporary directory.
     """
-    given = os.environ.get("XDG_RUNTIME_DIR", "")
-    if given.startswith("/"):
-        return Path(given) / "softfinger"
+    folder = os.environ.get("XDG_RUNTIME_DIR", "")
+    if folder.startswith("/"):
+        return Path(folder) / "softfinger"
     return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
 
 

@@ -110,22 +110,22 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         for index, item in enumerate(scene.finger):
             if not is_usable(item) or not is_usable(item.name, item.device):
                 continue
-            given = item.name if key == "name" else item.device or item.name
+            name = item.name if key == "name" else item.device or item.name
             for other, earlier in first.items():
-                if key == "device" and given == other and given != item.name:
+                if key == "device" and name == other and name != item.name:
                     yield (
                         f"finger[{index}].device",
-                        given,
+                        name,
                         f"moves finger[{earlier}] already: name another",
                     )
-                elif key == "name" and (given.startswith(other) or other.startswith(given)):
+                elif key == "name" and (name.startswith(other) or other.startswith(name)):
                     yield (
                         f"finger[{index}].name",
-                        given,
+                        name,
                         f"and the name of finger[{earlier}], {other!r}, begin alike, one with the whole other: who "
                         "subscribes to the telemetry of the shorter would get both; choose another",
                     )
-            first.setdefault(given, index)
+            first.setdefault(name, index)
 
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
@@ -353,7 +353,7 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
             yield where, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
         if len(scene.finger) > 2:
             yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
-        for key, given in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
-            if is_usable(given) and given is not None:
+        for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
+            if is_usable(table) and table is not None:
                 yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
         return

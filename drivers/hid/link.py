@@ -64,26 +64,26 @@ def find_device(options: Options) -> str:
     device, it also raises the errors of `usb.open_usb`.
     """
     nodes_found = list(discovery.hidraw_nodes())
-    wanted = (options.vendor_id, options.product_id)
-    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == wanted}
+    usb_ids = (options.vendor_id, options.product_id)
+    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == usb_ids}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
-        interfaces = usb.list_attached(*wanted)
+        interfaces = usb.list_attached(*usb_ids)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
         matching = {path: one.serial for path, one in nodes.items() if has_reports(one.descriptor, options.reports)}
         # If none has the rig's reports, opening one fails with a message about its reports.
         return _choose(options, matching or {path: one.serial for path, one in nodes.items()})
-    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
+    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == usb_ids]
     if without_node:
         raise DeviceNotFound(
             f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    others = sorted({ids(one.vendor, one.product) for one in nodes_found})
-    attached_text = f"attached are {', '.join(others)}" if others else "no HID device is attached"
-    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {attached_text}")
+    present_ids = sorted({ids(one.vendor, one.product) for one in nodes_found})
+    attached_text = f"attached are {', '.join(present_ids)}" if present_ids else "no HID device is attached"
+    raise DeviceNotFound(f"no HID device {ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}")
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
@@ -101,12 +101,14 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
     """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
-    wanted = ids(options.vendor_id, options.product_id)
+    usb_ids = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:
         return matching[0]
     if matching:
         listed = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
-        raise DeviceNotFound(f"{len(matching)} HID devices are {wanted}: name one with serial or path: {listed}")
-    others = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
-    raise DeviceNotFound(f"no HID device {wanted} has the serial number '{options.serial}': attached are {others}")
+        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: name one with serial or path: {listed}")
+    serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
+    raise DeviceNotFound(
+        f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"
+    )

@@ -112,9 +112,9 @@ def _find_device(path: str) -> SystemDevice | None:
 
 def _open_error(path: str, node: str) -> DeviceError:
     """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
-    who = discovery.holder(node)
-    if who is not None and who.pid != os.getpid():
-        return DeviceBusy(f"{path} ({node}) is used by {who}: end that process first")
+    program = discovery.holder(node)
+    if program is not None and program.pid != os.getpid():
+        return DeviceBusy(f"{path} ({node}) is used by {program}: end that process first")
     return DeviceError(
         f"{path} ({node}) cannot be claimed through hidapi: another program may have it: end that one, or unplug the "
         "device and plug it in again"

@@ -357,14 +357,14 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 
 def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
     messages = "; ".join(map(str, found)) or "the library gives no reason"
-    which = "the default device" if name is None else f"the device '{name}'"
+    subject = "the default device" if name is None else f"the device '{name}'"
     attached = usb.list_attached()
     if any(error.code == library.ALREADY_INITIATED for error in found):
         raise DeviceBusy(
-            f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
+            f"{subject} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
     if any(error.code == library.INVALID_LICENSE for error in found):
-        raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
+        raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
@@ -372,11 +372,11 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not attached:
         raise DeviceNotFound(
-            f"{which} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
+            f"{subject} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
             "shows 2988 or 0301:2988), and that Touch_Setup "
             f"{'has a default device' if name is None else 'has that name'} for this user ($GTDD_HOME/config, else "
             "~/.3dsystems/config)"
         )
     raise DeviceError(
-        f"{which} cannot be opened, and {attached[0]} is attached: {messages}: run Touch_Setup, then start again"
+        f"{subject} cannot be opened, and {attached[0]} is attached: {messages}: run Touch_Setup, then start again"
     )

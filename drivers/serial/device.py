@@ -144,8 +144,10 @@ class SerialDevice(Device):
         spec = self._options.frames
         if spec is None or spec.mode == "stream":
             return ""
-        sent = _encode_frame(spec.output, spec).hex(" ")
-        return f"; it has not answered {sent}, the frame without force: compare marks and checksum with its firmware's"
+        sent_hex = _encode_frame(spec.output, spec).hex(" ")
+        return (
+            f"; it has not answered {sent_hex}, the frame without force: compare marks and checksum with its firmware's"
+        )
 
     def _send_setup(self, data: bytes) -> None:
         """Send bytes outside of ticks; bytes that the port does not accept are lost."""

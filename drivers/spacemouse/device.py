@@ -284,9 +284,9 @@ def find(options: Options) -> SystemDevice:
     if matching:
         listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
         raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
-    others = ", ".join(map(str, pucks or nodes)) or "no HID device"
+    present = ", ".join(map(str, pucks or nodes)) or "no HID device"
     condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
-    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {others}")
+    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {present}")
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:

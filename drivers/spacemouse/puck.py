@@ -88,7 +88,7 @@ class PuckParameters(NamedTuple):
 
 def make_parameters(options: Options) -> PuckParameters:
     """Return `options` converted for kernels."""
-    signs = [-1.0 if turned else 1.0 for turned in options.invert]
+    signs = [-1.0 if is_inverted else 1.0 for is_inverted in options.invert]
     v, w = options.gain_m_per_s, options.gain_rad_per_s
     x0, y0, z0 = (float(a) for a in options.workspace_min_m)
     x1, y1, z1 = (float(a) for a in options.workspace_max_m)
@@ -173,10 +173,10 @@ def move(
         dt * setup.angular[1] * _beyond_deadband(d, deflection[4]),
         dt * setup.angular[2] * _beyond_deadband(d, deflection[5]),
     )
-    moved = vec3.add(position, step)
+    new_position = vec3.add(position, step)
     inside = (
-        min(max(moved[0], setup.low[0]), setup.high[0]),
-        min(max(moved[1], setup.low[1]), setup.high[1]),
-        min(max(moved[2], setup.low[2]), setup.high[2]),
+        min(max(new_position[0], setup.low[0]), setup.high[0]),
+        min(max(new_position[1], setup.low[1]), setup.high[1]),
+        min(max(new_position[2], setup.low[2]), setup.high[2]),
     )
     return inside, normalize(multiply(exp(turn), orientation))

@@ -86,8 +86,8 @@ def claims_by_ids(device: SystemDevice) -> list[Claim]:
 
 def describe_foreign_product(device: SystemDevice) -> str | None:
     """Return a description of a device with known ids, but the product string of another maker; else None."""
-    known = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
-    return next((what for product_prefix, what in known.items() if _has_prefix(device, product_prefix)), None)
+    products = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
+    return next((what for product_prefix, what in products.items() if _has_prefix(device, product_prefix)), None)
 
 
 def _has_prefix(device: SystemDevice, product_prefix: str) -> bool:
@@ -112,8 +112,8 @@ def explain_ambiguity(device: SystemDevice) -> str | None:
     """
     if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
         return None
-    said = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
-    return f"{said}, and {device.ids} is any Teensy with a serial port, with any firmware"
+    product_text = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
+    return f"{product_text}, and {device.ids} is any Teensy with a serial port, with any firmware"
 
 
 def _has_reports(device: SystemDevice, claim: Claim) -> bool:

@@ -143,10 +143,10 @@ def holder(node: str) -> Holder | None:
     /proc/locks lists the locks of all users, but open files are visible only for processes that this user may inspect.
     """
     try:
-        wanted = os.stat(node)
+        node_stat = os.stat(node)
     except OSError:
         return None
-    for pid in _pids_with_lock(wanted.st_ino):
+    for pid in _pids_with_lock(node_stat.st_ino):
         return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
@@ -154,7 +154,7 @@ def holder(node: str) -> Holder | None:
             continue
         for entry in _list_names(folder):
             try:
-                if os.path.samestat(os.stat(folder / entry), wanted):
+                if os.path.samestat(os.stat(folder / entry), node_stat):
                     return process(pid)
             except OSError:
                 continue

@@ -66,9 +66,10 @@ def compare_models(
     names = [factor.name for factor in experiment.factor]
     found = []
     for factor in names:
-        others = [name for name in names if name != factor]
+        remaining_factors = [name for name in names if name != factor]
         with_factor, without = (
-            [_maximum(experiment, each, keys) for each in by_participant.values()] for keys in (names, others)
+            [_maximum(experiment, each, keys) for each in by_participant.values()]
+            for keys in (names, remaining_factors)
         )
         parameters = sum(count for count, _ in with_factor), sum(count for count, _ in without)
         maxima = math.fsum(value for _, value in with_factor), math.fsum(value for _, value in without)

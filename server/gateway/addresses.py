@@ -64,11 +64,11 @@ def find_addresses(
     neighbour = commands_beside(endpoint)
     if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, neighbour)
-    likely = Addresses(endpoint, endpoint if to_command else neighbour)
+    suggestion = Addresses(endpoint, endpoint if to_command else neighbour)
     if is_public(endpoint):
-        return likely
+        return suggestion
     queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]
-    return _first_answer(queries, endpoint, keys, within_s) or likely
+    return _first_answer(queries, endpoint, keys, within_s) or suggestion
 
 
 def _first_answer(

@@ -94,7 +94,7 @@ class Forward:
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
         """Forward until `ended` returns True; call `show` with the counts once a second."""
         bound_resources()
-        due = 0.0
+        next_check_s = 0.0
         while not ended():
             handlers = dict(self._handlers())
             poller = zmq.Poller()
@@ -104,8 +104,8 @@ class Forward:
             while not (changed or ended()):
                 for socket, _ in poller.poll(POLL_MS):
                     changed |= bool(handlers[socket]())
-                if (now := time.monotonic()) >= due:
-                    due = now + KEY_CHECK_S
+                if (now := time.monotonic()) >= next_check_s:
+                    next_check_s = now + KEY_CHECK_S
                     for peers in self._peer_sockets:
                         peers.process_events()
                         peers.refresh_keys()

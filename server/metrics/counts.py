@@ -203,15 +203,15 @@ class MetricsCollector(Collector):
         yield from (force, modes, guard, errors)
 
 
-def _recording_metrics(written: RecordingTotals) -> Iterator[Metric]:
-    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", written.ticks)
-    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", written.bytes)
+def _recording_metrics(totals: RecordingTotals) -> Iterator[Metric]:
+    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks)
+    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", totals.bytes)
     yield _counter(
-        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", written.ticks_dropped
+        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", totals.ticks_dropped
     )
-    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", written.events_dropped)
+    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", totals.events_dropped)
     yield GaugeMetricFamily(
-        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", written.worst_write_s
+        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", totals.worst_write_s
     )
 
 

@@ -216,15 +216,15 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     RecordingError
         If a recording is unusable.
     """
-    several = len(fingers) > 1
-    has_one_file = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
+    has_fingers = len(fingers) > 1
+    has_one_file = set(recordings) == {""} and (not has_fingers or Path(recordings[""]).suffix.lower() == ".mcap")
     if not has_one_file and set(recordings) != set(fingers):
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
         given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
         raise ConfigError(f"poses of {given_fingers}: not the scene's fingers: give poses of {expected_fingers}")
     each = [
         resample(
-            load_poses(recordings["" if has_one_file else name], name if has_one_file and several else ""), rate_hz
+            load_poses(recordings["" if has_one_file else name], name if has_one_file and has_fingers else ""), rate_hz
         )
         for name in fingers
     ]

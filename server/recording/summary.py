@@ -40,9 +40,9 @@ class _Finger:
         if not self.ticks:
             self.first, self.start_s = int(numbers[0]), float(stamps[0])
         steps = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
-        lost = steps[steps > 1] - 1
-        self.gaps, self.missing = self.gaps + len(lost), self.missing + int(lost.sum())
-        self.longest = max(self.longest, int(lost.max(initial=0)))
+        gaps = steps[steps > 1] - 1
+        self.gaps, self.missing = self.gaps + len(gaps), self.missing + int(gaps.sum())
+        self.longest = max(self.longest, int(gaps.max(initial=0)))
         self.ticks, self.last, self.end_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
         modes = ticks.column("contact.mode")
         if modes is not None:

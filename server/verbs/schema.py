@@ -157,7 +157,7 @@ def _format_new_keys(listed_rows: dict[str, list[Row]], rows: list[Row]) -> str:
 def _format_variants(variants: list[TableRows]) -> str:
     """Format a table that has several kinds: the common keys, the kinds, and the keys of single kinds."""
     tag = variants[0].rows[0].key
-    shared = [row for row in variants[0].rows if all(row in other.rows for other in variants)]
+    shared = [row for row in variants[0].rows if all(row in variant.rows for variant in variants)]
     variant_rows: dict[Row, list[str]] = {}
     lines = []
     for table in variants:
@@ -211,8 +211,8 @@ def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
     inner = []
     for field in info.fields:
         structs = list(_structs(field.type))
-        path, many = _path(name, field)
-        inner += [(struct, f"[[{path}]]" if many else f"[{path}]") for struct in structs]
+        path, is_array = _path(name, field)
+        inner += [(struct, f"[[{path}]]" if is_array else f"[{path}]") for struct in structs]
         if not structs and field.encode_name != getattr(info.cls, "gathers", None):
             rows.append(_row(field))
     yield TableRows(name, " ".join((info.cls.__doc__ or "").split()), rows)

@@ -194,10 +194,10 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
 
 def _in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
-    who = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
+    program = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
     return AddressInUse(
-        f"{key} {endpoint} is in use: stop {who or 'the softfinger or other program that holds it'}, "
+        f"{key} {endpoint} is in use: stop {program or 'the softfinger or other program that holds it'}, "
         f"or set {key} to {free}"
     )
 

@@ -123,9 +123,9 @@ def ball(radius: float, fineness: int) -> Arrays:
     ])  # fmt: skip
     octant = np.stack([i, j, fineness - i - j], axis=1)[keep].astype(float)
     signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)]
-    turned = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
+    outward = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
     points = np.concatenate([octant * sign for sign in signs])
-    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(turned)])
+    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(outward)])
     points, places = np.unique(points, axis=0, return_inverse=True)
     return radius * points / np.linalg.norm(points, axis=1)[:, None], places.ravel()[triangles]
 

@@ -192,9 +192,9 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
     qx, qy = -omega[1] + kf * velocity[0], omega[0] + kf * velocity[1]
     gx, gy = ((kf + d) * qx - b * qy) / determinant, ((kf + a) * qy - b * qx) / determinant
     ox, oy = c * gx - s * gy, -s * gx - c * gy
-    turning = finger.torsion[0] * fx + finger.torsion[1] * fy + thing.torsion[0] * ox + thing.torsion[1] * oy
+    spin_rate = finger.torsion[0] * fx + finger.torsion[1] * fy + thing.torsion[0] * ox + thing.torsion[1] * oy
     return Coordinates(
-        fx / finger.metric[0], fy / finger.metric[1], ox / thing.metric[0], oy / thing.metric[1], omega[2] + turning
+        fx / finger.metric[0], fy / finger.metric[1], ox / thing.metric[0], oy / thing.metric[1], omega[2] + spin_rate
     )
 
 

@@ -95,8 +95,8 @@ def method_path(name: str, motion: str, tolerance: float) -> Array:
     if motion == "world":
         return np.vstack([np.zeros(3), roll_path_timed(method, PLANE, CENTER, NORMAL, steps()).points])
     out = roll(method, PLANE, RADIUS_M, CENTER, NORMAL, rotations.exp(TURN_RAD))
-    turned = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
-    moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * turned)
+    angle = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
+    moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * angle)
     path = np.concatenate([[0.0], np.cumsum(moved)])
     return np.column_stack([path.real, path.imag, out.motion[2] * np.arange(STEPS + 1)])
 

@@ -100,8 +100,8 @@ def prepare_figures(folder: Path) -> None:
 def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     """Return the sweep for the options; raises ConfigError for a value out of range, or if nothing can be measured."""
     for name, (low, high, unit) in LIMITS.items():
-        given = getattr(args, name)
-        for value in given if isinstance(given, list | tuple) else [given]:
+        option_values = getattr(args, name)
+        for value in option_values if isinstance(option_values, list | tuple) else [option_values]:
             if value is not None and not (isfinite(value) and low <= value <= high):
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigError(f"{option} {value:g}: must be from {low:g} to {high:g} {unit}".rstrip())

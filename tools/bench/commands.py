@@ -127,9 +127,9 @@ def run(args: argparse.Namespace) -> int:
         listener.rows()
         quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
         rows, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
-        turned, memory = swapping(listener, control, process.pid, args.swaps)
+        swap_rows, memory = swapping(listener, control, process.pid, args.swaps)
     # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
-    steps = np.diff(np.abs(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
+    steps = np.diff(np.abs(swap_rows[:, 2]))[(np.diff(swap_rows[:, 0]) == 1.0) & (swap_rows[1:, 1] <= PAUSE_MAX_S)]
     result = {
         "ticks_without": len(quiet), "missed_without": count_missed(quiet),
         "set_params": len(answers), "ticks": len(rows), "missed": count_missed(rows), "torn": count_torn(rows),
@@ -172,8 +172,8 @@ def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     (folder / "pressed.toml").write_text(SCENE, "utf-8")
     (folder / "rig.toml").write_text(RIG.replace("ENDPOINT", endpoint), "utf-8")
     words = ["run", "--rig", "rig.toml", "--scene", "pressed.toml", "--commands", commands]
-    said = folder / "log"
-    with said.open("wb") as log, subprocess.Popen(
+    log_path = folder / "log"
+    with log_path.open("wb") as log, subprocess.Popen(
         [sys.executable, "-m", "softfinger.server.cli", *words], cwd=folder, stdout=log, stderr=log
     ) as process:  # fmt: skip
         try:

@@ -227,10 +227,10 @@ def _shapes() -> Iterator[Feature]:
 
 
 def _several() -> Iterator[Feature]:
-    apart = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
-    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[apart]))
+    far_plane = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
+    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[far_plane]))
     yield Feature(
-        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[apart])
+        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[far_plane])
     )
     two, three = _scene(others=WALLS[:1]), _scene(others=WALLS)
     yield Feature("second object, touched too", "bare plane", _scene(), two, lambda: (corner_poses(), corner_poses()))

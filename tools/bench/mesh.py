@@ -71,14 +71,14 @@ def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
         import trimesh
     except ImportError as error:
         raise ConfigError(f"bench mesh needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
-    made = trimesh.creation.icosphere(subdivisions=level, radius=1.0)
-    x = np.asarray(made.vertices)
+    sphere = trimesh.creation.icosphere(subdivisions=level, radius=1.0)
+    x = np.asarray(sphere.vertices)
     waves = np.sin(30.0 * x[:, 0]) * np.sin(30.0 * x[:, 1]) * np.cos(20.0 * x[:, 2])
-    made.vertices = x * (RADIUS_M + bumps * waves)[:, None]
+    sphere.vertices = x * (RADIUS_M + bumps * waves)[:, None]
     file = folder / f"{level}-{bumps:g}.ply"
     if not file.exists():
-        made.export(file)
-    return str(file), np.asarray(made.vertices), np.asarray(made.faces)
+        sphere.export(file)
+    return str(file), np.asarray(sphere.vertices), np.asarray(sphere.faces)
 
 
 def scene_of(radius: float, **shape: Any) -> schema.Scene:
@@ -154,8 +154,8 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     found = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, found)
     wrong = np.abs(np.sqrt(found[:CHECKED, 0]) - np.sqrt(found[:CHECKED, 2])).max()
-    spent = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
-    return {"asked": dict(zip(("p50", "p99", "max"), spent, strict=True)), "distance_error_m": float(wrong)}
+    percentiles_s = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
+    return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}
 
 
 def table(result: dict[str, Any]) -> Iterator[str]:

@@ -109,8 +109,8 @@ def run(args: argparse.Namespace) -> int:
     for name in found:
         latency = result[name]["latency"]["blocks"]
         cells = "  ".join(f"{q} {microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
-        lost = f"lost {result[name]['lost']} of {result[name]['messages']}"
-        lines.append(f"  {name:<10} {cells}   {lost}   processor {100.0 * result[name]['load']:4.1f} %")
+        loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
+        lines.append(f"  {name:<10} {cells}   {loss_text}   processor {100.0 * result[name]['load']:4.1f} %")
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
     show(result, args.json, lines)
     if args.plot:
@@ -156,23 +156,28 @@ def body(folder: Path) -> list[str]:
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, made),) = Messages(TickParameters(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
-        tuple(record)
-    )
-    path.write_bytes(made)
-    return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
+    ((_, message),) = Messages(
+        TickParameters(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)
+    ).encode_row(tuple(record))
+    path.write_bytes(message)
+    return [
+        str(path),
+        *(str(message.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES))),
+    ]
 
 
 def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> SourceResult:
     """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
-    with tempfile.TemporaryDirectory() as made, ExitStack() as running:
-        shown = running.enter_context(source(words, args.transport, Path(made)))
-        await_messages(shown.endpoint)
+    with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
+        publisher = running.enter_context(source(words, args.transport, Path(folder_name)))
+        await_messages(publisher.endpoint)
         if name == FORWARD:
-            shown = running.enter_context(forward(shown.endpoint, args.keys, Path(made)))
-        used, begun = processor_s(shown.process.pid), time.monotonic()
-        seen = subscribe_all(name, shown, args.subscribers, seconds, Path(made))
-        return SourceResult(seen, (processor_s(shown.process.pid) - used) / (time.monotonic() - begun))
+            publisher = running.enter_context(forward(publisher.endpoint, args.keys, Path(folder_name)))
+        start_cpu_s, begun = processor_s(publisher.process.pid), time.monotonic()
+        ticks_of_subscribers = subscribe_all(name, publisher, args.subscribers, seconds, Path(folder_name))
+        return SourceResult(
+            ticks_of_subscribers, (processor_s(publisher.process.pid) - start_cpu_s) / (time.monotonic() - begun)
+        )
 
 
 def processor_s(pid: int) -> float:
@@ -215,8 +220,8 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProces
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
-            said = next((line for line in process.stderr if "forwarded on " in line), "")
-            yield PublisherProcess(process, said.partition("forwarded on ")[2].partition(",")[0], pair)
+            line_with_endpoint = next((line for line in process.stderr if "forwarded on " in line), "")
+            yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
         finally:
             process.terminate()
             process.communicate(timeout=30.0)
@@ -233,11 +238,13 @@ def await_messages(endpoint: str) -> None:
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 
 
-def subscribe_all(name: str, shown: PublisherProcess, subscribers: int, seconds: float, folder: Path) -> list[Array]:
+def subscribe_all(
+    name: str, publisher: PublisherProcess, subscribers: int, seconds: float, folder: Path
+) -> list[Array]:
     """Return the messages of every subscriber, (n, 2): tick, latency s."""
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
-    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", shown.endpoint, repr(seconds)]
-    processes = [subprocess.Popen([*words, str(path), *shown.keys]) for path in paths]
+    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", publisher.endpoint, repr(seconds)]
+    processes = [subprocess.Popen([*words, str(path), *publisher.keys]) for path in paths]
     with progress(f"measuring: {name}", round(seconds)) as done:
         begun = time.monotonic()
         while any(process.poll() is None for process in processes):
@@ -259,14 +266,14 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
             client_keys(*keys).apply_to(socket)
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        seen: list[tuple[float, bytes]] = []
+        arrivals: list[tuple[float, bytes]] = []
         end = time.monotonic() + seconds + 1.0
         while time.monotonic() < end:
             _, body = socket.recv_multipart()
-            seen.append((time.time(), body))
+            arrivals.append((time.time(), body))
     # Messages are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
     # subscribers start.
-    messages = [(at, msgpack.unpackb(body)) for at, body in seen if at > seen[0][0] + 1.0]
+    messages = [(at, msgpack.unpackb(body)) for at, body in arrivals if at > arrivals[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
 
 

@@ -202,11 +202,11 @@ OTHERS: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"stat
 
 def draw(name: str, path: Path) -> None:
     """Draw one figure and save it."""
-    drawn, legends = (FIGURES | OTHERS)[name]
+    draw, legends = (FIGURES | OTHERS)[name]
     count = len(legends)
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(drawing.subplots(1, count))
-    drawn(axes)
+    draw(axes)
     for each, place in zip(axes, legends, strict=True):
         if place:
             each.legend(loc=place, frameon=False, fontsize="small")

@@ -245,8 +245,8 @@ def play(engine: Engine, path: Array) -> Played:
             found.force[tick, at] = records[name]["force"][0]
             found.mode[tick, at] = records[name]["contact.mode"][0]
         found.speed[tick] = speed_of(engine)
-        given = engine.data.xfrc_applied[1, :3]
-        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + given).max()))
+        applied = engine.data.xfrc_applied[1, :3]
+        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + applied).max()))
     return found._replace(unbalanced=unbalanced)
 
 

@@ -59,18 +59,18 @@ def case_table(found: Sequence[CellResult]) -> str:
     text.append("|---|---|---|---|---|---|")
     for case in dict.fromkeys(row.case for row in found):
         rows = [row for row in found if row.case == case]
-        ripple, given, unbalanced = (
+        ripple, work, unbalanced = (
             max((value for row in rows if (value := getattr(row, key)) is not None), default=float("nan"))
             for key in ("ripple_n", "given_j", "unbalanced_n")
         )
         slips = sum(row.slips or 0 for row in rows)
         open_ends = [(row.verdict, row.reason) for row in rows if row.verdict != "rests"]
-        said = "; ".join(
+        faults = "; ".join(
             f"{verdict} in {open_ends.count((verdict, reason))} of {len(rows)}: {reason}"
             for verdict, reason in dict.fromkeys(open_ends)
         )
         text.append(
-            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * given:.2g} mJ | {unbalanced:.1g} N | {said or '-'} |"
+            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * work:.2g} mJ | {unbalanced:.1g} N | {faults or '-'} |"
         )
     return "\n".join(text) + "\n"
 

@@ -112,11 +112,11 @@ def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Arr
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
 
 
-def press(depth: float, radius: float = R, way: float = 0.0, count: int = TICKS) -> Array:
-    """Return poses (n, 7) of a fingertip that presses `depth` into z = 0, moves `way` along x and y, and leaves."""
+def press(depth: float, radius: float = R, distance: float = 0.0, count: int = TICKS) -> Array:
+    """Return poses (n, 7) that press `depth` into z = 0, move `distance` along x and half of it along y, and leave."""
     t = np.linspace(0.0, 1.0, count)
     down = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
-    along = way * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
+    along = distance * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
     samples = np.zeros((count, 7))
     samples[:, 0], samples[:, 1] = along, 0.5 * along
     samples[:, 2] = radius * 1.2 - down * (0.2 * radius + depth)
@@ -166,7 +166,12 @@ def cases() -> Iterator[ExtremeCase]:
 def on_a_plane() -> Iterator[ExtremeCase]:
     """Yield motions, parameters, times and damaged poses."""
     yield ExtremeCase(
-        "no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even_steps(TICKS), expects=slides
+        "no rotation",
+        "a drag without any turn",
+        scene(),
+        press(0.001, distance=0.01),
+        even_steps(TICKS),
+        expects=slides,
     )
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
@@ -188,11 +193,11 @@ def on_a_plane() -> Iterator[ExtremeCase]:
         )
     for stiffness in (1e-3, 1e6):
         model = scene(stiffness=stiffness)
-        poses = press(0.001, way=0.01)
+        poses = press(0.001, distance=0.01)
         yield ExtremeCase(
             "stiffness", f"K = {stiffness:g} N/m", model, poses, even_steps(TICKS), expects=touches_and_leaves
         )
-    poses = press(0.001, way=0.01)
+    poses = press(0.001, distance=0.01)
     yield ExtremeCase("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even_steps(TICKS), expects=slides)
     yield ExtremeCase(
         "friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even_steps(TICKS), expects=never_slides
@@ -248,14 +253,14 @@ def on_other_objects() -> Iterator[ExtremeCase]:
         )
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
-        poses = press(0.001, way=0.004)
+        poses = press(0.001, distance=0.004)
         poses[:, :2] += np.asarray(place) - 0.001
         poses[:, 3:] = turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
         words = f"of a box, rolled over its {words}"
         yield ExtremeCase("sharp object", words, scene(BLOCK), poses, even_steps(TICKS), expects=touches_and_leaves)
 
     for count in (2, 3):
-        poses = press(0.001, way=0.003)
+        poses = press(0.001, distance=0.003)
         poses[:, : count - 1] += 0.009
         poses[:, count - 1 : 2] += 0.05
         words = f"{count} walls at once, turning"

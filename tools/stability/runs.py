@@ -63,14 +63,14 @@ def _run_block(block: RunBlock) -> dict[str, int]:
         plants.append(np.tile(flatten(plant), (runs, 1)))
         passive.append(stiffness <= (1.0 - share) * bare)  # B reduces the bound as it reduces b
     out = run_rows(np.concatenate(loops), np.concatenate(plants), plant)
-    left = out[:, 2] < block.ticks
+    has_left = out[:, 2] < block.ticks
     inside = np.concatenate(passive)
     return {
         "runs": block.runs,
         "ticks": int(out[:, 2].sum()),
-        "left": int(left.sum()),
+        "left": int(has_left.sum()),
         "passive": int(inside.sum()),
-        "passive_left": int((left & inside).sum()),
+        "passive_left": int((has_left & inside).sum()),
     }
 
 

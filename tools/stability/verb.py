@@ -59,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
 
 def run_extremes(args: argparse.Namespace) -> int:
     """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
-    found, fed = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
-    result = {"extremes": [row._asdict() for row in found], "hostile": fed}
-    show(result, args.json, [extremes.table(found), hostile.hostile_table(fed)])
-    return int(any(row.wrong for row in found) or any(row["broken"] for row in fed))
+    found, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in found], "hostile": hostile_rows}
+    show(result, args.json, [extremes.table(found), hostile.hostile_table(hostile_rows)])
+    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile_rows))
 
 
 def run_bodies(args: argparse.Namespace) -> int:

@@ -38,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                who = "clients with a key" if part.peers.lock else "every client that reaches it"
-                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
+                audience = "clients with a key" if part.peers.lock else "every client that reaches it"
+                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, audience)
         telemetry = TelemetryProcess(args, origin) if args.commands_to and (args.to or args.lsl) else None
         if telemetry is not None:
             stack.callback(telemetry.end)
