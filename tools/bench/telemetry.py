@@ -2,9 +2,7 @@
 
 One process runs the daemon, and each subscriber is a separate process. Further sources run in turn, so that
 disturbances of the machine affect all of them. If there is a compiler, one is a sender in C over libzmq that does
-nothing else. With `--busy`, the daemon has a thread that spins in Python, and the sender has a process that does so.
-With `--forward`, the source is `softfinger forward`, by CURVE with `--keys`. With `--beside`, it is the daemon of
-another version.
+nothing else. With `--forward`, the source is `softfinger forward`, by CURVE with `--keys`.
 """
 
 from __future__ import annotations
@@ -44,31 +42,6 @@ SOURCE: Final = Path(__file__).with_name("reference_sender.c")
 _EIGHT_BYTES: Final = 2**50 + 1
 """A tick that is encoded in eight bytes, like those of the C sender; no `state` message is sent with it."""
 
-SPINNING: Final = """
-import sys, threading
-def spin():
-    total = 0
-    while True:
-        for number in range(10_000):
-            total += number * number
-threading.Thread(target=spin, daemon=True).start()
-from softfinger.server.cli import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-BESIDE_SPINNING: Final = """
-import os, sys
-parent = os.getpid()
-if os.fork() == 0:
-    total = 0
-    while os.getppid() == parent:
-        for number in range(10_000):
-            total += number * number
-    os._exit(0)
-os.execv(sys.argv[1], sys.argv[1:])
-"""
-"""The C sender with as much Python spinning on the machine; it shows the delay that is caused by the subscribers."""
-
 FORWARD: Final = "forward"
 
 
@@ -104,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
             "lost": int(sum((np.diff(each[:, 0]) - 1).sum() for each in seen)),
             "load": float(np.mean([part.load for part in parts])),
         }
-    lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz over {args.transport}, us"]
+    lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz, us"]
     own = result["daemon"]["latency"]["blocks"]
     for name in found:
         latency = result[name]["latency"]["blocks"]
@@ -120,17 +93,11 @@ def run(args: argparse.Namespace) -> int:
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
     """Return the command line of each source; `ENDPOINT` is replaced by its endpoint."""
-    daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate), "--rig", args.rig]
+    daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate)]
     found = {}
     if (program := compile_reference(folder)) is not None:
         found["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
-        if args.busy:
-            found["c busy"] = [sys.executable, "-c", BESIDE_SPINNING, *found["c"]]
-    interpreters = {"daemon": sys.executable} | ({"beside": args.beside} if args.beside else {})
-    for name, python in interpreters.items():
-        found[name] = [python, "-m", "softfinger.server.cli", *daemon]
-        if args.busy:
-            found[f"{name} busy"] = [python, "-c", SPINNING, *daemon]
+    found["daemon"] = [sys.executable, "-m", "softfinger.server.cli", *daemon]
     if args.forward:
         found[FORWARD] = found["daemon"]
     return found
@@ -169,7 +136,7 @@ def body(folder: Path) -> list[str]:
 def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> SourceResult:
     """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
-        publisher = running.enter_context(source(words, args.transport, Path(folder_name)))
+        publisher = running.enter_context(source(words, "tcp", Path(folder_name)))
         await_messages(publisher.endpoint)
         if name == FORWARD:
             publisher = running.enter_context(forward(publisher.endpoint, args.keys, Path(folder_name)))
