@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.tools.accuracy.options import Motion
+from softfinger.tools.accuracy.options import MOTIONS, Motion
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,13 @@ DURATION_S: Final = 1.0
 MAX_ANGLE_RAD: Final = 20.0
 """A motion ends before the finger turns by more than this; on a plane it would only move further away."""
 MIN_TICKS: Final = 4
+PASSES: Final = 20
+QUICK_PASSES: Final = 5
+SWEEP_RATE_HZ: Final = 1000.0
+TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
+"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
+CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
+SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 TILT_RAD: Final = 1.2
 SPIN_RAD: Final = 0.8
 SWAY_RAD: Final = 0.4
@@ -68,15 +75,18 @@ SURFACES: Final[dict[str, StudiedSurface]] = {
     "torus-inside": StudiedSurface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
 }  # fmt: skip
 
-METHODS: Final[dict[str, Callable[[float], Any]]] = {
-    "euler_zxz": lambda _: model.EulerZxz(),
-    "euler_zyx": lambda _: model.EulerZyx(),
-    "rotation_vector": lambda _: model.RotationVector(),
-    "midpoint": lambda _: model.Midpoint(),
-    "montana_rk4": lambda _: model.MontanaRk4(),
-    "montana_rk45": lambda tolerance: model.MontanaRk45(tolerance),
+TOLERANCE: Final = 1e-9
+"""Tolerance of `montana_rk45`."""
+
+METHODS: Final[dict[str, Any]] = {
+    "euler_zxz": model.EulerZxz(),
+    "euler_zyx": model.EulerZyx(),
+    "rotation_vector": model.RotationVector(),
+    "midpoint": model.Midpoint(),
+    "montana_rk4": model.MontanaRk4(),
+    "montana_rk45": model.MontanaRk45(TOLERANCE),
 }
-"""Kernel nodes by name; the argument is the tolerance of `montana_rk45`."""
+"""Kernel nodes by name."""
 
 
 def has_method(surface: str, method: str) -> bool:
@@ -91,7 +101,6 @@ class RollingCase(NamedTuple):
     turn_rate       rad/s  largest angular velocity of the fingertip
     curvature_ratio        r over the size of the surface; None for the size in SURFACES
     spin_ratio             spin over roll, at the start
-    tolerance              of montana_rk45
     passes                 repetitions of the motion for timing
     """
 
@@ -102,7 +111,6 @@ class RollingCase(NamedTuple):
     turn_rate: float
     curvature_ratio: float | None
     spin_ratio: float
-    tolerance: float
     passes: int
 
 
@@ -227,48 +235,36 @@ class Sweep(NamedTuple):
     """Values to measure.
 
     All servo rates are measured at the first rotation rate, the first spin ratio and the original size of the surfaces.
-    The other values of a parameter are measured one at a time, at a single servo rate.
+    The other values of a parameter are measured one at a time, at SWEEP_RATE_HZ, unless the sweep is `quick`.
     """
 
     surfaces: Sequence[str]
     methods: Sequence[str]
-    motions: Sequence[Motion]
     rates_hz: Sequence[float]
-    turn_rates: Sequence[float]
-    curvature_ratios: Sequence[float]
-    spin_ratios: Sequence[float]
-    tolerance: float
-    passes: int
-    sweep_rate_hz: float
-
-
-def longest_step(motions: Sequence[Motion]) -> float:
-    """Return the angle, rad, that steps must stay below.
-
-    Two poses determine neither the sense of half a turn nor a fast change.
-    """
-    return CHANGING_STEP_RAD if "changing" in motions else pi
+    quick: bool
 
 
 def cases(sweep: Sweep) -> list[RollingCase]:
     """Return the cases, ordered so that cases with the same reference path are consecutive.
 
-    Steps of at least `longest_step` and curvature ratios at which the fingertip does not fit are left out.
+    Curvature ratios at which the fingertip does not fit are left out, and steps that are too long: two poses determine
+    neither the sense of half a turn nor a fast change.
     """
-    turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
+    turn, spin, passes = TURN_RATES[0], SPIN_RATIOS[0], QUICK_PASSES if sweep.quick else PASSES
     found = []
     for surface in sweep.surfaces:
-        largest = SURFACES[surface].largest
         variants: list[tuple[float, float, float | None, float]] = [(f, turn, None, spin) for f in sweep.rates_hz]
-        variants += [(at, other, None, spin) for other in sweep.turn_rates[1:]]
-        variants += [(at, turn, ratio, spin) for ratio in sweep.curvature_ratios if ratio < largest]
-        variants += [(at, turn, None, other) for other in sweep.spin_ratios[1:]]
-        for motion in sweep.motions:
+        if not sweep.quick:
+            ratios = (ratio for ratio in CURVATURE_RATIOS if ratio < SURFACES[surface].largest)
+            variants += [(SWEEP_RATE_HZ, other, None, spin) for other in TURN_RATES[1:]]
+            variants += [(SWEEP_RATE_HZ, turn, ratio, spin) for ratio in ratios]
+            variants += [(SWEEP_RATE_HZ, turn, None, other) for other in SPIN_RATIOS[1:]]
+        for motion in MOTIONS:
             for rate, turn_rate, ratio, spin_ratio in variants:
-                if turn_rate / rate >= longest_step([motion]):
+                if turn_rate / rate >= (CHANGING_STEP_RAD if motion == "changing" else pi):
                     continue
                 found += [
-                    RollingCase(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)
+                    RollingCase(surface, m, motion, rate, turn_rate, ratio, spin_ratio, passes)
                     for m in sweep.methods
                     if has_method(surface, m)
                 ]

@@ -101,7 +101,7 @@ def draw_paper(result: dict[str, Any], path: Path) -> None:
         x, y, _ = 1e3 * exact_path(motion)[::DRAWN].T
         (lines["reference"],) = axes.plot(x, y, color="0.8", linewidth=4)
         for name in ("euler_zxz", "euler_zyx", "rotation_vector"):
-            x, y, _ = 1e3 * method_path(name, motion, result["tolerance"])[::DRAWN].T
+            x, y, _ = 1e3 * method_path(name, motion)[::DRAWN].T
             (lines[name],) = axes.plot(x, y, color=colour(name), linewidth=1)
         axes.set_title(f"axes of the {motion.replace('_', ' ')}", fontsize="medium")
         axes.set_xlabel("x, mm")

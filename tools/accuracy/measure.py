@@ -106,7 +106,7 @@ def run_case(case: RollingCase) -> dict[str, Any]:
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
     points, spins = reference(track, count)
     unit = reference_ns()
-    found = roll_path_timed(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
+    found = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
     return {
         "surface": case.surface,
         "method": case.method,
@@ -136,7 +136,6 @@ class DriftCase(NamedTuple):
 
     surface: str
     method: str
-    tolerance: float
     steps: int
 
 
@@ -150,7 +149,7 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
     half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
-    method, off, blocks = METHODS[case.method](case.tolerance), 0.0, case.steps // DRIFT_BLOCK
+    method, off, blocks = METHODS[case.method], 0.0, case.steps // DRIFT_BLOCK
     for _ in range(blocks):
         out = roll_path_timed(method, shape, center, normal, dq)
         point, n = out.points[-1].tolist(), out.normals[-1].tolist()
