@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, stor
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
-from softfinger.server.loop.all_devices import put_wrench
+from softfinger.server.loop.all_devices import Io, put_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
     first_pace,
@@ -75,14 +75,6 @@ JOIN_S: Final = 2.0
 _ENOUGH: Final = 0  # ends everything
 _NEXT: Final = 1  # ends waiting, for the next part
 _TICKS: Final = 2
-
-
-class Io(NamedTuple):
-    """Device functions and their handle (drivers.base)."""
-
-    read: int
-    write: int
-    handle: int
 
 
 class PartTiming(NamedTuple):

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import struct
 import sys
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
-from softfinger.drivers.hid import exchange, node, usb
-from softfinger.drivers.hid.descriptor import has_reports
+from softfinger.drivers.hid import exchange, usb
+from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.hidraw import ids
+from softfinger.drivers.system.hidraw import hidapi, ids, open_path
+
+# Requests for ioctl, from <linux/hidraw.h>.
+_GET_DESCRIPTOR_SIZE: Final = 0x80044801
+_GET_DESCRIPTOR: Final = 0x90044802
+_DESCRIPTOR_MAX: Final = 4096
 
 
 class ReportLink(NamedTuple):
@@ -39,11 +46,11 @@ def open_link(options: Options) -> ReportLink:
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)
         return link_by_threads(opened.device, options, opened.lock_fd)
-    fd = node.open_node(path, options)
+    fd = _open_node(path, options)
     if options.through != "thread":
         return ReportLink(fd, None, path)
     try:
-        return link_by_threads(node.open_hidapi(path), options, fd)._replace(node=path)
+        return link_by_threads(_open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
@@ -112,3 +119,40 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
     raise DeviceNotFound(
         f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"
     )
+
+
+def _open_node(path: str, options: Options) -> int:
+    """Open the device's node, non-blocking and locked, and return its file descriptor.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
+    fd = open_path(path, options.vendor_id, options.product_id)
+    try:
+        check_reports(_descriptor(fd, path), path, options.reports)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _open_hidapi(path: str) -> HidApi:
+    """Open the node again, through hidapi's hidraw backend; raises DeviceError if that fails."""
+    device: Any = hidapi("hidraw").device()
+    try:
+        device.open_path(os.fsencode(path))
+    except OSError as error:
+        raise DeviceError(f"{path} cannot be opened by hidapi: {device.error()}: set through to node") from error
+    opened: HidApi = device
+    return opened
+
+
+def _descriptor(fd: int, path: str) -> bytes:
+    try:
+        size = bytearray(4)
+        fcntl.ioctl(fd, _GET_DESCRIPTOR_SIZE, size)
+        buffer = bytearray(size) + bytearray(_DESCRIPTOR_MAX)
+        fcntl.ioctl(fd, _GET_DESCRIPTOR, buffer)
+    except OSError as error:
+        raise DeviceError(f"{path} does not return its report descriptor: {error.strerror}") from error
+    return bytes(buffer[4 : 4 + struct.unpack("<i", size)[0]])
