@@ -22,6 +22,8 @@ from typing import Any, TypeVar, cast, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.drivers.base import Device
+
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
 
@@ -113,3 +115,16 @@ class Block:
             for at, (name, field) in zip(layout, read_fields(type(layout)).items(), strict=True)
             if field.counted
         }
+
+
+class BlockDevice(Device):
+    """Device with a block that contains its counters. A driver stores there why the zero of its last `stop` failed."""
+
+    _block: Block
+    _zero_failure = ""
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts()

@@ -22,8 +22,8 @@ from softfinger.config.errors import (
     DeviceError,
     DeviceTimeout,
 )
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
@@ -59,12 +59,12 @@ LIBRARY_FUNCTIONS: Final = {
 }
 
 
-class ForceDimension(Device):
+class ForceDimension(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library, self._zero_failure = selection.load(options.library_file), ""
+        self._library = selection.load(options.library_file)
         self._options = options
         self._block = Block(AT)
         self._word = self._block.word
@@ -98,9 +98,6 @@ class ForceDimension(Device):
             self._zero_failure = "the library has not answered"
             self._run_locked(self._switch_force_off)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         if not self._word[AT.open]:
@@ -126,9 +123,6 @@ class ForceDimension(Device):
         if self._word[AT.faulty]:
             messages.append(f"its error code is {self._word[AT.faulty]}")
         return "; ".join(messages)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def _switch_force_off(self) -> None:
         call = self._library

@@ -11,8 +11,8 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
 from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
@@ -30,11 +30,11 @@ STOP_WAIT_S: Final = 1.0
 POLL_S: Final = 2e-4
 
 
-class HaplyDevice(Device):
+class HaplyDevice(BlockDevice):
     """Open device, owner of the connection in `connection`."""
 
     def __init__(self, options: Options, connection: opening.Connection) -> None:
-        self._options, self._zero_failure = options, ""
+        self._options = options
         self._block = Block(AT)
         word = self._block.word
         self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
@@ -85,9 +85,6 @@ class HaplyDevice(Device):
         if self._zero_failure and not was_logged:
             log.error("%s: zero force is not confirmed: %s", self.info.name, self._zero_failure)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         self._thread.close()
@@ -101,9 +98,6 @@ class HaplyDevice(Device):
 
     def warning(self) -> str:
         return self._thread.warning
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def is_settled(self) -> bool:
         """Return True if the service has answered the message with the latest wrench, or cannot any more."""

@@ -22,8 +22,8 @@ from softfinger.config.errors import (
     DevicePermission,
     DeviceTimeout,
 )
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, Limits
@@ -67,7 +67,7 @@ LIBRARY_FUNCTIONS: Final = {
 ZERO: Final = (ctypes.c_double * 3)()
 
 
-class OpenHaptics(Device):
+class OpenHaptics(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again.
 
     calibrates  False: open a device that is not calibrated too, to identify it
@@ -80,7 +80,7 @@ class OpenHaptics(Device):
         self._block = Block(AT)
         self._word = self._block.word
         self._ending = threading.Lock()
-        self._warm, self._zero_failure = False, ""
+        self._warm = False
         with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
             try:  # before the thread runs again, because the current device may be the same for all threads
@@ -127,9 +127,6 @@ class OpenHaptics(Device):
             ):
                 self._zero_failure = self._run_with_timeout(self._zero, HANG_S)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         if not self._word[AT.open]:
@@ -161,9 +158,6 @@ class OpenHaptics(Device):
                 "there is no force: end other programs, try another USB port"
             )
         return "; ".join(messages)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     # --- opening --------------------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, DeviceIO, LastWord
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
@@ -38,14 +38,14 @@ BLOCKED: Final = (
 )
 
 
-class SerialDevice(Device):
+class SerialDevice(BlockDevice):
     """Open device, owner of the file descriptor `fd` of its port.
 
     Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
     """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
-        self._options, self._path, self._zero_failure = options, path, ""
+        self._options, self._path = options, path
         origin, rotation = options.mounting.frame()
         kinematics, spec = options.kinematics, options.frames
         self._setup, self._zero = b"", frames.ZERO
@@ -191,9 +191,6 @@ class SerialDevice(Device):
             return f"the port is gone: {error.strerror}"
         return ""
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         fd = int(self._block.word[BOARD.fd])
@@ -224,9 +221,6 @@ class SerialDevice(Device):
 
     def last_word(self) -> LastWord:
         return LastWord(self._path, int(self._block.word[BOARD.fd]), self._zero)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
 
 def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:

@@ -22,11 +22,10 @@ from softfinger.drivers.base import (
     SAMPLE_GRIPPER,
     SAMPLE_TIME,
     STALE,
-    Device,
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import Block, BlockDevice, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
@@ -218,7 +217,7 @@ class Puck:
                 os.write(int(self._word[AT.fd]), report)
 
 
-class SpaceMouse(Device):
+class SpaceMouse(BlockDevice):
     """Fingertip of the puck as a device. Written wrenches are only logged."""
 
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
@@ -249,9 +248,6 @@ class SpaceMouse(Device):
     def close(self) -> None:
         self._log.close()
         self._puck.close()
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
