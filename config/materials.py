@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-HERE: Final = Path(__file__).resolve().parent
+FOLDER: Final = Path(__file__).resolve().parent
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -126,7 +126,7 @@ def _entries(file: str) -> Mapping[str, LibraryEntry]:
 
 
 def _tables(file: str) -> dict[str, Any]:
-    return tomllib.loads((HERE / file).read_text(encoding="utf-8"))
+    return tomllib.loads((FOLDER / file).read_text(encoding="utf-8"))
 
 
 def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

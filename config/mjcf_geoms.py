@@ -42,7 +42,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     if scene.world is None:
         return scene
     read_model(scene.world)  # checks masses and keyframe
-    have = {thing.name for thing in scene.object}
+    have = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
     added = [each.object for each in geoms if each.object is not None and each.name not in have]
     if not scene.object and not added:
@@ -80,7 +80,7 @@ def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
     """Return the geoms that collide and have a material, but that fingers pass through."""
     if scene.world is None:
         return []
-    have = {thing.name for thing in scene.object}
+    have = {obj.name for obj in scene.object}
     return [each for each in convert_geoms(scene.world) if each.is_lost and each.name not in have]
 
 

@@ -142,7 +142,7 @@ class _Model:
         parser.StartElementHandler, parser.EndElementHandler = start, builder.end
         parser.StartDoctypeDeclHandler = start_doctype
         text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
-        text = COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
+        text = COMMENT.sub(lambda match: "\n" * match[0].count("\n"), text)
         if "\N{REPLACEMENT CHARACTER}" in text:
             raise ConfigError(f"world.model {name}: is not text in UTF-8: save it as UTF-8")
         try:

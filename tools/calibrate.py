@@ -73,14 +73,14 @@ class HoldController:
             place = self._last
         dt = now - self._then
         self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts give a noisy slope
-        off = self._place - place
-        if np.linalg.norm(off) > ESCAPE_M:
+        deviation = self._place - place
+        if np.linalg.norm(deviation) > ESCAPE_M:
             raise DeviceError(
-                f"the knob has moved by {100 * np.linalg.norm(off):.1f} cm: if it ran away by itself, change "
+                f"the knob has moved by {100 * np.linalg.norm(deviation):.1f} cm: if it ran away by itself, change "
                 "motors_reversed in the rig; if the weight pulled it down, take a lighter one"
             )
-        self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * off * dt, -FORCE_MAX_N, FORCE_MAX_N)
-        force = SPRING_N_PER_M * off - DAMPER_NS_PER_M * self._speed + self._integral
+        self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * deviation * dt, -FORCE_MAX_N, FORCE_MAX_N)
+        force = SPRING_N_PER_M * deviation - DAMPER_NS_PER_M * self._speed + self._integral
         self._wrench[:3] = force * min(1.0, FORCE_MAX_N / max(float(np.linalg.norm(force)), 1e-9))
         self._exchange(self._write, self._wrench, "write")
         self._then, self._last = now, place

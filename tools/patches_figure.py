@@ -115,7 +115,7 @@ def pinch() -> TouchCase:
 def drag(case: TouchCase) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
     records = record_case(case)
-    kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
+    kinetic = np.array([obj["material"].get("friction", ICE)["kinetic"] for obj in case.objects])
     size, kinetic_load, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
     for i in range(3):

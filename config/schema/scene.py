@@ -67,8 +67,8 @@ class Scene(Table, frozen=True, kw_only=True):
     @property
     def elastic_object(self) -> Mesh | None:
         """The elastic object, which is the only object of its scene; None: no elastic object."""
-        thing = self.object[0] if len(self.object) == 1 else None
-        return thing if isinstance(thing, Mesh) and thing.elastic is not None else None
+        obj = self.object[0] if len(self.object) == 1 else None
+        return obj if isinstance(obj, Mesh) and obj.elastic is not None else None
 
     @property
     def soft(self) -> bool:

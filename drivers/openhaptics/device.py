@@ -349,15 +349,15 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
     _raise_open_error(name, found)
 
 
-def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
-    messages = "; ".join(map(str, found)) or "the library gives no reason"
+def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn:
+    messages = "; ".join(map(str, errors)) or "the library gives no reason"
     subject = "the default device" if name is None else f"the device '{name}'"
     attached = usb.list_attached()
-    if any(error.code == library.ALREADY_INITIATED for error in found):
+    if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
             f"{subject} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
-    if any(error.code == library.INVALID_LICENSE for error in found):
+    if any(error.code == library.INVALID_LICENSE for error in errors):
         raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):

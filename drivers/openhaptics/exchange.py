@@ -33,7 +33,7 @@ from softfinger.drivers.base import (
     WITHHELD,
 )
 from softfinger.drivers.openhaptics import library as hd
-from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITTEN
+from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITE_TIME
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
@@ -174,7 +174,7 @@ def _send_wrench(handle: int, wrench: Any) -> None:
     may_send = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.is_leaving] == 0 and word[AT.status] == OK
     is_current = wrench[KNOWN_LAPSES] == word[AT.lapses]
     is_usable = may_send and is_current and word[AT.docked] == 0 and word[AT.late] == 0
-    is_usable = is_usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
+    is_usable = is_usable and now - word[AT.started_at] - wrench[WRITE_TIME] <= word[AT.age_max]
     has_force = False
     for k in range(6):
         has_force = has_force or wrench[k] != 0.0
@@ -306,7 +306,7 @@ def write(handle: int, wrench: Any) -> int:
     status = _status_of_write(handle, wrench, now)
     for k in range(6):
         new_pose[k] = wrench[k] if status == OK else 0.0
-    new_pose[WRITTEN] = float(now - word[AT.started_at])
+    new_pose[WRITE_TIME] = float(now - word[AT.started_at])
     new_pose[KNOWN_LAPSES] = float(word[AT.known_lapses])
     buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     store(

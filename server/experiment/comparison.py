@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, student_975
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, Group, PowerLaw, is_counted, student_975
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
@@ -215,5 +215,5 @@ def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> 
             group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
         )
         for group in groups
-        if group.participant != ALL and group.participant not in excluded
+        if group.participant != ALL_PARTICIPANTS and group.participant not in excluded
     }

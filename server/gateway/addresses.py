@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
+from softfinger.config.schema import COMMANDS_SUFFIX, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -59,7 +59,7 @@ def find_addresses(
     """
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
-    if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
+    if endpoint.startswith("ipc://") and endpoint.endswith(COMMANDS_SUFFIX):
         return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
     neighbour = commands_beside(endpoint)
     if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():

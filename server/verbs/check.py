@@ -134,8 +134,8 @@ def _experiment(file: str, path: Path) -> FileReport:
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
     """Return the report on each mesh by the name of its object."""
-    meshes = [thing for thing in config.object if isinstance(thing, Mesh)] if isinstance(config, Scene) else []
-    return {thing.name: msgspec.to_builtins(mesh_report(thing)) for thing in meshes}
+    meshes = [mesh for mesh in config.object if isinstance(mesh, Mesh)] if isinstance(config, Scene) else []
+    return {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
 
 
 def with_costs(finding: FileReport) -> FileReport:
@@ -156,7 +156,7 @@ def with_costs(finding: FileReport) -> FileReport:
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
         rows.append(("  bare contact", f"{measure(keep_contact(scene), poses).median_ns:.0f} ns"))
-    rows += [_stability_row(thing) for thing in scene.object]
+    rows += [_stability_row(obj) for obj in scene.object]
     return finding._replace(summary=finding.summary + rows)
 
 

@@ -234,7 +234,7 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', describe_allowed(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(
-        r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
+        r"^(a number|an integer) from", lambda match: "" if "number" in match[1] else "integer,", allowed
     ).strip()
     allowed = allowed.removeprefix("a number ")
     allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # characters: see its meaning

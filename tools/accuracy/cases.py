@@ -53,20 +53,20 @@ class StudiedSurface(NamedTuple):
     largest: float
 
 
-_ANY: Final = float("inf")
+_NO_LIMIT: Final = float("inf")
 # Starts are so close to an edge, an end or the crest of the tube that every path of some tenths of a radian crosses it.
 # The inside of a box and of a cylinder with ends consists of planes and an inside cylinder, so it has no rows here.
 SURFACES: Final[dict[str, StudiedSurface]] = {
     "plane": StudiedSurface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
-    "sphere": StudiedSurface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
+    "sphere": StudiedSurface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _NO_LIMIT),
     "sphere-inside": StudiedSurface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
-    "cylinder": StudiedSurface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _ANY),
+    "cylinder": StudiedSurface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _NO_LIMIT),
     "cylinder-inside": StudiedSurface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
-    "capped-cylinder": StudiedSurface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
-    "capsule": StudiedSurface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
+    "capped-cylinder": StudiedSurface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _NO_LIMIT),
+    "capsule": StudiedSurface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _NO_LIMIT),
     "capsule-inside": StudiedSurface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
-    "box": StudiedSurface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
-    "ellipsoid": StudiedSurface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
+    "box": StudiedSurface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _NO_LIMIT),
+    "ellipsoid": StudiedSurface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _NO_LIMIT),
     "ellipsoid-inside": StudiedSurface(
         model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
     ),

@@ -114,9 +114,9 @@ def ode45(
         k7 = slope(radius, shape, ahead, w, normal, at + turn)
         count += 6
         nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
-        off = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
-        off = advance(advance(advance(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
-        error = h * largest(off, y, ahead)
+        error_estimate = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
+        error_estimate = advance(advance(advance(error_estimate, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
+        error = h * largest(error_estimate, y, ahead)
         if error > RELATIVE_TOLERANCE:
             # Only the first failure in a row trusts the error estimate.
             h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)

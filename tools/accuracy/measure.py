@@ -149,14 +149,14 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
     half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
-    method, off, blocks = METHODS[case.method], 0.0, case.steps // DRIFT_BLOCK
+    method, drift, blocks = METHODS[case.method], 0.0, case.steps // DRIFT_BLOCK
     for _ in range(blocks):
         out = roll_path_timed(method, shape, center, normal, dq)
         point, n = out.points[-1].tolist(), out.normals[-1].tolist()
-        off = max(off, abs(float(closest(shape, tuple(point))[0])))
+        drift = max(drift, abs(float(closest(shape, tuple(point))[0])))
         normal = (n[0], n[1], n[2])
         center = (point[0] + RADIUS_M * n[0], point[1] + RADIUS_M * n[1], point[2] + RADIUS_M * n[2])
-    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": off}
+    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": drift}
 
 
 def run_drift_block(some: Sequence[DriftCase]) -> list[dict[str, Any]]:

@@ -188,10 +188,10 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
     flat, shaded  records without friction
     rolls         records with friction
     """
-    off = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
+    distances = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
     return {
         "force_n": largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
-        "point_m": largest(off),
+        "point_m": largest(distances),
         "rolled_m": RADIUS_M * largest(rolls["contact.rolled"] - path.rolled),
         "wound_m": largest(rolls["contact.tangential_force"]) / STIFFNESS,
         "direction_rad": largest(along(flat) - path.normals),

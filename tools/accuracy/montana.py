@@ -179,9 +179,9 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
         psi' = omega_z + T_f M_f (u_f, v_f)' + T_o M_o (u_o, v_o)'
     """
     finger = chart(Sphere(radius, 1.0), at.u_f, at.v_f)
-    thing = chart(shape, at.u_o, at.v_o)
+    surface = chart(shape, at.u_o, at.v_o)
     c, s = cos(at.psi), sin(at.psi)
-    k1, k2 = thing.curvature
+    k1, k2 = surface.curvature
     # R K R for diagonal K: symmetric, entries a, b / b, d.
     a, b, d = c * c * k1 + s * s * k2, -c * s * k1 + c * s * k2, s * s * k1 + c * c * k2
     kf = finger.curvature[0]
@@ -192,10 +192,9 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
     qx, qy = -omega[1] + kf * velocity[0], omega[0] + kf * velocity[1]
     gx, gy = ((kf + d) * qx - b * qy) / determinant, ((kf + a) * qy - b * qx) / determinant
     ox, oy = c * gx - s * gy, -s * gx - c * gy
-    spin_rate = finger.torsion[0] * fx + finger.torsion[1] * fy + thing.torsion[0] * ox + thing.torsion[1] * oy
-    return Coordinates(
-        fx / finger.metric[0], fy / finger.metric[1], ox / thing.metric[0], oy / thing.metric[1], omega[2] + spin_rate
-    )
+    (f_u, f_v), (o_u, o_v) = finger.metric, surface.metric
+    spin_rate = finger.torsion[0] * fx + finger.torsion[1] * fy + surface.torsion[0] * ox + surface.torsion[1] * oy
+    return Coordinates(fx / f_u, fy / f_v, ox / o_u, oy / o_v, omega[2] + spin_rate)
 
 
 @jit
@@ -238,8 +237,8 @@ def coordinates(shape: Any, point: Vec3, orientation: Quaternion) -> Coordinates
     orientation  (4,)     of the fingertip
     """
     u_o, v_o = locate(shape, point)
-    thing = chart(shape, u_o, v_o)
-    spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), thing.z))
+    surface = chart(shape, u_o, v_o)
+    spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), surface.z))
     u_f, v_f = locate(Sphere(1.0, 1.0), spot)
     x = rotations.rotate(orientation, chart(Sphere(1.0, 1.0), u_f, v_f).x)
-    return Coordinates(u_f, v_f, u_o, v_o, atan2(-vec3.dot(x, thing.y), vec3.dot(x, thing.x)))
+    return Coordinates(u_f, v_f, u_o, v_o, atan2(-vec3.dot(x, surface.y), vec3.dot(x, surface.x)))

@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
     trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)
     drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **where)
-    off = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
-    trade = [row | {"drift_m": off[row["surface"], row["method"]]} for row in trade]
+    drift_by_case = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
+    trade = [row | {"drift_m": drift_by_case[row["surface"], row["method"]]} for row in trade]
     result: dict[str, Any] = {
         "machine": machine(),
         "radius_m": RADIUS_M,

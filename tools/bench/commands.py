@@ -55,7 +55,7 @@ damping_ns_per_m = 0.0
 kind = "constant_force"
 force_n = [0.0, 0.0, {PAIRS[0][1]}]
 """
-OTHER: Final = "paper-plane"
+SECOND_SCENE: Final = "paper-plane"
 RIG: Final = f"""
 [device]
 driver = "replay"
@@ -73,7 +73,7 @@ endpoint = "ENDPOINT"
 [commands]
 ramp_s = 0.0
 """
-HELD: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0,0,0\n" for t in (0, 1))
+POSES_CSV: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0,0,0\n" for t in (0, 1))
 
 
 class Listener:
@@ -168,7 +168,7 @@ def table(result: dict[str, Any]) -> list[str]:
 def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
-    (folder / "held.csv").write_text(HELD, "utf-8")
+    (folder / "held.csv").write_text(POSES_CSV, "utf-8")
     (folder / "pressed.toml").write_text(SCENE, "utf-8")
     (folder / "rig.toml").write_text(RIG.replace("ENDPOINT", endpoint), "utf-8")
     words = ["run", "--rig", "rig.toml", "--scene", "pressed.toml", "--commands", commands]
@@ -218,7 +218,7 @@ def swapping(listener: Listener, control: Control, pid: int, count: int) -> tupl
     memory = []
     with progress("set_scene", count) as done:
         for number in range(count):
-            control.set_scene(pressed if number % 2 else OTHER)
+            control.set_scene(pressed if number % 2 else SECOND_SCENE)
             listener.wait_until_felt()
             memory.append(resident_mb(pid))
             done(number + 1)

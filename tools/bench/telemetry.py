@@ -244,10 +244,10 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
 
 
-def draw(path: Path, found: dict[str, list[Array]]) -> None:
+def draw(path: Path, results: dict[str, list[Array]]) -> None:
     drawing = figure()
     axes = drawing.add_subplot()
-    for name, parts in found.items():
+    for name, parts in results.items():
         latency = np.sort(np.concatenate([part[:, 1] for part in parts])) * 1e6
         axes.loglog(latency.clip(1.0), 1.0 - np.arange(len(latency)) / len(latency), label=name)
     axes.set_xlabel("tick to subscriber, us")

@@ -222,10 +222,10 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
 
 
-def draw(path: Path, found: dict[str, list[TurnResult]]) -> None:
+def draw(path: Path, results: dict[str, list[TurnResult]]) -> None:
     drawing = figure()
     axes = drawing.add_subplot()
-    for name, turns in found.items():
+    for name, turns in results.items():
         late = np.sort(np.concatenate([turn.ticks[:, 0] for turn in turns])) * 1e6
         axes.loglog(late.clip(1.0), 1.0 - np.arange(len(late)) / len(late), label=name)
     axes.set_xlabel("woken late, us")

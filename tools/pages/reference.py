@@ -26,7 +26,7 @@ from softfinger.tools.pages import states
 from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN, Hazard
 
 WIDTH: Final = 120
-MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
+GENERATED_NOTE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
 Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. A key without
@@ -78,14 +78,14 @@ def experiments() -> str:
 
 An experiment file (TOML) describes trials and answers: [run an experiment](../run-an-experiment.md).
 `softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
-    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
+    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _FOLDER_FILES.items()])
     return _page(
         head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.markdown("experiment"),
         "## Files of the folder", "No file of a participant is overwritten.", folder_files,
     )  # fmt: skip
 
 
-_KEPT: Final = {
+_FOLDER_FILES: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
     "files.json": "hashes of the experiment's scenes, rig and images, and of meshes, maps, textures and models of its "
     "scenes; the folder refuses changed files",
@@ -351,7 +351,7 @@ def _format_list(verb: str) -> str:
 def _page(head: str, *parts: str) -> str:
     title, _, text = head.partition("\n\n")
     text = textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
-    return "\n\n".join([title, MADE, text, *parts]) + "\n"
+    return "\n\n".join([title, GENERATED_NOTE, text, *parts]) + "\n"
 
 
 def main(argv: list[str] | None = None) -> int:

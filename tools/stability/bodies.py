@@ -286,16 +286,16 @@ def measure(cell: Cell) -> CellResult:
     return judge(found, bool(touching.all()))
 
 
-def judge(found: CellResult, touching: bool) -> CellResult:
+def judge(result: CellResult, touching: bool) -> CellResult:
     """Return the results with verdict and reason."""
-    assert found.left is not None and found.grown is not None
+    assert result.left is not None and result.grown is not None
     if not touching:
-        return found._replace(verdict="lost", reason="a finger touches it no more")
-    if found.left <= AT_REST:
-        return found._replace(verdict="rests")
-    if found.grown > GROWS:
-        return found._replace(verdict="unstable", reason=f"grows by {found.grown:.2f} in a quarter of a second")
-    return found._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
+        return result._replace(verdict="lost", reason="a finger touches it no more")
+    if result.left <= AT_REST:
+        return result._replace(verdict="rests")
+    if result.grown > GROWS:
+        return result._replace(verdict="unstable", reason=f"grows by {result.grown:.2f} in a quarter of a second")
+    return result._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
 
 
 def measure_all(

@@ -336,11 +336,11 @@ def try_extremes() -> list[ExtremeResult]:
     return found
 
 
-def table(found: Sequence[ExtremeResult]) -> str:
+def table(results: Sequence[ExtremeResult]) -> str:
     """Format the findings as a Markdown table."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
-        for row in found
+        for row in results
     ]
     return "\n".join(lines) + "\n"

@@ -57,7 +57,7 @@ KNOCK_STEPS: Final = 20.0
 """The same in encoder steps, at least, so that their effect is small in comparison."""
 REACH: Final = 30.0
 """A swing that has grown by this factor shows that the wall is unstable."""
-DEAD: Final = 1e-9
+MIN_SWING: Final = 1e-9
 """Fraction of the knock's speed below which the swing is over; rounding is at 1e-13."""
 LIMIT_CYCLE: Final = 1.0
 """The same with encoder steps: a swing of a few steps never ends, and is unstable only if it exceeds the knock."""
@@ -273,7 +273,7 @@ def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
 
 def loop_of(case: WallCase, first: float, ticks: int = 0) -> TrialParameters:
     """Return the kernel's row for a case: a search from stiffness `first` (N/m), or one trial (see Loop.ticks)."""
-    over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
+    over = LIMIT_CYCLE if case.resolution_m > 0.0 else MIN_SWING
     return TrialParameters(
         case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,
         case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m,
