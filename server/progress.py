@@ -150,13 +150,13 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
         def show_cursor(self, show: bool = True) -> bool:
             return False
 
-    class What(TextColumn):
+    class _TaskText(TextColumn):
         """Column evaluated ten times a second, so it shows the current detail."""
 
         def render(self, task: Task) -> Text:
             return Text(progress_text(task.description, detail=detail), no_wrap=True, overflow="ellipsis")
 
-    class Share(TaskProgressColumn):
+    class _TaskShare(TaskProgressColumn):
         """Percentage that is empty while there is a detail: the operation waits for a compilation."""
 
         def render(self, task: Task) -> Text:
@@ -165,10 +165,10 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
     text = Column(no_wrap=True, overflow="ellipsis")
     columns: list[ProgressColumn] = [
         TimeElapsedColumn(),
-        What("", table_column=text),
+        _TaskText("", table_column=text),
     ]
     if bar:
-        columns += [BarColumn(), Share()]
+        columns += [BarColumn(), _TaskShare()]
     # The terminal wraps long log lines. Redirected output does not go to the terminal.
     console = Visible(stderr=True, soft_wrap=True, highlight=False)
     return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.experiment.analysis import ALL, AVERAGED_COLUMNS, Group, PowerLaw, format_fit
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, AVERAGED_COLUMNS, Group, PowerLaw, format_fit
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 
@@ -39,7 +39,7 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
     except ImportError as error:
         raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
     participants = list(dict.fromkeys(group.participant for group in groups))
-    main_participant = ALL if ALL in participants else participants[0]
+    main_participant = ALL_PARTICIPANTS if ALL_PARTICIPANTS in participants else participants[0]
     plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
     paths = []
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")

@@ -21,7 +21,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
@@ -209,10 +209,10 @@ class Page:
         client.camera.position = look_at + factor * (camera.position - look_at)
         client.camera.look_at, client.camera.fov = look_at, camera.fov
 
-    def drive(self, object_index: int, position: Any, orientation: Any) -> None:
+    def drive(self, scene_index: int, position: Any, orientation: Any) -> None:
         """Move a driven object of the scene."""
         if self.bodies is not None:
-            self.bodies.drive(object_index, position, orientation)
+            self.bodies.drive(scene_index, position, orientation)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
         """Move the bodies of the scene's [world], by name."""
@@ -222,11 +222,11 @@ class Page:
                 self._awaits_body_poses = False
                 self._set_camera()
 
-    def draw(self, object_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
-            self.bodies.draw(object_index, mesh)
-            self._file_vertices[object_index] = mesh.vertices
+            self.bodies.draw(scene_index, mesh)
+            self._file_vertices[scene_index] = mesh.vertices
             self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:

@@ -14,7 +14,7 @@ import zmq
 
 from softfinger.config.errors import Unfit
 from softfinger.config.load import load_rig
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.server.loop import realtime
 from softfinger.tools.doctor import attached, loop, machine
@@ -189,7 +189,7 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     """A device that may not be opened is bad for its rig and worth a remark for another; its absence is bad."""
-    puck = Attached("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
+    puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.devices(load_rig("spacemouse"), [puck])
     (other,) = attached.devices(load_rig("replay"), [puck])
     assert (own.state, other.state) == ("bad", "could be better")
@@ -198,7 +198,7 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     assert (absent.name, absent.state) == ("device of the rig", "bad")
     (none,) = attached.devices(load_rig("replay"), [])
     assert none.state == "good"
-    mine = Attached("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
+    mine = SystemDevice("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
     assert attached.is_of(load_rig("woodenhaptics-2019"), mine)
     assert not attached.is_of(load_rig("woodenhaptics-2015"), mine)
 

@@ -156,7 +156,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     return report, [one.serial for one in found]
 
 
-def identity(device: discovery.Attached) -> dict[str, Any]:
+def identity(device: discovery.SystemDevice) -> dict[str, Any]:
     """Return a device as the system lists it, for a hidraw node with the report descriptor, read without opening it."""
     identified: dict[str, Any] = {
         "bus": device.bus,
