@@ -179,29 +179,29 @@ def add_objects_of_world(scene: Scene) -> Scene:
 
 def _resolve_files(folder: Path, scene: Scene) -> Scene:
     """Return a scene whose files are relative to a folder."""
-    things, world = scene.object, scene.world
-    if is_usable(things):
-        things = tuple(_resolve_path(folder, thing) if is_usable(thing) else thing for thing in things)
+    objects, world = scene.object, scene.world
+    if is_usable(objects):
+        objects = tuple(_resolve_path(folder, obj) if is_usable(obj) else obj for obj in objects)
     if is_usable(world) and world is not None and is_usable(world.model, world.root):
         root = None if world.root is None else str(folder / world.root)
         world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
-    return msgspec.structs.replace(scene, object=things, world=world)
+    return msgspec.structs.replace(scene, object=objects, world=world)
 
 
-def _resolve_path(folder: Path, thing: Object) -> Object:
-    elastic = getattr(thing, "elastic", None)
+def _resolve_path(folder: Path, obj: Object) -> Object:
+    elastic = getattr(obj, "elastic", None)
     if is_usable(elastic) and elastic is not None and is_usable(elastic.solution) and elastic.solution is not None:
         elastic = msgspec.structs.replace(elastic, solution=str(folder / elastic.solution))
-        thing = msgspec.structs.replace(thing, elastic=elastic)
-    if isinstance(thing, Heightmap | Mesh) and is_usable(thing.file, thing.root):
-        root = None if thing.root is None else str(folder / thing.root)
-        return msgspec.structs.replace(thing, file=str(folder / thing.file), root=root)
-    if not isinstance(thing, Textured) or not is_usable(thing.texture) or thing.texture is None:
-        return thing
-    if not is_usable(thing.texture.file):
-        return thing
-    texture = msgspec.structs.replace(thing.texture, file=str(folder / thing.texture.file))
-    return msgspec.structs.replace(thing, texture=texture)
+        obj = msgspec.structs.replace(obj, elastic=elastic)
+    if isinstance(obj, Heightmap | Mesh) and is_usable(obj.file, obj.root):
+        root = None if obj.root is None else str(folder / obj.root)
+        return msgspec.structs.replace(obj, file=str(folder / obj.file), root=root)
+    if not isinstance(obj, Textured) or not is_usable(obj.texture) or obj.texture is None:
+        return obj
+    if not is_usable(obj.texture.file):
+        return obj
+    texture = msgspec.structs.replace(obj.texture, file=str(folder / obj.texture.file))
+    return msgspec.structs.replace(obj, texture=texture)
 
 
 def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-HERE: Final = Path(__file__).resolve().parent
+FOLDER: Final = Path(__file__).resolve().parent
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,7 +41,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     load_n: tuple[float, float] | None = None
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LibraryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Material or fingertip of the library.
 
     about        description in one sentence
@@ -78,7 +78,7 @@ class Library(NamedTuple):
     """
 
     key: str
-    entries: Callable[[], Mapping[str, Entry]]
+    entries: Callable[[], Mapping[str, LibraryEntry]]
     instead: Mapping[str, str] = MappingProxyType({})
     marked: bool = True
 
@@ -91,13 +91,13 @@ class Library(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def materials() -> Mapping[str, Entry]:
+def materials() -> Mapping[str, LibraryEntry]:
     """Return all materials by name; the file is read when a scene first names one."""
     return _entries("materials.toml")
 
 
 @lru_cache(maxsize=1)
-def fingertips() -> Mapping[str, Entry]:
+def fingertips() -> Mapping[str, LibraryEntry]:
     """Return all fingertips by name."""
     return _entries("fingertips.toml")
 
@@ -121,12 +121,12 @@ def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]
             yield before + key, value
 
 
-def _entries(file: str) -> Mapping[str, Entry]:
-    return MappingProxyType(msgspec.convert(_tables(file), dict[str, Entry]))
+def _entries(file: str) -> Mapping[str, LibraryEntry]:
+    return MappingProxyType(msgspec.convert(_tables(file), dict[str, LibraryEntry]))
 
 
 def _tables(file: str) -> dict[str, Any]:
-    return tomllib.loads((HERE / file).read_text(encoding="utf-8"))
+    return tomllib.loads((FOLDER / file).read_text(encoding="utf-8"))
 
 
 def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

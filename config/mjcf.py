@@ -27,7 +27,7 @@ from softfinger.config.urdf import complete, is_urdf
 if TYPE_CHECKING:
     import mujoco
 
-KEPT: Final = 4
+CACHED_MODELS: Final = 4
 """Compiled models that stay in memory."""
 
 
@@ -101,7 +101,7 @@ def compile_model(path: str, root: str | None = None) -> Compiled:
     with _lock:
         _compiled[path, root] = model
         _compiled.move_to_end((path, root))
-        while len(_compiled) > KEPT:
+        while len(_compiled) > CACHED_MODELS:
             _compiled.popitem(last=False)
     return model
 

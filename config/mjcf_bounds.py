@@ -10,7 +10,7 @@ from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 
 
-class Bound(NamedTuple):
+class ProductLimit(NamedTuple):
     """Largest product of the values of some attributes."""
 
     attributes: tuple[str, ...]
@@ -20,15 +20,15 @@ class Bound(NamedTuple):
 PIXELS: Final = 1 << 24
 USERS: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 TEXT: Final = 1 << 20
-BOUNDS: Final[Mapping[str, tuple[Bound, ...]]] = {
-    "hfield": (Bound(("nrow", "ncol"), int(limits.GRID_VALUES.high)),),
-    "texture": (Bound(("width", "height"), PIXELS), Bound(("width", "width"), PIXELS)),
-    "flexcomp": (Bound(("count",), 16_000), Bound(("cellcount",), 1000)),
-    "flex": (Bound(("cellcount",), 1000),),
-    "user": (Bound(("dim",), 1_000_000),),
-    "camera": (Bound(("resolution",), 1 << 22),),  # a rangefinder has a value for each pixel
+BOUNDS: Final[Mapping[str, tuple[ProductLimit, ...]]] = {
+    "hfield": (ProductLimit(("nrow", "ncol"), int(limits.GRID_VALUES.high)),),
+    "texture": (ProductLimit(("width", "height"), PIXELS), ProductLimit(("width", "width"), PIXELS)),
+    "flexcomp": (ProductLimit(("count",), 16_000), ProductLimit(("cellcount",), 1000)),
+    "flex": (ProductLimit(("cellcount",), 1000),),
+    "user": (ProductLimit(("dim",), 1_000_000),),
+    "camera": (ProductLimit(("resolution",), 1 << 22),),  # a rangefinder has a value for each pixel
     "size": tuple(
-        Bound((name,), most)
+        ProductLimit((name,), most)
         for name, most in (
             *(
                 (f"nuser_{each}", 1000)
@@ -46,10 +46,10 @@ LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "ele
 def check_numbers(element: Element, name: str) -> None:
     """Raise ConfigError if a number of an element, or a list in it, is too large."""
     for bound in BOUNDS.get(element.tag, ()):
-        if (given := product(element, bound.attributes)) > bound.most:
+        if (value := product(element, bound.attributes)) > bound.most:
             what = " x ".join(dict.fromkeys(bound.attributes))
             raise ConfigError(
-                f"world.model {name}: <{element.tag}> has {what} = {given:,}; at most {bound.most:,} can be read"
+                f"world.model {name}: <{element.tag}> has {what} = {value:,}; at most {bound.most:,} can be read"
             )
     for key in LISTS:
         if len(element.get(key) or "") > TEXT:

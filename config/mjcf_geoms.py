@@ -24,7 +24,7 @@ CONVEX: Final = 0.01
 """Relative volume by which a convex hull exceeds a mesh that counts as convex."""
 
 
-class Taken(NamedTuple):
+class ConvertedGeom(NamedTuple):
     """Geom and the object made of it; None if it cannot be touched.
 
     `note` gives the reason, or the difference from MuJoCo's geom. `is_lost`: it collides and has a material, but no
@@ -42,7 +42,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     if scene.world is None:
         return scene
     read_model(scene.world)  # checks masses and keyframe
-    have = {thing.name for thing in scene.object}
+    have = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
     added = [each.object for each in geoms if each.object is not None and each.name not in have]
     if not scene.object and not added:
@@ -51,7 +51,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     return msgspec.structs.replace(scene, object=(*scene.object, *added))
 
 
-def convert_geoms(world: schema.World) -> Iterator[Taken]:
+def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
     package = mujoco_module()
     spec, model, _ = compile_model(world.model, world.root)
@@ -61,11 +61,11 @@ def convert_geoms(world: schema.World) -> Iterator[Taken]:
     for geom in spec.geoms:
         name = geom.name or f"geom-{geom.id}"
         if not geom.contype and not geom.conaffinity and geom.id not in paired:
-            yield Taken(name, None, "does not collide (contype and conaffinity are 0, and no <pair> has it)")
+            yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and no <pair> has it)")
             continue
         material = _material(world, geom)
         if material is None:
-            yield Taken(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
+            yield ConvertedGeom(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
             continue
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
@@ -73,14 +73,14 @@ def convert_geoms(world: schema.World) -> Iterator[Taken]:
     for number in range(model.nflex):
         if model.flex_contype[number] or model.flex_conaffinity[number]:
             name = package.mj_id2name(model, package.mjtObj.mjOBJ_FLEX, number) or f"flex-{number}"
-            yield Taken(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
+            yield ConvertedGeom(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
 
 
-def find_ignored(scene: schema.Scene) -> list[Taken]:
+def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
     """Return the geoms that collide and have a material, but that fingers pass through."""
     if scene.world is None:
         return []
-    have = {thing.name for thing in scene.object}
+    have = {obj.name for obj in scene.object}
     return [each for each in convert_geoms(scene.world) if each.is_lost and each.name not in have]
 
 
@@ -95,7 +95,9 @@ def _material(world: schema.World, geom: Any) -> schema.Material | None:
     return material
 
 
-def _object(name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any) -> Taken:
+def _object(
+    name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any
+) -> ConvertedGeom:
     kinds = mujoco_module().mjtGeom
     x, y, z = (float(each) for each in model.geom_size[geom])
     body, number = int(model.geom_bodyid[geom]), int(model.geom_dataid[geom])
@@ -108,27 +110,29 @@ def _object(name: str, geom: int, world: schema.World, material: schema.Material
     place["position_m"], place["orientation_wxyz"] = map(_numbers, pose)
     match model.geom_type[geom]:
         case kinds.mjGEOM_PLANE:
-            return Taken(name, schema.Plane(**place), "without an end" if x or y else "")
+            return ConvertedGeom(name, schema.Plane(**place), "without an end" if x or y else "")
         case kinds.mjGEOM_SPHERE:
-            return Taken(name, schema.Sphere(radius_m=x, **place), "")
+            return ConvertedGeom(name, schema.Sphere(radius_m=x, **place), "")
         case kinds.mjGEOM_CAPSULE:
-            return Taken(name, schema.Capsule(radius_m=x, length_m=2.0 * y, **place), "")
+            return ConvertedGeom(name, schema.Capsule(radius_m=x, length_m=2.0 * y, **place), "")
         case kinds.mjGEOM_ELLIPSOID:
-            return Taken(name, schema.Ellipsoid(semi_axes_m=(x, y, z), **place), "")
+            return ConvertedGeom(name, schema.Ellipsoid(semi_axes_m=(x, y, z), **place), "")
         case kinds.mjGEOM_CYLINDER:
-            return Taken(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
+            return ConvertedGeom(name, schema.Cylinder(radius_m=x, length_m=2.0 * y, **place), "")
         case kinds.mjGEOM_BOX:
-            return Taken(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
+            return ConvertedGeom(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
         case kinds.mjGEOM_HFIELD:
             source = _hfield(world, model, number)
             if isinstance(source, str):
-                return Taken(name, None, source, is_lost=True)
-            return Taken(name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim")
+                return ConvertedGeom(name, None, source, is_lost=True)
+            return ConvertedGeom(
+                name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim"
+            )
         case kinds.mjGEOM_MESH:
             source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
-            return Taken(name, schema.Mesh(**source, **place), _hull_note(model, number))
+            return ConvertedGeom(name, schema.Mesh(**source, **place), _hull_note(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return Taken(name, None, f"is of the type {kind}, which fingers do not touch", is_lost=True)
+    return ConvertedGeom(name, None, f"is of the type {kind}, which fingers do not touch", is_lost=True)
 
 
 def _check_groups(name: str, spec: Any, number: int) -> None:

@@ -96,18 +96,18 @@ class _Model:
             element, times, name, own = waiting.pop()
             self._check_paths(element, name)
             check_numbers(element, name)
-            given = element.get("file") or ""
+            file = element.get("file") or ""
             match element.tag:
                 case "include":
                     part = self._find_file(element, (folder, own), name)
                     if part in included:
-                        raise ConfigError(f"world.model {name}: includes {given} again: MuJoCo reads each file once")
+                        raise ConfigError(f"world.model {name}: includes {file} again: MuJoCo reads each file once")
                     included.add(part)
                     if (inner := self._text(part)) is not None:
-                        within = f"{self._name}, {given}"
+                        within = f"{self._name}, {file}"
                         waiting.append((self._root(inner, within), times, within, part.parent))
                 case "model":
-                    models[element.get("name") or Path(given).stem] = self._find_file(element, (folder, own), name)
+                    models[element.get("name") or Path(file).stem] = self._find_file(element, (folder, own), name)
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
@@ -142,7 +142,7 @@ class _Model:
         parser.StartElementHandler, parser.EndElementHandler = start, builder.end
         parser.StartDoctypeDeclHandler = start_doctype
         text = text.strip("\0 \t\r\n")  # MuJoCo, too, permits it around the XML
-        text = COMMENT.sub(lambda found: "\n" * found[0].count("\n"), text)
+        text = COMMENT.sub(lambda match: "\n" * match[0].count("\n"), text)
         if "\N{REPLACEMENT CHARACTER}" in text:
             raise ConfigError(f"world.model {name}: is not text in UTF-8: save it as UTF-8")
         try:
@@ -161,10 +161,10 @@ class _Model:
         The folders are those of the model and of the file with the element. Raises ConfigError if it is not below
         `home`.
         """
-        given = element.get("file") or ""
-        places = [folder / given for folder in folders]
+        file = element.get("file") or ""
+        places = [folder / file for folder in folders]
         found = next((place for place in places if os.access(place, os.R_OK)), places[0])
-        check_place(found, self._home, f"{name}: <{element.tag} file={given!r}>")
+        check_place(found, self._home, f"{name}: <{element.tag} file={file!r}>")
         return found
 
     def _text(self, path: Path) -> str | None:
@@ -178,14 +178,14 @@ class _Model:
 
     def _check_paths(self, element: Element, name: str) -> None:
         """Note the files that only MuJoCo finds."""
-        given = element.get("file") or ""
+        file = element.get("file") or ""
         match element.tag:
             case "include" | "model":
-                self.names.parts.add(os.path.basename(given))
+                self.names.parts.add(os.path.basename(file))
             case "attach":
                 self.names.attaches.append(element.get("model") or "")
             case "flexcomp":
-                self.names.flexes.add(given)
+                self.names.flexes.add(file)
             case "compiler":
                 self.names.folders.update(element.get(key) or "" for key in ("meshdir", "assetdir"))
 

@@ -18,7 +18,7 @@ _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
 
-class Changed(NamedTuple):
+class OverriddenMapping(NamedTuple):
     """Mapping with overrides.
 
     mapping   a copy of the given one, with the new values
@@ -31,7 +31,9 @@ class Changed(NamedTuple):
     homeless: list[Fault]
 
 
-def change_values(given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]) -> Changed:
+def change_values(
+    given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]
+) -> OverriddenMapping:
     """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
 
     Raises ConfigError for a value that is given twice.
@@ -48,7 +50,7 @@ def change_values(given: Mapping[str, Any], overrides: Mapping[str, Any], source
                 _override(mapping, key, overrides[dotted], source, origins)
         except LookupError as error:
             homeless.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
-    return Changed(mapping, origins, homeless)
+    return OverriddenMapping(mapping, origins, homeless)
 
 
 def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:

@@ -81,35 +81,19 @@ __all__ = [
 ]
 
 _HOMES = {
-    "AddressInUse": "softfinger.config.errors",
     "Client": "softfinger.server.remote",
-    "CommandRefused": "softfinger.config.errors",
-    "ConfigError": "softfinger.config.errors",
     "ContactMode": "softfinger.proxy.record",
-    "DeviceBusy": "softfinger.config.errors",
-    "DeviceError": "softfinger.config.errors",
-    "DeviceLost": "softfinger.config.errors",
-    "DeviceNotFound": "softfinger.config.errors",
-    "DevicePermission": "softfinger.config.errors",
-    "DeviceTimeout": "softfinger.config.errors",
-    "Different": "softfinger.config.errors",
     "Engine": "softfinger.proxy.engine",
-    "Exhausted": "softfinger.config.errors",
     "Experiment": "softfinger.server.experiment.experiment",
-    "HapticError": "softfinger.config.errors",
     "NoAnswer": "softfinger.server.wire.client_requests",
     "NoField": "softfinger.proxy.records",
     "NoTelemetry": "softfinger.server.wire.client",
     "PoseError": "softfinger.proxy.engine",
     "ProtocolError": "softfinger.server.wire.protocol",
-    "RealtimeError": "softfinger.config.errors",
-    "RecordingError": "softfinger.config.errors",
-    "SafetyStop": "softfinger.config.errors",
-    "Unfit": "softfinger.config.errors",
     "load_scene": "softfinger.config.load",
     "run_recording": "softfinger.server.offline.simulate",
 }
-"""Module of each public name. It is imported on first use, since importing the compiler takes half a second."""
+"""Module of each public name except the errors; imported on first use, since the compiler takes half a second."""
 
 
 def __getattr__(name: str) -> Any:
@@ -117,7 +101,7 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("softfinger")
-    if name not in _HOMES:
+    if name not in __all__:
         from softfinger.config.words import near
 
         hint = near(name, __all__)
@@ -128,7 +112,7 @@ def __getattr__(name: str) -> Any:
     collects = gc.isenabled()
     gc.disable()  # an import creates no garbage, and each collection would scan the objects of numba
     try:
-        return getattr(import_module(_HOMES[name]), name)
+        return getattr(import_module(_HOMES.get(name, "softfinger.config.errors")), name)
     finally:
         if collects:
             gc.enable()

@@ -28,7 +28,7 @@ class Fault(NamedTuple):
 
 
 @dataclass
-class Report:
+class FaultCollector:
     """Faults found so far; `sources` maps single keys to their source, such as a command-line flag."""
 
     where: str
@@ -45,29 +45,29 @@ class Report:
 
 
 def checked_number(
-    kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: Report
+    kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: FaultCollector
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
     whole = isinstance(kind, inspect.IntType)
-    wanted = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
+    expected = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
     if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-        return report.add(key, wanted)
+        return report.add(key, expected)
     try:
         number: float = int(value) if whole else float(value)
         finite = math.isfinite(number)
     except OverflowError:  # an integer beyond the range of float
         finite = False
     if not finite:
-        return report.add(key, wanted)
+        return report.add(key, expected)
     low = kind.ge is None or number >= kind.ge
     high = kind.le is None or number <= kind.le
     if low and high and (kind.gt is None or number > kind.gt) and (kind.lt is None or number < kind.lt):
         return number
     reason = f" ({extra['reason']})" if extra.get("reason") else ""
-    return report.add(key, wanted + reason)
+    return report.add(key, expected + reason)
 
 
-def checked_text(kind: inspect.StrType, value: object, key: str, report: Report) -> Any:
+def checked_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:
     """Return a text of the length and pattern of `kind`."""
     if not isinstance(value, str):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
@@ -80,7 +80,7 @@ def checked_text(kind: inspect.StrType, value: object, key: str, report: Report)
     return value
 
 
-def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: Report) -> Any:
+def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
     """Return one of the values of `kind`."""
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value

@@ -15,13 +15,13 @@ from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.config.toml import parse_toml
 from softfinger.config.words import format_value, near
 
-_HERE: Final = Path(__file__).resolve().parent
+_CONFIG_FOLDER: Final = Path(__file__).resolve().parent
 FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
-    Scene: _HERE / "scenes",
-    Rig: _HERE / "rigs",
-    Faults: _HERE / "faults",
+    Scene: _CONFIG_FOLDER / "scenes",
+    Rig: _CONFIG_FOLDER / "rigs",
+    Faults: _CONFIG_FOLDER / "faults",
 }
-EXPERIMENTS: Final = _HERE / "experiments"
+EXPERIMENTS: Final = _CONFIG_FOLDER / "experiments"
 _KINDS: Final[Mapping[type[msgspec.Struct], str]] = {Scene: "scene", Rig: "rig", Faults: "file of faults"}
 _SIZE_MAX: Final = 1 << 20
 

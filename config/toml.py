@@ -53,10 +53,10 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     return tables
 
 
-def _blank(found: re.Match[str]) -> str:
+def _blank(match: re.Match[str]) -> str:
     """Return spaces in as many lines and columns; a string on one line may be part of a key and becomes a letter."""
-    spaces = re.sub(r"[^\n]", " ", found[0])
-    return spaces if found["blank"] else f"s{spaces[1:]}"
+    spaces = re.sub(r"[^\n]", " ", match[0])
+    return spaces if match["blank"] else f"s{spaces[1:]}"
 
 
 def _inside(value: Any) -> list[Any]:

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 from msgspec import UNSET, Struct, inspect
 
-from softfinger.config.scalars import Report
+from softfinger.config.scalars import FaultCollector
 from softfinger.config.words import join_key, missing, near
 
-Read = Callable[[inspect.Type, object, str, Report], Any]
+Read = Callable[[inspect.Type, object, str, FaultCollector], Any]
 """Reads a value of a type, and records its faults: type, value, key, report."""
 
 
@@ -26,7 +26,7 @@ class Untagged(NamedTuple):
 
 
 def read_untagged(
-    kinds: Untagged, table: Mapping[Any, Any], key: str, report: Report, read: Read
+    kinds: Untagged, table: Mapping[Any, Any], key: str, report: FaultCollector, read: Read
 ) -> tuple[type[Struct] | None, dict[str, Any]]:
     """Check a table of unknown kind against the kinds in `meant`, and report its faults.
 
@@ -56,11 +56,11 @@ def read_untagged(
     return cls, {name: value for name, value in values.items() if name in shared}
 
 
-def _read_as_one(types: list[inspect.Type], value: object, key: str, report: Report, read: Read) -> Any:
+def _read_as_one(types: list[inspect.Type], value: object, key: str, report: FaultCollector, read: Read) -> Any:
     """Read a value as the first type that it fits; record its faults as the first type if it fits none."""
     attempts = []
     for each in types:
-        attempt = Report("", {})
+        attempt = FaultCollector("", {})
         found = read(each, value, key, attempt)
         if not attempt.faults:
             return found

@@ -15,7 +15,7 @@ from typing import Any, Final
 from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
-from softfinger.config.scalars import Fault, Report, checked_literal, checked_number, checked_text
+from softfinger.config.scalars import Fault, FaultCollector, checked_literal, checked_number, checked_text
 from softfinger.config.typeinfo import describe_struct, options, unwrap
 from softfinger.config.untagged import Untagged, read_untagged
 from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
@@ -28,7 +28,7 @@ def examine(
     struct_type: type[Struct], mapping: object, where: str, sources: Mapping[str, str] | None = None
 ) -> tuple[Any, list[Fault]]:
     """Convert `mapping` to the struct and return it with all faults; unusable fields are UNSET."""
-    report = Report(where, sources or {})
+    report = FaultCollector(where, sources or {})
     value = _struct(describe_struct(struct_type), mapping, "", report)
     return value, report.faults
 
@@ -36,7 +36,7 @@ def examine(
 # --- one value -----------------------------------------------------------------------------------
 
 
-def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
+def _value(info: inspect.Type, value: object, key: str, report: FaultCollector) -> Any:
     kind, extra = unwrap(info)
     match kind:
         case inspect.UnionType():
@@ -64,7 +64,7 @@ def _value(info: inspect.Type, value: object, key: str, report: Report) -> Any:
     return value if usable else report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
 
 
-def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) -> Any:
+def _one_of(kind: inspect.UnionType, value: object, key: str, report: FaultCollector) -> Any:
     """Read an optional value, a struct selected by its tag, or the first member of a union that fits."""
     members = options(kind)
     if value is None and len(members) < len(kind.types):
@@ -75,7 +75,7 @@ def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) ->
     if len(structs) == len(members):
         return _read_tagged(structs, value, key, report)
     for option in members:
-        attempt = Report("", {})
+        attempt = FaultCollector("", {})
         result = _value(option, value, key, attempt)
         if not attempt.faults:
             return result
@@ -84,7 +84,7 @@ def _one_of(kind: inspect.UnionType, value: object, key: str, report: Report) ->
 
 
 def _list(
-    kind: inspect.TupleType | inspect.VarTupleType | inspect.ListType, value: object, key: str, report: Report
+    kind: inspect.TupleType | inspect.VarTupleType | inspect.ListType, value: object, key: str, report: FaultCollector
 ) -> Any:
     if not isinstance(value, list | tuple):
         hint = f": write [[{key}]]" if isinstance(value, Mapping) and "." not in key else ""
@@ -107,7 +107,7 @@ def _list(
     return items if isinstance(kind, inspect.ListType) else tuple(items)
 
 
-def _read_named(kind: inspect.DictType, value: object, key: str, report: Report) -> Any:
+def _read_named(kind: inspect.DictType, value: object, key: str, report: FaultCollector) -> Any:
     """Read a table of tables or of values, with names as keys."""
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
@@ -123,7 +123,7 @@ def _read_named(kind: inspect.DictType, value: object, key: str, report: Report)
 # --- tables --------------------------------------------------------------------------------------
 
 
-def _read_tagged(structs: list[inspect.StructType], value: object, key: str, report: Report) -> Any:
+def _read_tagged(structs: list[inspect.StructType], value: object, key: str, report: FaultCollector) -> Any:
     tag_field = str(structs[0].tag_field)
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {format_value(value)}: must be a table")
@@ -138,24 +138,24 @@ def _read_tagged(structs: list[inspect.StructType], value: object, key: str, rep
             return _fields(struct, value, key, report)
     hint = near(tag, tags)
     report.add(dotted, f"{dotted} = {format_value(tag)}: must be {allowed}{hint}")
-    meant = [struct for struct in structs if hint and repr(struct.tag) in hint]
-    return _read_untagged(structs, meant or structs, value, key, report)
+    matching = [struct for struct in structs if hint and repr(struct.tag) in hint]
+    return _read_untagged(structs, matching or structs, value, key, report)
 
 
 def _read_untagged(
     structs: list[inspect.StructType],
-    meant: list[inspect.StructType],
+    matching: list[inspect.StructType],
     value: Mapping[Any, Any],
     key: str,
-    report: Report,
+    report: FaultCollector,
 ) -> Any:
     """Read what is certain of a table whose kind is unknown, for the checks across tables."""
     start = len(report.faults)
-    cls, values = read_untagged(Untagged(structs, meant), value, key, report, _value)
+    cls, values = read_untagged(Untagged(structs, matching), value, key, report, _value)
     return UNSET if cls is None else _create(cls, values, key, report, start)
 
 
-def _struct(info: inspect.StructType, value: object, key: str, report: Report) -> Any:
+def _struct(info: inspect.StructType, value: object, key: str, report: FaultCollector) -> Any:
     if info.tag_field:
         return _read_tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
@@ -168,28 +168,32 @@ def _struct(info: inspect.StructType, value: object, key: str, report: Report) -
     return _fields(info, value, key, report)
 
 
-def _from_library(info: inspect.StructType, library: Library, value: object, key: str, report: Report) -> Any:
+def _from_library(info: inspect.StructType, library: Library, value: object, key: str, report: FaultCollector) -> Any:
     """Fill a table that names an entry of a library with the values of the entry that it leaves out.
 
     A table marked `resolved` is complete: the program that wrote it filled it from its library.
     """
-    given = {library.key: value} if isinstance(value, str) else value
-    if not isinstance(given, Mapping) or not isinstance(given.get(library.key), str) or given.get("resolved") is True:
-        return given
-    name, entries = given[library.key], library.entries()
+    mapping = {library.key: value} if isinstance(value, str) else value
+    if (
+        not isinstance(mapping, Mapping)
+        or not isinstance(mapping.get(library.key), str)
+        or mapping.get("resolved") is True
+    ):
+        return mapping
+    name, entries = mapping[library.key], library.entries()
     if name in entries:
-        return library.fill(given)
+        return library.fill(mapping)
     dotted = key if isinstance(value, str) else join_key(key, library.key)
     choices = ", ".join(entries)
     report.add(
         dotted,
         f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
     )
-    read_untagged(Untagged([info], [info]), given, key, report, _value)
+    read_untagged(Untagged([info], [info]), mapping, key, report, _value)
     return UNSET  # its keys would have the values of the library
 
 
-def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: Report) -> Any:
+def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: FaultCollector) -> Any:
     start = len(report.faults)
     gathers = getattr(info.cls, "gathers", None)
     names = [f.encode_name for f in info.fields if f.encode_name != gathers]
@@ -215,7 +219,7 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
     return _create(info.cls, values, key, report, start)
 
 
-def _create(cls: type[Struct], values: dict[str, Any], key: str, report: Report, start: int) -> Any:
+def _create(cls: type[Struct], values: dict[str, Any], key: str, report: FaultCollector, start: int) -> Any:
     """Create the struct and run its checks across fields."""
     try:
         struct = cls(**values)

@@ -22,11 +22,13 @@ from typing import Any, TypeVar, cast, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.drivers.base import Device
+
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
 
 @dataclass(frozen=True)
-class Field:
+class BlockField:
     """Field of a layout: its meaning, its size in words, and whether `Block.counts` includes it."""
 
     doc: str
@@ -34,33 +36,33 @@ class Field:
     counted: bool = False
 
 
-def counter(doc: str) -> Field:
+def counter(doc: str) -> BlockField:
     """Declare a counter that only grows; the device's report lists it under the name of the field."""
-    return Field(doc, counted=True)
+    return BlockField(doc, counted=True)
 
 
-def word(doc: str) -> Field:
+def word(doc: str) -> BlockField:
     """Declare one int64."""
-    return Field(doc)
+    return BlockField(doc)
 
 
-def address(doc: str) -> Field:
+def address(doc: str) -> BlockField:
     """Declare the address of an array of a length that depends on the rig, see `Block.set_address`."""
-    return Field(doc)
+    return BlockField(doc)
 
 
-def numbers(doc: str, count: int) -> Field:
+def numbers(doc: str, count: int) -> BlockField:
     """Declare `count` int64 or float64, stored in the block."""
-    return Field(doc, count)
+    return BlockField(doc, count)
 
 
-def raw_bytes(doc: str, count: int) -> Field:
+def raw_bytes(doc: str, count: int) -> BlockField:
     """Declare `count` bytes, stored in the block."""
-    return Field(doc, -(-count // 8))
+    return BlockField(doc, -(-count // 8))
 
 
 @cache
-def read_fields(fields: type[tuple[int, ...]]) -> dict[str, Field]:
+def read_fields(fields: type[tuple[int, ...]]) -> dict[str, BlockField]:
     """Return the fields that a class declares, in their order."""
     hints = get_type_hints(fields, include_extras=True)
     return {name: hint.__metadata__[0] for name, hint in hints.items()}
@@ -113,3 +115,16 @@ class Block:
             for at, (name, field) in zip(layout, read_fields(type(layout)).items(), strict=True)
             if field.counted
         }
+
+
+class BlockDevice(Device):
+    """Device with a block that contains its counters. A driver stores there why the zero of its last `stop` failed."""
+
+    _block: Block
+    _zero_failure = ""
+
+    def zero_failure(self) -> str:
+        return self._zero_failure
+
+    def counts(self) -> dict[str, int]:
+        return self._block.counts()

@@ -136,10 +136,10 @@ def _record(word: Any, index: int, tick: int) -> None:
 
 @jit
 def _block_for(microseconds: float) -> None:
-    left = int(microseconds)
-    while left > 0:
-        _usleep(min(left, BLOCK_US))
-        left -= BLOCK_US
+    remaining_us = int(microseconds)
+    while remaining_us > 0:
+        _usleep(min(remaining_us, BLOCK_US))
+        remaining_us -= BLOCK_US
 
 
 @jit
@@ -192,8 +192,8 @@ def _corrupt_sample(handle: int, tick: int) -> None:
             # Knuth's linear congruential generator (MMIX); only its upper bits are random
             state = word[AT.random] * 6364136223846793005 + 1442695040888963407
             word[AT.random] = state
-            drawn = (state >> 33) & 0x3FFFFFFF
-            bits[drawn % POSE_SIZE] ^= 1 << ((drawn // POSE_SIZE) % 63)
+            number = (state >> 33) & 0x3FFFFFFF
+            bits[number % POSE_SIZE] ^= 1 << ((number // POSE_SIZE) % 63)
 
 
 @c_function(IO_SIGNATURE, on_demand=True)
@@ -206,10 +206,10 @@ def _read(handle: int, sample: Any) -> int:
     if status < 0:
         return status
     if not (is_repeated and word[AT.has_sample]):
-        said = call_device(word[AT.read], word[AT.handle], last_sample)
-        if said < 0:
-            return int(said)
-        status = max(status, said)
+        answer = call_device(word[AT.read], word[AT.handle], last_sample)
+        if answer < 0:
+            return int(answer)
+        status = max(status, answer)
         word[AT.has_sample] = 1
         _corrupt_sample(handle, tick)
     for i in range(SAMPLE_SIZE):
@@ -243,8 +243,8 @@ def _write(handle: int, wrench: Any) -> int:
             _record(word, index, tick)
     if not is_delivered:
         return int(status)
-    said = call_device(word[AT.write], word[AT.handle], commanded)
-    return int(said if said < 0 else max(status, said))
+    answer = call_device(word[AT.write], word[AT.handle], commanded)
+    return int(answer if answer < 0 else max(status, answer))
 
 
 class FaultInjector(Device):
@@ -282,8 +282,8 @@ class FaultInjector(Device):
         index = int(self._block.word[AT.last_fault])
         if index < 0:
             return self._device.reason()
-        said = f"injected: {self._faults[index].kind} in tick {int(self._block.word[AT.last_fault_tick])}"
-        return "; ".join(filter(None, [self._device.reason(), said]))
+        description = f"injected: {self._faults[index].kind} in tick {int(self._block.word[AT.last_fault_tick])}"
+        return "; ".join(filter(None, [self._device.reason(), description]))
 
     def warning(self) -> str:
         return self._device.warning()

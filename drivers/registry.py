@@ -103,7 +103,7 @@ def _entry_points() -> dict[str, metadata.EntryPoint]:
 
 
 def _unknown_message(name: str) -> str:
-    known = names()
-    close = difflib.get_close_matches(name, known, n=1)
+    driver_names = names()
+    close = difflib.get_close_matches(name, driver_names, n=1)
     hint = f"did you mean '{close[0]}'? " if close else ""
-    return f"no driver is called '{name}': {hint}Drivers are {', '.join(known)}"
+    return f"no driver is called '{name}': {hint}Drivers are {', '.join(driver_names)}"

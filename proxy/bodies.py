@@ -37,7 +37,7 @@ class _LogConfig(ctypes.Structure):
     )
 
 
-class Block(ReadOnly):
+class SimulationAddresses(ReadOnly):
     """Addresses of a simulation; a reference to it preserves the simulation's memory."""
 
     __slots__ = ("owner",)
@@ -88,7 +88,7 @@ class RigidBodies:
             self._library.mju_setLogHandler(jump_on_error.address)
         self._memory = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
         self._rescue = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
-        self.block = Block(self._words(self._library), self)
+        self.block = SimulationAddresses(self._words(self._library), self)
 
     def _words(self, library: ctypes.CDLL) -> Any:
         data, words = self.data, np.zeros(at.BLOCK_SIZE, np.int64)

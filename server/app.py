@@ -21,18 +21,18 @@ from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
-from softfinger.server.services.commands import Commands, DaemonInterface
+from softfinger.server.services.commands import CommandService, DaemonInterface
 from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
 from softfinger.server.services.recordings import Recordings
-from softfinger.server.services.records import Records, Sink
+from softfinger.server.services.records import RecordService, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.swapping import Swapping
-from softfinger.server.services.telemetry import Telemetry
+from softfinger.server.services.telemetry import TelemetryService
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
@@ -44,7 +44,7 @@ from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
 from softfinger.server.wire.stamps import now_s
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
-    from softfinger.server.metrics.service import Metrics
+    from softfinger.server.metrics.service import MetricsService
 
 STUCK_S: Final = 1.0
 """Time that the servo has to end after an error. Past it, the servo is stuck in its device, and `wait` raises."""
@@ -223,8 +223,8 @@ class Daemon:
             raise self._failure
         if ended.error is not None:
             raise ended.error
-        lost = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
-        failed = lost or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+        error = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
+        failed = error or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
         if failed is not None:
             raise failed
         return True
@@ -298,12 +298,12 @@ class Daemon:
             switch=switch,
         )
 
-    def _open_metrics(self) -> Metrics | None:
+    def _open_metrics(self) -> MetricsService | None:
         endpoint = self._rig.metrics.endpoint
         if endpoint is None:
             return None
         from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
-        from softfinger.server.metrics.service import KEY, Metrics
+        from softfinger.server.metrics.service import KEY, MetricsService
 
         def wire() -> PublisherCounts:
             figures = self.publisher.figures
@@ -312,19 +312,19 @@ class Daemon:
         counts = MetricsCollector(
             self._fingers, wire, lambda: self.recordings.collect_totals(), lambda: self.states.now
         )
-        return Metrics(listen(f"tcp://{endpoint}", KEY), counts, self._event)
+        return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
     def _services(
-        self, scene_name: str, hotplug: Hotplug, metrics: Metrics | None, sinks: Sequence[Sink]
+        self, scene_name: str, hotplug: Hotplug, metrics: MetricsService | None, sinks: Sequence[Sink]
     ) -> list[Service]:
-        telemetry = Telemetry(self.publisher, self.servo)
-        optional_services: list[Commands | Metrics] = []
+        telemetry = TelemetryService(self.publisher, self.servo)
+        optional_services: list[CommandService | MetricsService] = []
         if self.commands_endpoint is not None:
             interface = DaemonInterface(
                 self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
                 self.publisher.reply, self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
             )  # fmt: skip
-            optional_services.append(Commands(self.commands_endpoint, self.rendering, interface, scene_name))
+            optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             optional_services.append(metrics)
         arming = Arming(self.rendering, self.states)
@@ -341,7 +341,7 @@ class Daemon:
             telemetry,
             self.recordings,
             self.blackbox,
-            Records(self.servo, self.publisher.tap, record_sinks, self.fail, self._event),
+            RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._event),
             self.supervisor,
             HotplugWatch(hotplug, self._event),
             DeviceWarnings(lambda: self.devices, self._event),

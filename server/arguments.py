@@ -119,13 +119,13 @@ def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     return files
 
 
-def check_distinct(flag: str, written: str | Path, read: Iterable[str | Path]) -> None:
+def check_distinct(flag: str, output: str | Path, read: Iterable[str | Path]) -> None:
     """Raise ConfigError if an output option names an input file, which would be lost."""
     from softfinger.config.files import is_same_file
 
     for each in read:
-        if is_same_file(each, written):
-            raise ConfigError(f"{flag} {written}: is the input file {each}: choose another output file")
+        if is_same_file(each, output):
+            raise ConfigError(f"{flag} {output}: is the input file {each}: choose another output file")
 
 
 def default_rig(scene: str, fallback: str) -> str:

@@ -230,8 +230,8 @@ class DriverContract:
     def test_a_closed_device_can_be_opened_again(self, device: Device, bench: Bench) -> None:
         """A closed device can be opened again and armed."""
         device.close()
-        with bench.open() as again:
-            servo = Servo(again)
+        with bench.open() as reopened:
+            servo = Servo(reopened)
             assert servo.read()[0] in (OK, STALE)
             assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, STALE)
             assert math.hypot(*bench.displayed()) > 0.0
@@ -304,8 +304,8 @@ class DriverContract:
             device.close()
             assert not any(bench.displayed()), case
             bench.mend()
-            with bench.open() as again:
-                assert Servo(again).read()[0] in (OK, STALE)
+            with bench.open() as reopened:
+                assert Servo(reopened).read()[0] in (OK, STALE)
 
     def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
         """A device that fails under the servo ends the loop with its status and zero force."""

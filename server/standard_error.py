@@ -22,22 +22,22 @@ _lost_lines = 0
 def write_line(text: str, wait_s: float = 0.0) -> None:
     """Write a line, or drop what standard error does not take within `wait_s`; a later line counts dropped lines."""
     global _lost_lines
-    lost = f"({_lost_lines} lines are missing here: they were not read in time)\n" if _lost_lines else ""
-    line = f"{lost}{text}\n"
+    notice = f"({_lost_lines} lines are missing here: they were not read in time)\n" if _lost_lines else ""
+    line = f"{notice}{text}\n"
     for start in range(0, len(line), PIECE):
         if not is_writable(wait_s):
             _lost_lines += 1
             return
         sys.stderr.write(line[start : start + PIECE])
         sys.stderr.flush()
-    if lost:
+    if notice:
         _lost_lines = 0
 
 
 def is_writable(wait_s: float = 0.0) -> bool:
     """Return whether standard error takes a line now, or within `wait_s`."""
     with contextlib.suppress(OSError, ValueError):  # standard error has no file
-        waiting = select.poll()
-        waiting.register(sys.stderr.fileno(), select.POLLOUT)
-        return bool(waiting.poll(1000.0 * wait_s))
+        poller = select.poll()
+        poller.register(sys.stderr.fileno(), select.POLLOUT)
+        return bool(poller.poll(1000.0 * wait_s))
     return True

@@ -25,7 +25,7 @@ ENDLESS_M: Final = 0.2
 """Length of the drawn part of an infinite cylinder."""
 
 
-class Mesh(NamedTuple):
+class SurfaceMesh(NamedTuple):
     """vertices (n, 3) m; faces (m, 3), counter-clockwise from outside; flat: draw sharp edges."""
 
     vertices: Array
@@ -33,36 +33,36 @@ class Mesh(NamedTuple):
     flat: bool = False
 
 
-def decode_mesh(vertices: bytes, triangles: bytes) -> Mesh:
+def decode_mesh(vertices: bytes, triangles: bytes) -> SurfaceMesh:
     """Decode the triangles of the command `mesh`; raises ValueError for an invalid vertex index."""
     points = np.frombuffer(vertices, "<f4").reshape(-1, 3).astype(np.float64)
     faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
     if len(faces) and faces.max() >= len(points):
         raise ValueError(f"a triangle of vertex {faces.max()}, and there are {len(points)}")
-    return Mesh(points, faces)
+    return SurfaceMesh(points, faces)
 
 
-def surface_mesh(obj: shapes.ObjectBase) -> Mesh | None:
+def surface_mesh(obj: shapes.ObjectBase) -> SurfaceMesh | None:
     """Return the surface of an object; None for shapes of other packages and for objects loaded from files."""
     triangles = TRIANGLES.get(type(obj))
     return None if triangles is None else triangles(obj)
 
 
-def plane(edge: float) -> Mesh:
+def plane(edge: float) -> SurfaceMesh:
     """Return a square centred at the origin, with outward normal z."""
     h = 0.5 * edge
     corners = [(-h, -h, 0.0), (h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0)]
-    return Mesh(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)], np.uint32), flat=True)
+    return SurfaceMesh(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)], np.uint32), flat=True)
 
 
-def ellipsoid(radii: tuple[float, float, float]) -> Mesh:
+def ellipsoid(radii: tuple[float, float, float]) -> SurfaceMesh:
     """Return an ellipsoid with half lengths along x, y, z."""
     angle = np.linspace(-0.5 * pi, 0.5 * pi, CIRCLE_CORNERS // 2 + 1)
     unit = lathe(np.column_stack([np.cos(angle), np.sin(angle)]))
-    return Mesh(unit.vertices * radii, unit.faces)
+    return SurfaceMesh(unit.vertices * radii, unit.faces)
 
 
-def cylinder(radius: float, length: float, closed: bool) -> Mesh:
+def cylinder(radius: float, length: float, closed: bool) -> SurfaceMesh:
     """Return a cylinder about the z axis; flat ends with sharp rims if `closed`."""
     h = 0.5 * length
     side = lathe(np.array([(radius, -h), (radius, h)]))
@@ -71,33 +71,33 @@ def cylinder(radius: float, length: float, closed: bool) -> Mesh:
     return join_meshes(lathe(np.array([(0.0, -h), (radius, -h)])), side, lathe(np.array([(radius, h), (0.0, h)])))
 
 
-def capsule(radius: float, length: float) -> Mesh:
+def capsule(radius: float, length: float) -> SurfaceMesh:
     """Return a capsule about the z axis; `length` is the distance between the centres of its round ends."""
     angle = np.linspace(0.0, 0.5 * pi, CIRCLE_CORNERS // 4 + 1)
     end = np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + 0.5 * length])
     return lathe(np.concatenate([end[::-1] * (1.0, -1.0), end]))
 
 
-def torus(major: float, minor: float) -> Mesh:
+def torus(major: float, minor: float) -> SurfaceMesh:
     """Return a torus about the z axis."""
     angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS + 1)
     return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
-def box(size: tuple[float, float, float]) -> Mesh:
+def box(size: tuple[float, float, float]) -> SurfaceMesh:
     """Return a box with full lengths along x, y, z."""
     corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = [corner for a, b, c, d in quads for corner in ((a, b, c), (a, c, d))]
-    return Mesh(corners, np.array(faces, np.uint32), flat=True)
+    return SurfaceMesh(corners, np.array(faces, np.uint32), flat=True)
 
 
-def cone(height: float, radius: float) -> Mesh:
+def cone(height: float, radius: float) -> SurfaceMesh:
     """Return an open cone from its apex at the origin along +z."""
     return lathe(np.array([(0.0, 0.0), (radius, height)]))
 
 
-def lathe(profile: Array) -> Mesh:
+def lathe(profile: Array) -> SurfaceMesh:
     """Rotate a profile (n, 2) of radius and z about the z axis; the outside is to the right of its direction."""
     angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -109,17 +109,17 @@ def lathe(profile: Array) -> Mesh:
         low, high = ring * CIRCLE_CORNERS, (ring + 1) * CIRCLE_CORNERS
         faces += [np.column_stack([low + corner, low + next_corner, high + next_corner])]
         faces += [np.column_stack([low + corner, high + next_corner, high + corner])]
-    return Mesh(np.concatenate(rings), np.concatenate(faces).astype(np.uint32))
+    return SurfaceMesh(np.concatenate(rings), np.concatenate(faces).astype(np.uint32))
 
 
-def join_meshes(*parts: Mesh) -> Mesh:
+def join_meshes(*parts: SurfaceMesh) -> SurfaceMesh:
     """Return one mesh of several."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])]).astype(np.uint32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=True)]
-    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+    return SurfaceMesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], Mesh]]] = {
+TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], SurfaceMesh]]] = {
     shapes.Plane: lambda obj: plane(PLANE_M),
     shapes.Sphere: lambda obj: ellipsoid((obj.radius_m,) * 3),
     shapes.Cylinder: lambda obj: cylinder(obj.radius_m, obj.length_m or ENDLESS_M, closed=obj.length_m is not None),

@@ -50,7 +50,7 @@ HUNG: Final = 0.1
 Array = NDArray[np.float64]
 
 
-class Hold:
+class HoldController:
     """Controller that holds the knob and records time (s) and vertical force (N) of every exchange."""
 
     def __init__(self, device: Device) -> None:
@@ -73,14 +73,14 @@ class Hold:
             place = self._last
         dt = now - self._then
         self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts give a noisy slope
-        off = self._place - place
-        if np.linalg.norm(off) > ESCAPE_M:
+        deviation = self._place - place
+        if np.linalg.norm(deviation) > ESCAPE_M:
             raise DeviceError(
-                f"the knob has moved by {100 * np.linalg.norm(off):.1f} cm: if it ran away by itself, change "
+                f"the knob has moved by {100 * np.linalg.norm(deviation):.1f} cm: if it ran away by itself, change "
                 "motors_reversed in the rig; if the weight pulled it down, take a lighter one"
             )
-        self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * off * dt, -FORCE_MAX_N, FORCE_MAX_N)
-        force = SPRING_N_PER_M * off - DAMPER_NS_PER_M * self._speed + self._integral
+        self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * deviation * dt, -FORCE_MAX_N, FORCE_MAX_N)
+        force = SPRING_N_PER_M * deviation - DAMPER_NS_PER_M * self._speed + self._integral
         self._wrench[:3] = force * min(1.0, FORCE_MAX_N / max(float(np.linalg.norm(force)), 1e-9))
         self._exchange(self._write, self._wrench, "write")
         self._then, self._last = now, place
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         if not isinstance(device, Falcon):
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
         device.arm()
-        hold = Hold(device)
+        hold = HoldController(device)
         print("hold the knob still, then release it: it stays in place", file=sys.stderr)
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)
@@ -134,12 +134,12 @@ def run(args: argparse.Namespace) -> int:
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
         if loaded is None:
             raise DeviceError(f"no weight was detected in {args.hang:g} s: attach it when prompted")
-        used = device.counts_per_nm
+        counts_in_use = device.counts_per_nm
     if loaded < bare:
         raise DeviceError("the weight reduced the force: the knob was touched: start again")
     result = {
-        "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": used,
-        "counts_per_nm": used * (loaded - bare) / weight,
+        "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": counts_in_use,
+        "counts_per_nm": counts_in_use * (loaded - bare) / weight,
     }  # fmt: skip
     if args.plot is not None:
         _draw(args.plot, np.array(hold.record), result)
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         result,
         args.json,
         [
-            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {used:g} counts per N m",
+            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {counts_in_use:g} counts per N m",
             f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
             "repeat, and take the mean: friction of the legs carries a part of the weight",
         ],

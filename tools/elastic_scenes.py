@@ -77,13 +77,13 @@ MESHES: Final = {
 def write_meshes(folder: Path) -> list[Path]:
     """Write the meshes as .obj files, the same bytes on every machine, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
+    paths = []
     for name, (points, faces) in MESHES.items():
         lines = ["v {:.7g} {:.7g} {:.7g}".format(*(point + 0.0)) for point in points.round(9)]
         lines += ["f {} {} {}".format(*face) for face in faces + 1]
-        written.append(folder / f"{name}.obj")
-        written[-1].write_text("\n".join(lines) + "\n", "utf-8")
-    return written
+        paths.append(folder / f"{name}.obj")
+        paths[-1].write_text("\n".join(lines) + "\n", "utf-8")
+    return paths
 
 
 def write_solution(scene: Any) -> str:
@@ -91,16 +91,16 @@ def write_solution(scene: Any) -> str:
 
     Raises ConfigError if the scene has no such body or file, or the body cannot be solved.
     """
-    (thing,) = load_scene(scene).object[:1]
-    elastic = thing.elastic if isinstance(thing, Mesh) else None
-    if not isinstance(thing, Mesh) or elastic is None or elastic.solution is None:
+    (obj,) = load_scene(scene).object[:1]
+    elastic = obj.elastic if isinstance(obj, Mesh) else None
+    if not isinstance(obj, Mesh) or elastic is None or elastic.solution is None:
         raise ConfigError(f"{scene}: has no object.elastic.solution, the file to be written")
     preparation.display = progress
     try:
-        body = prepared.solve(thing, elastic)
+        body = prepared.solve(obj, elastic)
     except ValueError as error:
-        raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
-    solution.save(elastic.solution, solution.identity(thing, elastic, read_bytes(thing.file)), body)
+        raise ConfigError(f"object '{obj.name}': elastic: {obj.file}: {error}") from error
+    solution.save(elastic.solution, solution.identity(obj, elastic, read_bytes(obj.file)), body)
     return elastic.solution
 
 

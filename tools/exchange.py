@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, stor
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
-from softfinger.server.loop.all_devices import put_wrench
+from softfinger.server.loop.all_devices import Io, put_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
     first_pace,
@@ -77,15 +77,7 @@ _NEXT: Final = 1  # ends waiting, for the next part
 _TICKS: Final = 2
 
 
-class Io(NamedTuple):
-    """Device functions and their handle (drivers.base)."""
-
-    read: int
-    write: int
-    handle: int
-
-
-class Span(NamedTuple):
+class PartTiming(NamedTuple):
     """Timing of a part.
 
     period_ns  0: without pauses
@@ -199,7 +191,7 @@ def fill_row(row: Array, begun: int, woke: int, late: int, done: Exchanged, samp
 def exchange_loop(
     io: Io,
     empty: Io,
-    span: Span,
+    span: PartTiming,
     push: Push,
     guard: Guard,
     words: NDArray[np.int64],
@@ -254,17 +246,17 @@ def make_scratch() -> Scratch:
 
 
 def compile_exchange() -> None:
-    """Compile the loop, so that a device that is opened afterwards does not wait for it."""
-    like = (Io(0, 0, 0), Io(0, 0, 0), Span(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    """Compile the loop, which its thread would otherwise do after it has armed the device."""
+    like = (Io(0, 0, 0), Io(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
     with progress("kernels of the exchange"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
 
-class _Part:
+class _RecordedPart:
     """Part to record: input of the loop, and its result."""
 
-    def __init__(self, span: Span, push: Push, count: int) -> None:
+    def __init__(self, span: PartTiming, push: Push, count: int) -> None:
         self.span, self.push = span, push
         self.rows = np.empty((count, ROW_SIZE))
         self.rows.fill(0.0)  # avoids first-touch page faults in the loop
@@ -290,8 +282,8 @@ class Exchange:
         self._servo, self._guard = rig.servo, guard
         self._period = period_ns(rig.servo.rate_hz)
         self._words = np.zeros(8, np.int64)
-        self._parts: queue.SimpleQueue[_Part] = queue.SimpleQueue()
-        self._part: _Part | None = None
+        self._parts: queue.SimpleQueue[_RecordedPart] = queue.SimpleQueue()
+        self._part: _RecordedPart | None = None
         io = device.io()
         self._devices = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
         self._scratch = make_scratch()
@@ -304,19 +296,19 @@ class Exchange:
 
         `what` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """
-        part = _Part(Span(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
+        part = _RecordedPart(PartTiming(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
         with progress(f"recording {what}", len(part.rows)) as done:
             return self._record(part, done)
 
     def burst(self) -> Array:
         """Return rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""
-        return self._record(_Part(Span(0, BURST_NS, 0), NO_PUSH, BURST_ROWS), lambda number: None)
+        return self._record(_RecordedPart(PartTiming(0, BURST_NS, 0), NO_PUSH, BURST_ROWS), lambda number: None)
 
     def failure(self) -> Exception | None:
         """Return the error of a device that failed; None while it runs, and at the end of a recording."""
         return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
 
-    def _record(self, part: _Part, done: Callable[[int], None]) -> Array:
+    def _record(self, part: _RecordedPart, done: Callable[[int], None]) -> Array:
         first = int(self._words[_TICKS])
         self._parts.put(part)
         self._words[_NEXT] = 1
@@ -341,7 +333,7 @@ class Exchange:
         try:
             applied = realtime.apply(self._servo.realtime, self._servo.priority, self._servo.cpu)
             self.settings = applied.settings
-            waiting = _Part(Span(self._period, -1, 1), NO_PUSH, 0)
+            waiting = _RecordedPart(PartTiming(self._period, -1, 1), NO_PUSH, 0)
             self.device.arm()
             self._armed = True
             while self.ended is None and not self._words[_ENOUGH]:
@@ -367,7 +359,7 @@ class Exchange:
             self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
         self._over.set()
 
-    def _arguments(self, part: _Part) -> tuple[Any, ...]:
+    def _arguments(self, part: _RecordedPart) -> tuple[Any, ...]:
         return (*self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows)
 
     def _raise_crash(self) -> None:
@@ -375,7 +367,7 @@ class Exchange:
             raise self.ended.error
 
     def __enter__(self) -> Self:
-        compile_exchange()  # does nothing if it was compiled before the device was opened
+        compile_exchange()
         self._thread.start()
         return self
 
@@ -397,5 +389,5 @@ def check_seconds(seconds: float) -> None:
 
 def disarmed_guard(rig: Rig) -> Guard:
     """Return a guard that passes no force."""
-    given = rig.guard
-    return Guard(0.0, 0.0, given.force_slew_n_per_s, given.torque_slew_nm_per_s, given.ramp_s, 0.0)
+    guard = rig.guard
+    return Guard(0.0, 0.0, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 0.0)

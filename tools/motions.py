@@ -106,8 +106,8 @@ def lift(side: float) -> list[Move]:
     ]
 
 
-def _inwards(side: float, seconds: float, way: float) -> Move:
-    return Move(seconds, (-side * way, 0.0, 0.0))
+def _inwards(side: float, seconds: float, distance: float) -> Move:
+    return Move(seconds, (-side * distance, 0.0, 0.0))
 
 
 def turn_a_knob() -> list[Move]:

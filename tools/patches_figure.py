@@ -33,7 +33,7 @@ ICE: Final = {"kinetic": 0.0}
 EIGHTH: Final = float(np.pi / 8.0)
 
 
-class Case(NamedTuple):
+class TouchCase(NamedTuple):
     """Touched objects, and poses (n, 7)."""
 
     objects: list[dict[str, Any]]
@@ -59,46 +59,46 @@ def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
     return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
 
 
-def record_case(case: Case) -> Array:
+def record_case(case: TouchCase) -> Array:
     """Return the records of a case."""
     tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
     return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
 
 
-def over(objects: list[dict[str, Any]]) -> Case:
+def over(objects: list[dict[str, Any]]) -> TouchCase:
     """Return a case that presses onto z = 0 and drags by 20 mm along x, at 50 mm/s."""
     z = RADIUS_M - PRESS_M
-    return Case(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
+    return TouchCase(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
 
 
-def plane() -> Case:
+def plane() -> TouchCase:
     """Return the plane that the seam is compared with."""
     return over([{"name": "floor", "shape": "plane", "material": GRIP}])
 
 
-def seam() -> Case:
+def seam() -> TouchCase:
     """Return two flush boxes, with a drag from one to the other."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "material": GRIP}
     boxes = [box | {"name": f"box {i}", "position_m": [x, 0.0, -0.05]} for i, x in enumerate((-0.05, 0.05))]
     return over(boxes)
 
 
-def groove() -> Case:
+def groove() -> TouchCase:
     """Return two walls at right angles, one of them without friction, with a press and a drag along them."""
     walls = [
         {
             "name": f"wall {i}",
             "shape": "plane",
             "orientation_wxyz": [np.cos(EIGHTH), 0.0, side * np.sin(EIGHTH), 0.0],
-            "material": stuff,
+            "material": material,
         }
-        for i, (side, stuff) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
+        for i, (side, material) in enumerate(((1.0, GRIP), (-1.0, {"stiffness_n_per_m": 1000.0})))
     ]
     z = 2.0**0.5 * RADIUS_M - PRESS_M
-    return Case(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
+    return TouchCase(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
 
 
-def pinch() -> Case:
+def pinch() -> TouchCase:
     """Return a finger at rest 1 mm deep in the floor, and a ceiling that descends onto it."""
     down = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.008], "frequency_hz": 0.3}
     floor = {"name": "floor", "shape": "plane", "material": GRIP}
@@ -109,14 +109,14 @@ def pinch() -> Case:
         "motion": down,
     }
     at = (0.0, 0.0, RADIUS_M - PRESS_M)
-    return Case([floor, ceiling], make_path(at, at, ticks=800))
+    return TouchCase([floor, ceiling], make_path(at, at, ticks=800))
 
 
-def drag(case: Case) -> Drag:
+def drag(case: TouchCase) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
     records = record_case(case)
-    kinetic = np.array([thing["material"].get("friction", ICE)["kinetic"] for thing in case.objects])
-    size, due, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
+    kinetic = np.array([obj["material"].get("friction", ICE)["kinetic"] for obj in case.objects])
+    size, kinetic_load, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
     for i in range(3):
         columns = {name: getattr(AT, f"contacts{i}_{name}") for name in ("object", "mode", "normal", "force")}
@@ -126,12 +126,12 @@ def drag(case: Case) -> Drag:
         load = np.sum(force * normal, axis=1)
         rubs = np.linalg.norm(force - load[:, None] * normal, axis=1)
         size += rubs
-        due += mu * load
+        kinetic_load += mu * load
         slides &= (mode == SLIDING) | (mu == 0.0)
         highest = max(highest, float(np.max(rubs[load > 0.0] / load[load > 0.0], initial=0.0)))
     steady = slides[1:] & slides[:-1]
     change = np.abs(np.diff(size))[1:][steady[1:] & steady[:-1]]
-    return Drag(float((size - due)[1:][steady].mean()), float(change.max()), highest)
+    return Drag(float((size - kinetic_load)[1:][steady].mean()), float(change.max()), highest)
 
 
 def drags_table() -> Any:

@@ -26,7 +26,7 @@ from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.containers import mcap_messages
 from softfinger.drivers.system import discovery
 from softfinger.server.recording import blackbox
-from softfinger.server.recording.reader import Event, Note, Ticks, read_contents
+from softfinger.server.recording.reader import Event, Note, TickBlock, read_contents
 from softfinger.server.recording.schemas import load_message_class
 from softfinger.server.recording.writer import LOG_TOPIC, RecordingFile
 from softfinger.tools.doctor import machine, privacy
@@ -101,12 +101,12 @@ def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
     about = {part.name: part.value for part in parts if isinstance(part, Note)}
     if isinstance(about.get("rig"), dict):
         about["rig"] = private_rig(about["rig"])
-    fingers = list(dict.fromkeys(part.finger for part in parts if isinstance(part, Ticks)))
+    fingers = list(dict.fromkeys(part.finger for part in parts if isinstance(part, TickBlock)))
     with tempfile.TemporaryFile(buffering=0) as file:
         copy = io.FileIO(file.fileno(), "wb", closefd=False)
         recording = RecordingFile(copy, fingers or [""], cleaner.clean(about))
         for part in parts:
-            if isinstance(part, Ticks):
+            if isinstance(part, TickBlock):
                 recording.ticks(part.records(), part.finger)
             elif isinstance(part, Event):
                 recording.event(cleaned_event(part.event, cleaner))

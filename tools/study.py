@@ -93,7 +93,7 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
         plot = figures / f"stability-{name}.svg"
         command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
     found = command("stability", "--bodies")
-    tables["bodies"] = bodies_table.case_table([bodies.Found(**row) for row in found["bodies"]])
+    tables["bodies"] = bodies_table.case_table([bodies.CellResult(**row) for row in found["bodies"]])
     return tables
 
 

@@ -26,7 +26,7 @@ TOPIC: Final = "case"
 log: Final = logging.getLogger(__name__)
 
 
-class Rows:
+class StoredResults:
     """Results by the key of their case: `done` has those of the file, and `append` adds new ones."""
 
     def __init__(self, done: dict[str, Any], file: _File | None) -> None:
@@ -44,14 +44,14 @@ class Rows:
 
 
 @contextmanager
-def open_rows(path: Path | None) -> Iterator[Rows]:
+def open_rows(path: Path | None) -> Iterator[StoredResults]:
     """Open the rows of a file, which is created if necessary; with None they are stored in memory only.
 
     A damaged file is read up to the damage, with a warning in the log. Raises RecordingError if the file cannot be read
     or written, has other contents, or is in use by another run.
     """
     if path is None:
-        yield Rows({}, None)
+        yield StoredResults({}, None)
         return
     try:
         with ExitStack() as files:
@@ -73,7 +73,7 @@ def open_rows(path: Path | None) -> Iterator[Rows]:
                     file.add(row)
                 file.flush()
             try:
-                yield Rows({row["key"]: row["result"] for row in finished}, file)
+                yield StoredResults({row["key"]: row["result"] for row in finished}, file)
             finally:
                 file.finish()
     except OSError as error:

@@ -23,7 +23,7 @@ from softfinger.config.fields import (
     within,
 )
 from softfinger.config.schema.addresses import (
-    BESIDE,
+    COMMANDS_SUFFIX,
     commands_beside,
     endpoint_complaint,
     is_public,
@@ -95,7 +95,7 @@ from softfinger.config.schema.textures import Texture
 from softfinger.config.schema.world import GeomMaterial, World
 
 __all__ = [
-    "BESIDE",
+    "COMMANDS_SUFFIX",
     "Below",
     "Body",
     "Boundary",

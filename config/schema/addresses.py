@@ -15,7 +15,7 @@ IPC_PATH_MAX: Final = 107
 """Largest length of the path of a Unix socket, bytes."""
 
 
-BESIDE: Final = ".commands"
+COMMANDS_SUFFIX: Final = ".commands"
 """Suffix of the name of a command socket, after the port or the path of the telemetry."""
 
 
@@ -24,9 +24,9 @@ def runtime_folder() -> Path:
 
     It is `softfinger` in $XDG_RUNTIME_DIR or, if that is not set, a folder of this user in the temporary directory.
     """
-    given = os.environ.get("XDG_RUNTIME_DIR", "")
-    if given.startswith("/"):
-        return Path(given) / "softfinger"
+    folder = os.environ.get("XDG_RUNTIME_DIR", "")
+    if folder.startswith("/"):
+        return Path(folder) / "softfinger"
     return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
 
 
@@ -38,10 +38,10 @@ def commands_beside(telemetry: str) -> str:
     the next port, with access by key as for the telemetry.
     """
     if telemetry.startswith("ipc://"):
-        return f"{telemetry}{BESIDE}"
+        return f"{telemetry}{COMMANDS_SUFFIX}"
     host, _, port = telemetry.rpartition(":")
     if not is_public(telemetry):
-        return f"ipc://{runtime_folder()}/{port}{BESIDE}"
+        return f"ipc://{runtime_folder()}/{port}{COMMANDS_SUFFIX}"
     if not port.isdecimal() or port == "0":
         return telemetry
     return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
@@ -49,9 +49,9 @@ def commands_beside(telemetry: str) -> str:
 
 def telemetry_of(endpoint: str) -> str:
     """Return the telemetry address for a default command socket; any other address is returned unchanged."""
-    if not endpoint.startswith("ipc://") or not endpoint.endswith(BESIDE):
+    if not endpoint.startswith("ipc://") or not endpoint.endswith(COMMANDS_SUFFIX):
         return endpoint
-    path = Path(endpoint.removeprefix("ipc://").removesuffix(BESIDE))
+    path = Path(endpoint.removeprefix("ipc://").removesuffix(COMMANDS_SUFFIX))
     return f"tcp://127.0.0.1:{path.name}" if path.parent == runtime_folder() else f"ipc://{path}"
 
 

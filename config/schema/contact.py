@@ -218,6 +218,6 @@ class Passivity(Table, frozen=True, kw_only=True):
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        given = self.damping_max_ns_per_m
-        if is_usable(self.mode, given) and given is not None and self.mode != "control":
-            yield "damping_max_ns_per_m", given, 'is for mode = "control": leave it out'
+        damping = self.damping_max_ns_per_m
+        if is_usable(self.mode, damping) and damping is not None and self.mode != "control":
+            yield "damping_max_ns_per_m", damping, 'is for mode = "control": leave it out'

@@ -107,12 +107,12 @@ class Friction(Table, frozen=True, kw_only=True):
             yield "direction_x", self.direction_x, "all zero is not a direction: [1, 0, 0] is the object's x axis"
         if is_usable(self.static, self.kinetic) and self.kinetic <= self.static:
             static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
-            for way, before, after in zip(("along", "across"), static, kinetic, strict=True):
+            for direction, before, after in zip(("along", "across"), static, kinetic, strict=True):
                 if self.kinetic * after > self.static * before:
                     yield (
                         "kinetic_scale",
                         kinetic,
-                        f"makes kinetic friction {self.kinetic * after:g} {way}, above the static "
+                        f"makes kinetic friction {self.kinetic * after:g} {direction}, above the static "
                         f"{self.static * before:g}: lower it, or raise static_scale",
                     )
 

@@ -10,7 +10,7 @@ from softfinger.config.schema.rig import DeviceConfig, Rig
 from softfinger.config.schema.scene import Scene
 
 
-class Moved(NamedTuple):
+class FingerDevice(NamedTuple):
     """Finger, by name ("" for the only one of [fingertip]), and its device, by its table in the rig."""
 
     finger: str
@@ -18,7 +18,7 @@ class Moved(NamedTuple):
     device: DeviceConfig
 
 
-def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
+def pair(scene: Scene, rig: Rig) -> tuple[FingerDevice, ...]:
     """Return the device of each finger of the scene, in the order of the fingers.
 
     [device] moves the only finger of a scene. Otherwise each finger names its [devices.NAME]. Devices that no finger
@@ -26,7 +26,7 @@ def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
     """
     fingers = scene.fingers
     if rig.device is not None and len(fingers) == 1:
-        return (Moved(fingers[0].name, "[device]", rig.device),)
+        return (FingerDevice(fingers[0].name, "[device]", rig.device),)
     has = "[device]" if rig.device is not None else _tables(rig.devices)
     if scene.fingertip is not None:
         raise ConfigError(
@@ -40,7 +40,7 @@ def pair(scene: Scene, rig: Rig) -> tuple[Moved, ...]:
             f"the scene has [[finger]] {names}, and the rig {has}: add {_tables(lacking)} to the rig, name a section "
             "it has as device of the finger, or take a scene with [fingertip]"
         )
-    return tuple(Moved(each.name, f"[devices.{each.device}]", rig.devices[each.device]) for each in fingers)
+    return tuple(FingerDevice(each.name, f"[devices.{each.device}]", rig.devices[each.device]) for each in fingers)
 
 
 def single_device(rig: Rig) -> DeviceConfig:

@@ -62,6 +62,6 @@ class Patch(Table, frozen=True, kw_only=True):
         if not is_usable(self.radius_m) or self.radius_m is not None:
             return
         for key in ("exponent", "pressure_exponent"):
-            given = getattr(self, key)
-            if is_usable(given) and given is not None:
-                yield key, given, "belongs to a patch of radius_m, this one is Hertz's: give radius_m, or leave it out"
+            value = getattr(self, key)
+            if is_usable(value) and value is not None:
+                yield key, value, "belongs to a patch of radius_m, this one is Hertz's: give radius_m, or leave it out"

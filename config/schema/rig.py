@@ -208,9 +208,9 @@ class Rig(Table, frozen=True, kw_only=True):
     @property
     def commands_endpoint(self) -> str | None:
         """Address for commands: as configured, else derived from the telemetry; None if commands are off."""
-        given = self.commands.endpoint
-        if given is not None:
-            return None if given == OFF else given
+        endpoint = self.commands.endpoint
+        if endpoint is not None:
+            return None if endpoint == OFF else endpoint
         return commands_beside(self.telemetry.endpoint)
 
     def faults(self) -> Iterator[Complaint]:

@@ -67,8 +67,8 @@ class Scene(Table, frozen=True, kw_only=True):
     @property
     def elastic_object(self) -> Mesh | None:
         """The elastic object, which is the only object of its scene; None: no elastic object."""
-        thing = self.object[0] if len(self.object) == 1 else None
-        return thing if isinstance(thing, Mesh) and thing.elastic is not None else None
+        obj = self.object[0] if len(self.object) == 1 else None
+        return obj if isinstance(obj, Mesh) and obj.elastic is not None else None
 
     @property
     def soft(self) -> bool:
@@ -110,22 +110,22 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         for index, item in enumerate(scene.finger):
             if not is_usable(item) or not is_usable(item.name, item.device):
                 continue
-            given = item.name if key == "name" else item.device or item.name
+            name = item.name if key == "name" else item.device or item.name
             for other, earlier in first.items():
-                if key == "device" and given == other and given != item.name:
+                if key == "device" and name == other and name != item.name:
                     yield (
                         f"finger[{index}].device",
-                        given,
+                        name,
                         f"moves finger[{earlier}] already: name another",
                     )
-                elif key == "name" and (given.startswith(other) or other.startswith(given)):
+                elif key == "name" and (name.startswith(other) or other.startswith(name)):
                     yield (
                         f"finger[{index}].name",
-                        given,
+                        name,
                         f"and the name of finger[{earlier}], {other!r}, begin alike, one with the whole other: who "
                         "subscribes to the telemetry of the shorter would get both; choose another",
                     )
-            first.setdefault(given, index)
+            first.setdefault(name, index)
 
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
@@ -134,14 +134,14 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
         return
     if scene.world is None and not scene.object:
         yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if not is_usable(item) or not is_usable(item.motion) or not isinstance(item.motion, Body):
             continue
         if scene.world is None:
-            yield f"object[{index}].motion", "body", "needs a table [world], with the model that the body is of"
+            yield f"object[{scene_index}].motion", "body", "needs a table [world], with the model that the body is of"
         elif is_usable(item.effect) and item.effect:
             yield (
-                f"object[{index}].effect",
+                f"object[{scene_index}].effect",
                 item.effect[0].kind,
                 "would push the hand and not the body: remove it, or the motion of the object",
             )
@@ -184,12 +184,12 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
 def _method_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if is_usable(item) and is_usable(item.shape) and not item.unrolls:
             yield (
                 "rolling.method",
                 "rotation_vector",
-                f"has no closed form on object[{index}], which is of shape {item.shape}: choose montana_rk4, "
+                f"has no closed form on object[{scene_index}], which is of shape {item.shape}: choose montana_rk4, "
                 "or midpoint for half the cost",
             )
 
@@ -216,12 +216,12 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             )
     if not is_usable(scene.object):
         return
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if not is_usable(item) or not is_usable(item.shape):
             continue
         if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             yield (
-                f"object[{index}].shape",
+                f"object[{scene_index}].shape",
                 item.shape,
                 f"as it is cannot be touched by an ellipsoid, and {where} are those of one: planes can, spheres and "
                 "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m",
@@ -229,7 +229,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
         texture = getattr(item, "texture", None)
         if is_usable(texture) and texture is not None:
             yield (
-                f"object[{index}].texture",
+                f"object[{scene_index}].texture",
                 msgspec.UNSET,
                 f"is felt under a sphere, and {where} are an ellipsoid's: leave it out, or take radius_m",
             )
@@ -244,10 +244,10 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
         return
     tips = _tips(scene)
     radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if is_usable(item) and any(radii):  # if the largest fits, all fit
             for key, found, text in item.tight(max(radii)):
-                yield f"object[{index}].{key}", found, text
+                yield f"object[{scene_index}].{key}", found, text
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:
@@ -256,7 +256,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     coupled: dict[bool, str] = {}
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if (
             not is_usable(item)
             or not is_usable(item.material)
@@ -264,7 +264,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
         ):
             continue
         friction, torsion = item.material.friction, item.material.torsion
-        where = f"object[{index}].material"
+        where = f"object[{scene_index}].material"
         if literal and friction is not None:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
                 if getattr(friction, key) is not None:
@@ -273,7 +273,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
             continue
         if literal and torsion.model == "limit_surface":
             yield f"{where}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
-        coupled.setdefault(torsion.model == "limit_surface", f"object[{index}]")
+        coupled.setdefault(torsion.model == "limit_surface", f"object[{scene_index}]")
         if len(coupled) > 1:
             yield (
                 f"{where}.torsion.model",
@@ -292,14 +292,14 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
     if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if (
             not is_usable(item)
             or not is_usable(item.material)
             or not is_usable(item.material.friction, item.material.torsion)
         ):
             continue
-        torsion, where = item.material.torsion, f"object[{index}].material.torsion"
+        torsion, where = item.material.torsion, f"object[{scene_index}].material.torsion"
         if torsion is None:
             continue
         lacking = [key for key in ("stiffness_nm_per_rad", "friction_length_m") if getattr(torsion, key) is None]
@@ -319,16 +319,16 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.object):
         return
     first: dict[str, int] = {}
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if not is_usable(item) or not is_usable(item.name):
             continue
         if item.name.partition(".")[0].isdecimal():
             why = "starts with a digit, and object.1 is the second object: start it with a letter"
-            yield f"object[{index}].name", item.name, why
+            yield f"object[{scene_index}].name", item.name, why
         if item.name in first:
             earlier = f"object[{first[item.name]}]"
-            yield f"object[{index}].name", item.name, f"is the name of {earlier} already: choose another"
-        first.setdefault(item.name, index)
+            yield f"object[{scene_index}].name", item.name, f"is the name of {earlier} already: choose another"
+        first.setdefault(item.name, scene_index)
     materials = [item.material if is_usable(item) else msgspec.UNSET for item in scene.object]
     if scene.rolling is None or not is_usable(scene.rolling, *materials):
         return
@@ -345,15 +345,15 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that an elastic object is the only one, and touched by one or two fingers."""
     if not is_usable(scene.object, scene.finger, scene.world):
         return
-    for index, item in enumerate(scene.object):
+    for scene_index, item in enumerate(scene.object):
         if not isinstance(item, Mesh) or not is_usable(item.elastic) or item.elastic is None:
             continue
-        where = f"object[{index}].elastic"
+        where = f"object[{scene_index}].elastic"
         if len(scene.object) > 1:
             yield where, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
         if len(scene.finger) > 2:
             yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
-        for key, given in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
-            if is_usable(given) and given is not None:
+        for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
+            if is_usable(table) and table is not None:
                 yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
         return

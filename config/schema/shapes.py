@@ -207,8 +207,8 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
             return
         sharpest = min(self.semi_axes_m) ** 2 / max(self.semi_axes_m)
         if sharpest <= fingertip_m:
-            seen = f"the smallest radius of curvature, shortest^2 / longest = {sharpest:g} m,"
-            yield "semi_axes_m", self.semi_axes_m, _too_tight(fingertip_m, "radius", seen)
+            limit = f"the smallest radius of curvature, shortest^2 / longest = {sharpest:g} m,"
+            yield "semi_axes_m", self.semi_axes_m, _too_tight(fingertip_m, "radius", limit)
 
 
 class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus"):
@@ -298,8 +298,8 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
 
     def _elastic_faults(self) -> Iterator[Complaint]:
         """Check that nothing else is given for an elastic object that its surface cannot have."""
-        for key, given in (("motion", self.motion), ("effect", self.effect or None)):
-            if is_usable(given) and given is not None:
+        for key, table in (("motion", self.motion), ("effect", self.effect or None)):
+            if is_usable(table) and table is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"
         if is_usable(self.inside) and self.inside:
             yield "inside", True, "is not a side of an elastic body: leave it out"

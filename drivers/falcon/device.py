@@ -11,12 +11,12 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 
 log: Final = logging.getLogger(__name__)
 
@@ -56,11 +56,11 @@ class Transfer(ctypes.Structure):
     ]
 
 
-class Falcon(Device):
+class Falcon(BlockDevice):
     """Open device, owner of a line to a device with running firmware. No force until `arm`."""
 
     def __init__(self, options: Options, chip: usb.SerialChip) -> None:
-        self._options, self._chip, self._zero_failure = options, chip, ""
+        self._options, self._chip = options, chip
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
@@ -176,9 +176,6 @@ class Falcon(Device):
         elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
             self._zero_failure = self.reason() or "its last packet did not go through"
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         if not self._word[AT.transfer_in]:
             self._chip.close()
@@ -205,9 +202,6 @@ class Falcon(Device):
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
 
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
-
     @property
     def counts_per_nm(self) -> float:
         """Motor counts per N m at a leg, used to send forces."""
@@ -230,7 +224,7 @@ def _address(library: ctypes.CDLL, name: str) -> int:
     return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
-def identify(device: Attached, options: Options) -> dict[str, bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, bool]:
     """Return whether firmware runs in an attached Falcon; opens it to find out, and sends none.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.

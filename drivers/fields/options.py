@@ -77,9 +77,13 @@ def layout_faults(
             where = f"bytes {field.offset} to {end - 1}"
             yield f"field[{index}].offset", field.offset, f"{where} of {owner} of {bytes_}: count from 0{note}"
         for byte in range(field.offset, min(end, bytes_)):
-            other = field_of_byte.setdefault(byte, index)
-            if other != index:
-                yield f"field[{index}].offset", field.offset, f"byte {byte} belongs to field[{other}] already: move one"
+            first_index = field_of_byte.setdefault(byte, index)
+            if first_index != index:
+                yield (
+                    f"field[{index}].offset",
+                    field.offset,
+                    f"byte {byte} belongs to field[{first_index}] already: move one",
+                )
                 break
 
 

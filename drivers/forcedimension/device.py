@@ -22,12 +22,12 @@ from softfinger.config.errors import (
     DeviceError,
     DeviceTimeout,
 )
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
@@ -59,12 +59,12 @@ LIBRARY_FUNCTIONS: Final = {
 }
 
 
-class ForceDimension(Device):
+class ForceDimension(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
-        self._library, self._zero_failure = selection.load(options.library_file), ""
+        self._library = selection.load(options.library_file)
         self._options = options
         self._block = Block(AT)
         self._word = self._block.word
@@ -98,9 +98,6 @@ class ForceDimension(Device):
             self._zero_failure = "the library has not answered"
             self._run_locked(self._switch_force_off)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         if not self._word[AT.open]:
@@ -126,9 +123,6 @@ class ForceDimension(Device):
         if self._word[AT.faulty]:
             messages.append(f"its error code is {self._word[AT.faulty]}")
         return "; ".join(messages)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def _switch_force_off(self) -> None:
         call = self._library
@@ -288,7 +282,7 @@ class ForceDimension(Device):
         )
 
 
-def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
     """Return the library's description of the device that the options select, or of the first; switches no force on.
 
     USB does not identify which of several attached devices is `device`: select one in the options.

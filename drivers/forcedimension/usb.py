@@ -15,7 +15,7 @@ PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "
 NODES: Final = Path("/dev/bus/usb")
 
 
-class Attached(NamedTuple):
+class UsbDevice(NamedTuple):
     """Device on the bus: name, node, and True if this user may write to the node or there is none."""
 
     name: str
@@ -26,18 +26,18 @@ class Attached(NamedTuple):
         return f"{self.name} at {self.node}"
 
 
-def list_attached() -> list[Attached]:
+def list_attached() -> list[UsbDevice]:
     """Return every device of the vendor; none without USB, or without libusb."""
-    found: list[Attached] = []
+    found: list[UsbDevice] = []
     for device in discovery.find_usb(idVendor=VENDOR):
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)
-        found.append(Attached(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
+        found.append(UsbDevice(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
     return found
 
 
-def holders(device: Attached) -> list[str]:
+def holders(device: UsbDevice) -> list[str]:
     """Return visible processes with the device's node open, as `name (pid)`, except this process."""
     found: list[str] = []
     for process in Path("/proc").glob("[0-9]*"):
@@ -50,6 +50,6 @@ def holders(device: Attached) -> list[str]:
     return sorted(found)
 
 
-def how_to_permit(device: Attached) -> str:
+def how_to_permit(device: UsbDevice) -> str:
     """Return the message for a device that this user may not write to."""
     return f"{device} may not be opened by this user: {rules.how_to_permit(VENDOR, 0)}"

@@ -11,14 +11,14 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
-from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, Model
+from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.pack import flatten
 
 __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
@@ -30,14 +30,16 @@ STOP_WAIT_S: Final = 1.0
 POLL_S: Final = 2e-4
 
 
-class HaplyDevice(Device):
+class HaplyDevice(BlockDevice):
     """Open device, owner of the connection in `connection`."""
 
     def __init__(self, options: Options, connection: opening.Connection) -> None:
-        self._options, self._zero_failure = options, ""
+        self._options = options
         self._block = Block(AT)
         word = self._block.word
-        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(Model(*options.mounting.frame(), options.force_max_n))
+        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
+            FrameConversion(*options.mounting.frame(), options.force_max_n)
+        )
         word[AT.opened_at] = time.monotonic_ns()
         word[AT.increment] = 1
         spans = (options.quiet_s, options.timeout_s, options.stale_s)
@@ -83,9 +85,6 @@ class HaplyDevice(Device):
         if self._zero_failure and not was_logged:
             log.error("%s: zero force is not confirmed: %s", self.info.name, self._zero_failure)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         self._thread.close()
@@ -99,9 +98,6 @@ class HaplyDevice(Device):
 
     def warning(self) -> str:
         return self._thread.warning
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def is_settled(self) -> bool:
         """Return True if the service has answered the message with the latest wrench, or cannot any more."""
@@ -138,6 +134,6 @@ def open_device(options: Options, rate_hz: float) -> HaplyDevice:
     return HaplyDevice(options, opening.find(options))
 
 
-def identify(_: Attached, options: Options) -> dict[str, Any]:
+def identify(_: SystemDevice, options: Options) -> dict[str, Any]:
     """Return the service's description of itself and its devices; sends nothing to a device."""
     return opening.identify(options.port, options.version)

@@ -29,10 +29,10 @@ _LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECAS
 
 def remaining(until: float) -> float:
     """Return the time (s) until `until` (monotonic clock); raises DeviceTimeout if it has passed."""
-    left = until - time.monotonic()
-    if left <= 0.0:
+    remaining_s = until - time.monotonic()
+    if remaining_s <= 0.0:
         raise DeviceTimeout(f"the Inverse Service does not answer in time: restart it ({START})")
-    return left
+    return remaining_s
 
 
 def connect(port: int, until: float) -> socket.socket:

@@ -46,7 +46,7 @@ WRITE_TIME: Final = 3
 WRENCH_NUMBER: Final = 4
 
 
-class Model(NamedTuple):
+class FrameConversion(NamedTuple):
     """Parameters of the conversion between the service's frame and the world.
 
     position     (3,) m  service's origin in the world
@@ -59,7 +59,7 @@ class Model(NamedTuple):
     force_max: float
 
 
-MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+MODEL_LIKE: Final = FrameConversion((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
@@ -94,7 +94,7 @@ class Fields(NamedTuple):
     pose_sequence_read: Annotated[int, word("sequence number of the latest pose that the loop has read")]
     dropped_reported: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
-    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
+    model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
     pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
     pose: Annotated[int, numbers("the latest, in the service's frame", POSE_SIZE)]
     wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]

@@ -23,7 +23,7 @@ CLOSE_TIMEOUT_S: Final = 0.2
 """Time for the service to read the last message and close the connection."""
 
 
-class Link:
+class WebSocketLink:
     """Open WebSocket, used by one thread at a time. Opening raises DeviceError or a subclass."""
 
     def __init__(self, port: int, until: float) -> None:

@@ -48,7 +48,7 @@ class Vector(Struct):
     z: Number
 
 
-class Turn(Struct):
+class Rotation(Struct):
     w: Number
     x: Number
     y: Number
@@ -66,7 +66,7 @@ class DeviceState(Struct):
 
 
 class GripState(Struct):
-    orientation: Turn
+    orientation: Rotation
     buttons: Buttons | None = None
     button: bool = False
 
@@ -108,7 +108,7 @@ class Listed(Struct):
     config: Config = msgspec.field(default_factory=Config)
 
 
-class State(Struct):
+class ServiceState(Struct):
     """Answer of the service to a message."""
 
     inverse3: list[DeviceEntry] = []
@@ -159,7 +159,7 @@ class PoseReading(NamedTuple):
     warning: str = ""
 
 
-_STATES: Final = msgspec.json.Decoder(State)
+_STATES: Final = msgspec.json.Decoder(ServiceState)
 _INVENTORIES: Final = msgspec.json.Decoder(Inventory)
 _ENCODER: Final = msgspec.json.Encoder()
 _NO_POSITION: Final = (nan, nan, nan)
@@ -173,7 +173,7 @@ def read_inventory(message: bytes) -> Inventory:
 
 def read_state(message: bytes, device: DeviceRef, grip: DeviceRef | None) -> PoseReading:
     """Return the pose of a device, with the orientation of its grip, from an answer. Raises Malformed, Missing."""
-    state: State = _decode(_STATES, message)
+    state: ServiceState = _decode(_STATES, message)
     device_entry: DeviceEntry = _find_entry(state, device)
     grip_entry: GripEntry | None = None if grip is None else _find_entry(state, grip)
     position, warning = _position(device_entry.state.cursor_position), _warning(device_entry.status)
@@ -243,7 +243,7 @@ def _decode(decoder: Any, message: bytes) -> Any:
         raise Malformed(f"the service answered {excerpt(message)}: {error}") from None
 
 
-def _find_entry(state: State, ref: DeviceRef) -> Any:
+def _find_entry(state: ServiceState, ref: DeviceRef) -> Any:
     for entry in getattr(state, ref.group):
         if entry.device_id == ref.name:
             return entry
@@ -268,7 +268,7 @@ def _position(vector: Vector) -> Vec3:
     return (x, y, z)
 
 
-def _quaternion(turn: Turn) -> Quaternion:
+def _quaternion(turn: Rotation) -> Quaternion:
     w, x, y, z = turn.w, turn.x, turn.y, turn.z
     if w is None or x is None or y is None or z is None:
         return (nan, *_NO_POSITION)

@@ -15,7 +15,7 @@ from msgspec import Struct
 from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.claim import claim
 from softfinger.drivers.haply.dial import START, request
-from softfinger.drivers.haply.link import Link, library
+from softfinger.drivers.haply.link import WebSocketLink, library
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
@@ -55,7 +55,7 @@ class Version(Struct):
 class Connection(NamedTuple):
     """Open connection with its lock, device, grip, key of forces and first pose."""
 
-    link: Link
+    link: WebSocketLink
     lock: socket.socket
     device: DeviceRef
     grip: DeviceRef | None
@@ -69,7 +69,7 @@ def find(options: Options) -> Connection:
     until = time.monotonic() + OPEN_S
     version = _checked_version(options, until)
     with ExitStack() as opened:
-        link = Link(options.port, until)
+        link = WebSocketLink(options.port, until)
         opened.callback(link.close)
         try:
             inventory = _inventory(link, until)
@@ -91,7 +91,7 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
     until = time.monotonic() + OPEN_S
     version_info = version or _version(port, until)
     parse_version(version_info)
-    link = Link(port, until)
+    link = WebSocketLink(port, until)
     try:
         inventory = _inventory(link, until)
     finally:
@@ -100,10 +100,12 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
     return {"service": version_info} | {key: [str(ref) for ref, _ in inventory.of(of)] for key, of in names.items()}
 
 
-def choose_device(inventory: Inventory, wanted: str | None, models: tuple[str, ...] | None) -> tuple[DeviceRef, Listed]:
-    """Return the device of `models` with the id `wanted`, or the only one; raises DeviceNotFound."""
+def choose_device(
+    inventory: Inventory, device_id: str | None, models: tuple[str, ...] | None
+) -> tuple[DeviceRef, Listed]:
+    """Return the device of `models` with the id, or the only one; raises DeviceNotFound."""
     entries = inventory.of(GROUPS)
-    named = [one for one in entries if wanted in (None, one[0].name)]
+    named = [one for one in entries if device_id in (None, one[0].name)]
     matching = [one for one in named if models is None or _model(*one) in models]
     if len(matching) == 1:
         return matching[0]
@@ -116,7 +118,7 @@ def choose_device(inventory: Inventory, wanted: str | None, models: tuple[str, .
             f"the Inverse Service lists {found}, but the rig is for {', '.join(models)}: take rig haply-inverse3 or "
             "haply-minverse, or change models, limits and mounting under [device]"
         )
-    id_text = f" with device_id = '{wanted}'" if wanted is not None else ""
+    id_text = f" with device_id = '{device_id}'" if device_id is not None else ""
     raise DeviceNotFound(
         f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {listed or 'no device'}: "
         "plug it in, switch it on and wait for its light"
@@ -128,12 +130,12 @@ def _model(ref: DeviceRef, listed: Listed) -> str:
     return listed.config.type if listed.config.type in GROUPS else ref.group
 
 
-def choose_grip(inventory: Inventory, wanted: str) -> DeviceRef | None:
-    """Return the grip with the id `wanted`; for "auto" the only one, or None without any. Raises DeviceNotFound."""
+def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
+    """Return the grip with the id; for "auto" the only one, or None without any. Raises DeviceNotFound."""
     entries = [ref for ref, _ in inventory.of(GRIPS)]
-    if wanted == "none":
+    if grip_id == "none":
         return None
-    matching = [ref for ref in entries if wanted in ("auto", ref.name)]
+    matching = [ref for ref in entries if grip_id in ("auto", ref.name)]
     if len(matching) == 1:
         return matching[0]
     listed = ", ".join(map(str, entries)) or "no grip"
@@ -141,10 +143,10 @@ def choose_grip(inventory: Inventory, wanted: str) -> DeviceRef | None:
         raise DeviceNotFound(
             f'{len(matching)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
         )
-    if wanted == "auto":
+    if grip_id == "auto":
         return None
     raise DeviceNotFound(
-        f"no VerseGrip '{wanted}' is at the Inverse Service, which lists {listed}: pair it in the Haply Hub"
+        f"no VerseGrip '{grip_id}' is at the Inverse Service, which lists {listed}: pair it in the Haply Hub"
     )
 
 
@@ -185,7 +187,7 @@ def _checked_version(options: Options, until: float) -> tuple[int, int]:
     return version
 
 
-def _inventory(link: Link, until: float) -> Inventory:
+def _inventory(link: WebSocketLink, until: float) -> Inventory:
     try:
         return read_inventory(link.next(until))
     except DeviceTimeout:
@@ -223,14 +225,14 @@ def is_applied(answer: bytes, body: dict[str, Any]) -> bool:
         confirmed, value = reply["ok"] is True, reply.get("data") or {}
     else:
         confirmed, value = body.keys() <= reply.keys(), reply
-    return confirmed and all(_is_close(value.get(key, wanted), wanted) for key, wanted in body.items())
+    return confirmed and all(_is_close(value.get(key, expected), expected) for key, expected in body.items())
 
 
-def _is_close(value: Any, wanted: Any) -> bool:
+def _is_close(value: Any, expected: Any) -> bool:
     """Return True for equal values; numbers may have been rounded to single precision."""
-    if isinstance(value, float | int) and isinstance(wanted, float):
-        return isclose(value, wanted, rel_tol=1e-6)
-    return bool(value == wanted)
+    if isinstance(value, float | int) and isinstance(expected, float):
+        return isclose(value, expected, rel_tol=1e-6)
+    return bool(value == expected)
 
 
 def _config_requests(device: DeviceRef, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:

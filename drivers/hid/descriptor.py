@@ -32,8 +32,8 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
     expected = report_lengths(reports)
     if announced.includes(expected):
         return
-    known = [name for name, one in library_lengths().items() if announced.includes(one)]
-    hint = f'set reports to "{known[0]}", whose they are' if known else "correct [device.reports]"
+    matching_names = [name for name, one in library_lengths().items() if announced.includes(one)]
+    hint = f'set reports to "{matching_names[0]}", whose they are' if matching_names else "correct [device.reports]"
     raise DeviceError(
         f"{path} has different reports from the rig: the device reports {announced}; the rig describes {expected}: "
         f"{hint} (descriptor {descriptor.hex()})"

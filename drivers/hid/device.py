@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceIO, LastWord
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
-from softfinger.drivers.hid.exchange import AT, Model
+from softfinger.drivers.hid.exchange import AT, FrameConversion
 from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.report_threads import ReportThreads
@@ -34,11 +34,11 @@ PRESET_NEAR: Final = 20.0
 """Counts by which an arm held in its calibration pose may move before the answer arrives."""
 
 
-class HidDevice(Device):
+class HidDevice(BlockDevice):
     """Open device, owner of the file descriptor `fd` (of its node or of `threads`) and of `threads`."""
 
     def __init__(self, options: Options, fd: int, threads: ReportThreads | None = None, node: str = "") -> None:
-        self._options, self.threads, self._node, self._zero_failure = options, threads, node, ""
+        self._options, self.threads, self._node = options, threads, node
         kinematics = options.kinematics
         self._mechanism = make_mechanism(kinematics, options.force_max_n)
         spec = options.reports
@@ -80,7 +80,7 @@ class HidDevice(Device):
         return block
 
     def _set_model(self, block: Block) -> None:
-        model = Model(self._mechanism, *self._options.mounting.frame())
+        model = FrameConversion(self._mechanism, *self._options.mounting.frame())
         block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
 
     def io(self) -> DeviceIO:
@@ -113,9 +113,6 @@ class HidDevice(Device):
         if not was_logged:
             log.error("%s: zero force has not reached it: %s", self.info.name, self._zero_failure)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         fd = int(self._block.word[BOARD.fd])
@@ -136,9 +133,6 @@ class HidDevice(Device):
 
     def last_word(self) -> LastWord | None:
         return LastWord(self._node, int(self._block.word[BOARD.fd]), self._zero) if self._node else None
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     def _calibrate(self) -> None:
         """Set the encoders to the calibration counts at the arm's present pose.

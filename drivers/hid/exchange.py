@@ -64,7 +64,7 @@ class Hid(NamedTuple):
     """Type that selects the kernels of this driver."""
 
 
-class Model(NamedTuple):
+class FrameConversion(NamedTuple):
     """Parameters of the conversion between reports and poses or forces.
 
     mechanism
@@ -77,7 +77,7 @@ class Model(NamedTuple):
     orientation: Quaternion
 
 
-_MODEL_LIKE: Final = Model(NO_MECHANISM, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+_MODEL_LIKE: Final = FrameConversion(NO_MECHANISM, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 MODEL_SIZE: Final = len(flatten(_MODEL_LIKE))
 
 
@@ -113,7 +113,7 @@ class Fields(NamedTuple):
     command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
     has_orientation: Annotated[int, word("whether an orientation is sensed")]
     last_position: Annotated[int, numbers("m, where a delta was", 3)]
-    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
+    model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
 
 
 AT: Final = lay_out(Fields, after=BOARD)

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import struct
 import sys
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
-from softfinger.drivers.hid import exchange, node, usb
-from softfinger.drivers.hid.descriptor import has_reports
+from softfinger.drivers.hid import exchange, usb
+from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.hidraw import ids
+from softfinger.drivers.system.hidraw import hidapi, ids, open_path
+
+# Requests for ioctl, from <linux/hidraw.h>.
+_GET_DESCRIPTOR_SIZE: Final = 0x80044801
+_GET_DESCRIPTOR: Final = 0x90044802
+_DESCRIPTOR_MAX: Final = 4096
 
 
-class Link(NamedTuple):
+class ReportLink(NamedTuple):
     """File descriptor that the exchange reads and writes: a node, or with a pump the socket that replaces it.
 
     node  path of the device's hidraw node; empty on the USB bus
@@ -27,7 +34,7 @@ class Link(NamedTuple):
     node: str = ""
 
 
-def open_link(options: Options) -> Link:
+def open_link(options: Options) -> ReportLink:
     """Find the device of a rig and open it with the method that the rig selects.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
@@ -39,22 +46,22 @@ def open_link(options: Options) -> Link:
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)
         return link_by_threads(opened.device, options, opened.lock_fd)
-    fd = node.open_node(path, options)
+    fd = _open_node(path, options)
     if options.through != "thread":
-        return Link(fd, None, path)
+        return ReportLink(fd, None, path)
     try:
-        return link_by_threads(node.open_hidapi(path), options, fd)._replace(node=path)
+        return link_by_threads(_open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
 
 
-def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> Link:
+def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:
     """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
     write_timeout_s = min(options.timeout_s, IGNORED_WRENCH_MAX_S)
     threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, write_timeout_s, lock_fd)
-    return Link(threads.fd, threads)
+    return ReportLink(threads.fd, threads)
 
 
 def find_device(options: Options) -> str:
@@ -64,26 +71,26 @@ def find_device(options: Options) -> str:
     device, it also raises the errors of `usb.open_usb`.
     """
     nodes_found = list(discovery.hidraw_nodes())
-    wanted = (options.vendor_id, options.product_id)
-    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == wanted}
+    usb_ids = (options.vendor_id, options.product_id)
+    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == usb_ids}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
-        interfaces = usb.list_attached(*wanted)
+        interfaces = usb.list_attached(*usb_ids)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
         matching = {path: one.serial for path, one in nodes.items() if has_reports(one.descriptor, options.reports)}
         # If none has the rig's reports, opening one fails with a message about its reports.
         return _choose(options, matching or {path: one.serial for path, one in nodes.items()})
-    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == wanted]
+    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == usb_ids]
     if without_node:
         raise DeviceNotFound(
             f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    others = sorted({ids(one.vendor, one.product) for one in nodes_found})
-    attached_text = f"attached are {', '.join(others)}" if others else "no HID device is attached"
-    raise DeviceNotFound(f"no HID device {ids(*wanted)} is attached: plug it in and switch it on; {attached_text}")
+    present_ids = sorted({ids(one.vendor, one.product) for one in nodes_found})
+    attached_text = f"attached are {', '.join(present_ids)}" if present_ids else "no HID device is attached"
+    raise DeviceNotFound(f"no HID device {ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}")
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
@@ -101,12 +108,51 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
     """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
-    wanted = ids(options.vendor_id, options.product_id)
+    usb_ids = ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:
         return matching[0]
     if matching:
         listed = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
-        raise DeviceNotFound(f"{len(matching)} HID devices are {wanted}: name one with serial or path: {listed}")
-    others = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
-    raise DeviceNotFound(f"no HID device {wanted} has the serial number '{options.serial}': attached are {others}")
+        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: name one with serial or path: {listed}")
+    serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
+    raise DeviceNotFound(
+        f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"
+    )
+
+
+def _open_node(path: str, options: Options) -> int:
+    """Open the device's node, non-blocking and locked, and return its file descriptor.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
+    fd = open_path(path, options.vendor_id, options.product_id)
+    try:
+        check_reports(_descriptor(fd, path), path, options.reports)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _open_hidapi(path: str) -> HidApi:
+    """Open the node again, through hidapi's hidraw backend; raises DeviceError if that fails."""
+    device: Any = hidapi("hidraw").device()
+    try:
+        device.open_path(os.fsencode(path))
+    except OSError as error:
+        raise DeviceError(f"{path} cannot be opened by hidapi: {device.error()}: set through to node") from error
+    opened: HidApi = device
+    return opened
+
+
+def _descriptor(fd: int, path: str) -> bytes:
+    try:
+        size = bytearray(4)
+        fcntl.ioctl(fd, _GET_DESCRIPTOR_SIZE, size)
+        buffer = bytearray(size) + bytearray(_DESCRIPTOR_MAX)
+        fcntl.ioctl(fd, _GET_DESCRIPTOR, buffer)
+    except OSError as error:
+        raise DeviceError(f"{path} does not return its report descriptor: {error.strerror}") from error
+    return bytes(buffer[4 : 4 + struct.unpack("<i", size)[0]])

@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
-from softfinger.config.materials import Entry, Library
+from softfinger.config.materials import Library, LibraryEntry
 from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
 from softfinger.drivers.fields.options import (
     BYTES,
@@ -78,8 +78,8 @@ def library_lengths() -> dict[str, ReportLengths]:
     }
 
 
-def _formats() -> Mapping[str, Entry]:
-    return {name: Entry(about=name, holds="", papers=(), values=dict(one)) for name, one in _library().items()}
+def _formats() -> Mapping[str, LibraryEntry]:
+    return {name: LibraryEntry(about=name, holds="", papers=(), values=dict(one)) for name, one in _library().items()}
 
 
 class Reports(Table, frozen=True, kw_only=True):

@@ -99,15 +99,15 @@ class ReportThreads:
         """Replace every report of the driver by `zero` from now on, including queued ones."""
         self._zero = zero
 
-    def flush(self, sent: int, until: float) -> bool:
-        """Wait until the device has accepted the first `sent` reports of the driver.
+    def flush(self, count: int, until: float) -> bool:
+        """Wait until the device has accepted the first `count` reports of the driver.
 
         until    s, monotonic clock
         returns  False if it has not by then, or cannot any more
         """
-        while self.accepted < sent and self._writer.is_alive() and time.monotonic() < until:
+        while self.accepted < count and self._writer.is_alive() and time.monotonic() < until:
             time.sleep(FLUSH_POLL_S)
-        return self.accepted >= sent
+        return self.accepted >= count
 
     def close(self) -> None:
         """End the threads, which closes the device. May be called repeatedly; close the driver's end before."""

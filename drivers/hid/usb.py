@@ -14,7 +14,7 @@ from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import hidapi, ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
@@ -105,16 +105,16 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
     return OpenInterface(device, lock_fd), descriptor
 
 
-def _find_device(path: str) -> Attached | None:
+def _find_device(path: str) -> SystemDevice | None:
     """Return the device of an interface: hidapi's path starts with the system's name for it."""
     return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
 
 
 def _open_error(path: str, node: str) -> DeviceError:
     """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
-    who = discovery.holder(node)
-    if who is not None and who.pid != os.getpid():
-        return DeviceBusy(f"{path} ({node}) is used by {who}: end that process first")
+    program = discovery.holder(node)
+    if program is not None and program.pid != os.getpid():
+        return DeviceBusy(f"{path} ({node}) is used by {program}: end that process first")
     return DeviceError(
         f"{path} ({node}) cannot be claimed through hidapi: another program may have it: end that one, or unplug the "
         "device and plug it in again"

@@ -147,6 +147,6 @@ def field_faults(
     yield from missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
     if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
         yield from missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
-    turned = sorted(sensed & QUATERNION)
-    if turned and (not isinstance(kinematics, Cartesian) or len(turned) < len(QUATERNION)):
-        yield f"{key}.input.field", turned, "a cartesian device senses all of qw to qz or none"
+    sensed_quaternion = sorted(sensed & QUATERNION)
+    if sensed_quaternion and (not isinstance(kinematics, Cartesian) or len(sensed_quaternion) < len(QUATERNION)):
+        yield f"{key}.input.field", sensed_quaternion, "a cartesian device senses all of qw to qz or none"

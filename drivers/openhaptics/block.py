@@ -15,7 +15,7 @@ from softfinger.drivers.system.libc import TIMESPEC_WORDS
 SEQUENCE_WORDS: Final = 8
 
 # Indices of a queued wrench, after force (N) and torque (N m), world frame.
-WRITTEN: Final = 6
+WRITE_TIME: Final = 6
 """Time of the servo's write, ns since the device was opened."""
 KNOWN_LAPSES: Final = 7
 """Number of lapses known to the servo."""

@@ -22,15 +22,15 @@ from softfinger.config.errors import (
     DevicePermission,
     DeviceTimeout,
 )
-from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, Limits
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ LIBRARY_FUNCTIONS: Final = {
 ZERO: Final = (ctypes.c_double * 3)()
 
 
-class OpenHaptics(Device):
+class OpenHaptics(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again.
 
     calibrates  False: open a device that is not calibrated too, to identify it
@@ -80,7 +80,7 @@ class OpenHaptics(Device):
         self._block = Block(AT)
         self._word = self._block.word
         self._ending = threading.Lock()
-        self._warm, self._zero_failure = False, ""
+        self._warm = False
         with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
             try:  # before the thread runs again, because the current device may be the same for all threads
@@ -127,9 +127,6 @@ class OpenHaptics(Device):
             ):
                 self._zero_failure = self._run_with_timeout(self._zero, HANG_S)
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         if not self._word[AT.open]:
@@ -161,9 +158,6 @@ class OpenHaptics(Device):
                 "there is no force: end other programs, try another USB port"
             )
         return "; ".join(messages)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
     # --- opening --------------------------------------------------------------------------------
 
@@ -327,7 +321,7 @@ _CALIBRATION_REMEDIES: Final = {
 }
 
 
-def identify(device: Attached, options: Options) -> dict[str, str | int | bool]:
+def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
     """Return the library's description of the device that the options select; no force is switched on, no calibration.
 
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
@@ -355,16 +349,16 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
     _raise_open_error(name, found)
 
 
-def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
-    messages = "; ".join(map(str, found)) or "the library gives no reason"
-    which = "the default device" if name is None else f"the device '{name}'"
+def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn:
+    messages = "; ".join(map(str, errors)) or "the library gives no reason"
+    subject = "the default device" if name is None else f"the device '{name}'"
     attached = usb.list_attached()
-    if any(error.code == library.ALREADY_INITIATED for error in found):
+    if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
-            f"{which} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
+            f"{subject} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
         )
-    if any(error.code == library.INVALID_LICENSE for error in found):
-        raise DeviceError(f"{which} cannot be opened: {messages}: install the developer edition's licence")
+    if any(error.code == library.INVALID_LICENSE for error in errors):
+        raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):
             raise DevicePermission(usb.how_to_permit(device))
@@ -372,11 +366,11 @@ def _raise_open_error(name: str | None, found: list[library.Error]) -> NoReturn:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not attached:
         raise DeviceNotFound(
-            f"{which} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
+            f"{subject} does not answer: {messages}: check power and cable (USB, Ethernet or FireWire; for USB `lsusb` "
             "shows 2988 or 0301:2988), and that Touch_Setup "
             f"{'has a default device' if name is None else 'has that name'} for this user ($GTDD_HOME/config, else "
             "~/.3dsystems/config)"
         )
     raise DeviceError(
-        f"{which} cannot be opened, and {attached[0]} is attached: {messages}: run Touch_Setup, then start again"
+        f"{subject} cannot be opened, and {attached[0]} is attached: {messages}: run Touch_Setup, then start again"
     )

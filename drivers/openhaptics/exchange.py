@@ -33,7 +33,7 @@ from softfinger.drivers.base import (
     WITHHELD,
 )
 from softfinger.drivers.openhaptics import library as hd
-from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITTEN
+from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITE_TIME
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
@@ -174,13 +174,13 @@ def _send_wrench(handle: int, wrench: Any) -> None:
     may_send = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.is_leaving] == 0 and word[AT.status] == OK
     is_current = wrench[KNOWN_LAPSES] == word[AT.lapses]
     is_usable = may_send and is_current and word[AT.docked] == 0 and word[AT.late] == 0
-    is_usable = is_usable and now - word[AT.started_at] - wrench[WRITTEN] <= word[AT.age_max]
-    given = False
+    is_usable = is_usable and now - word[AT.started_at] - wrench[WRITE_TIME] <= word[AT.age_max]
+    has_force = False
     for k in range(6):
-        given = given or wrench[k] != 0.0
-    if not is_usable and (word[AT.has_force] != 0 or (given and is_current)):
+        has_force = has_force or wrench[k] != 0.0
+    if not is_usable and (word[AT.has_force] != 0 or (has_force and is_current)):
         word[AT.lapses] += 1
-    word[AT.has_force] = int(is_usable and given)
+    word[AT.has_force] = int(is_usable and has_force)
     share = 1.0 if is_usable else 0.0
     _send_vector(handle, hd.CURRENT_FORCE, share * wrench[0], share * wrench[1], share * wrench[2])
     if word[AT.has_torque] != 0:
@@ -222,8 +222,8 @@ def callback(handle: int) -> int:
     call_void(word[AT.begin_frame], device)
     _read_state(handle)
     word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)
-    given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
-    slot = Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given)
+    buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    slot = Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), buffer)
     _send_wrench(handle, _read_wrench(handle, slot, carray(float64_at(handle + 8 * AT.read_wrench), (WRENCH_SIZE,))))
     call_void(word[AT.end_frame], device)
     _store_errors(handle)
@@ -255,8 +255,8 @@ def read(handle: int, sample: Any) -> int:
     if word[AT.status] < 0:
         return int(word[AT.status])
     pose, last_sample = float64_at(handle + 8 * AT.read_pose), float64_at(handle + 8 * AT.sample)
-    given = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
-    slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), given)
+    pose_buffer = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
+    slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose_buffer)
     sequence = refresh(slot, word[AT.pose_seen], carray(pose, (SAMPLE_SIZE,)))
     word[AT.reads] += 1
     status = OK
@@ -306,11 +306,11 @@ def write(handle: int, wrench: Any) -> int:
     status = _status_of_write(handle, wrench, now)
     for k in range(6):
         new_pose[k] = wrench[k] if status == OK else 0.0
-    new_pose[WRITTEN] = float(now - word[AT.started_at])
+    new_pose[WRITE_TIME] = float(now - word[AT.started_at])
     new_pose[KNOWN_LAPSES] = float(word[AT.known_lapses])
-    given = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     store(
-        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), given),
+        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), buffer),
         carray(new_pose, (WRENCH_SIZE,)),
     )
     word[AT.writes] += 1

@@ -166,5 +166,5 @@ def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
     """Return an error as text: this program's text, the library's text, and its numbers."""
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     known_text = ERRORS.get(code)
-    said = f", '{words}'" if words else ""
-    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{said}, the device's code {internal})"
+    detail = f", '{words}'" if words else ""
+    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{detail}, the device's code {internal})"

@@ -60,8 +60,8 @@ class Scheduler:
                         "another device of 3D Systems is in use by this program, and the library takes no second one "
                         "then: name both in one rig, so that they are opened together"
                     )
-            others = [block for block, _ in self._scheduled.values()]
-            for block in others:
+            scheduled_blocks = [block for block, _ in self._scheduled.values()]
+            for block in scheduled_blocks:
                 self._unschedule(block)
             self._stop_thread()
             opened = False
@@ -69,9 +69,9 @@ class Scheduler:
                 yield
                 opened = True
             finally:
-                for block in others:
+                for block in scheduled_blocks:
                     self._schedule(block)
-                if opened or others:
+                if opened or scheduled_blocks:
                     self._library.hdStartScheduler()
                     self._running = True
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from softfinger.drivers.system import discovery, rules
 from softfinger.drivers.system.claims import TOUCHES
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 
 
-def list_attached() -> list[Attached]:
+def list_attached() -> list[SystemDevice]:
     """Return every port, HID node or USB device of 3D Systems; devices with Ethernet or FireWire are not listed."""
     return [
         device
@@ -16,6 +16,6 @@ def list_attached() -> list[Attached]:
     ]
 
 
-def how_to_permit(device: Attached) -> str:
+def how_to_permit(device: SystemDevice) -> str:
     """Return the message for a device that this user may not write to."""
     return f"{device} may not be opened by this user: {rules.how_to_permit(device.vendor, device.product)}"

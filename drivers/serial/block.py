@@ -18,7 +18,7 @@ TEXT: Final = -1
 """Kind, in place of a mechanism's, of a board that computes its kinematics and sends WoodenHaptics' text."""
 
 
-class Model(NamedTuple):
+class FrameConversion(NamedTuple):
     """Parameters of the conversion between frames and poses or forces.
 
     position     (3,) m  device's origin in the world
@@ -33,7 +33,7 @@ class Model(NamedTuple):
     mechanism: Mechanism
 
 
-MODEL_LIKE: Final = Model((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NO_MECHANISM)
+MODEL_LIKE: Final = FrameConversion((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NO_MECHANISM)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
@@ -82,7 +82,7 @@ class Fields(NamedTuple):
     out_bytes: Annotated[int, word("of a frame sent")]
     out_total: Annotated[int, word("with the resync bytes in front of it")]
     scratch_word: Annotated[int, word("of a field being read or written")]
-    model: Annotated[int, numbers("a `Model`", MODEL_SIZE)]
+    model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
     last_position: Annotated[int, numbers("m, where a delta was", 3)]
     scratch: Annotated[int, numbers("of a frame being read", max(NUMBERS, SENSED_SIZE))]
     values: Annotated[int, numbers("of the latest frame", max(NUMBERS, SENSED_SIZE))]

@@ -12,14 +12,14 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, Device, DeviceIO, LastWord
-from softfinger.drivers.block import Block
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, DeviceIO, LastWord
+from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
 from softfinger.drivers.kinematics.subspace import subspace_rows
 from softfinger.drivers.serial import exchange, frames, line, packets
-from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, Model
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, FrameConversion
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -38,14 +38,14 @@ BLOCKED: Final = (
 )
 
 
-class SerialDevice(Device):
+class SerialDevice(BlockDevice):
     """Open device, owner of the file descriptor `fd` of its port.
 
     Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
     """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
-        self._options, self._path, self._zero_failure = options, path, ""
+        self._options, self._path = options, path
         origin, rotation = options.mounting.frame()
         kinematics, spec = options.kinematics, options.frames
         self._setup, self._zero = b"", frames.ZERO
@@ -54,7 +54,7 @@ class SerialDevice(Device):
             self._setup = b"" if spec.setup is None else resync + _encode_frame(spec.setup, spec)
             self._zero = (self._setup or resync) + _encode_frame(spec.output, spec)
         mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
-        self._block = self._make_block(fd, Model(origin, rotation, options.force_max_n, mechanism))
+        self._block = self._make_block(fd, FrameConversion(origin, rotation, options.force_max_n, mechanism))
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if kinematics is None:
@@ -73,7 +73,7 @@ class SerialDevice(Device):
             self.close()
             raise
 
-    def _make_block(self, fd: int, model: Model) -> Block:
+    def _make_block(self, fd: int, model: FrameConversion) -> Block:
         block, options = Block(BOARD, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames
@@ -144,8 +144,10 @@ class SerialDevice(Device):
         spec = self._options.frames
         if spec is None or spec.mode == "stream":
             return ""
-        sent = _encode_frame(spec.output, spec).hex(" ")
-        return f"; it has not answered {sent}, the frame without force: compare marks and checksum with its firmware's"
+        sent_hex = _encode_frame(spec.output, spec).hex(" ")
+        return (
+            f"; it has not answered {sent_hex}, the frame without force: compare marks and checksum with its firmware's"
+        )
 
     def _send_setup(self, data: bytes) -> None:
         """Send bytes outside of ticks; bytes that the port does not accept are lost."""
@@ -189,9 +191,6 @@ class SerialDevice(Device):
             return f"the port is gone: {error.strerror}"
         return ""
 
-    def zero_failure(self) -> str:
-        return self._zero_failure
-
     def close(self) -> None:
         self.stop()
         fd = int(self._block.word[BOARD.fd])
@@ -222,9 +221,6 @@ class SerialDevice(Device):
 
     def last_word(self) -> LastWord:
         return LastWord(self._path, int(self._block.word[BOARD.fd]), self._zero)
-
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
 
 
 def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:

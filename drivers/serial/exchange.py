@@ -39,7 +39,7 @@ from softfinger.drivers.kinematics.mechanism import (
     forward_kinematics,
 )
 from softfinger.drivers.serial import packets
-from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, Model
+from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, FrameConversion
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
 from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
 from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
@@ -129,7 +129,7 @@ def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
 @pose.of(Serial)
 def _pose(driver: Serial, handle: int) -> bool:
     at = int64_at(handle)
-    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     values, sample = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * BOARD.sample)
     if at[AT.kind] == TEXT:
         position, rotation = _text_pose(values)
@@ -182,7 +182,7 @@ def _write_rest(handle: int) -> int:
 def _encode_force(handle: int, force: Vec3) -> int:
     """Encode a force (N, device's frame) into the frame; return FULL, or why it was limited."""
     at = int64_at(handle)
-    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
     if at[AT.kind] == TEXT:
         norm = vec3.norm(force)
@@ -294,7 +294,7 @@ def _command(driver: Serial, handle: int, wrench: Any) -> int:
         return HELD
     if is_blocked(handle):
         return _withhold(handle)
-    model: Model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
+    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     return _send(handle, rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2])))
 
 

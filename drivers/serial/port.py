@@ -101,8 +101,8 @@ def find_port(options: Options) -> str:
     if options.vendor_id is None or options.product_id is None:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
         raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
-    wanted = ids(options.vendor_id, options.product_id)
-    with_ids = [port for port in ports if port.ids == wanted and describe_foreign_product(port) is None]
+    usb_ids = ids(options.vendor_id, options.product_id)
+    with_ids = [port for port in ports if port.ids == usb_ids and describe_foreign_product(port) is None]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
         ambiguity = explain_ambiguity(matching[0]) if options.serial is None else None
@@ -114,16 +114,18 @@ def find_port(options: Options) -> str:
         )
     if matching:
         listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
-        raise DeviceNotFound(f"{len(matching)} serial ports are {wanted}: name one with serial or path: {listed}")
+        raise DeviceNotFound(f"{len(matching)} serial ports are {usb_ids}: name one with serial or path: {listed}")
     if with_ids:
         serials = ", ".join(f"'{port.serial}'" for port in with_ids)
         raise DeviceNotFound(
-            f"no serial port {wanted} has the serial number '{options.serial}': attached are {serials}"
+            f"no serial port {usb_ids} has the serial number '{options.serial}': attached are {serials}"
         )
-    others = ", ".join(f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports)
-    attached_text = f"attached are {others}" if ports else "no serial port on USB is attached"
+    ignored_ports = ", ".join(
+        f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports
+    )
+    attached_text = f"attached are {ignored_ports}" if ports else "no serial port on USB is attached"
     raise DeviceNotFound(
-        f"no serial port {wanted} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
+        f"no serial port {usb_ids} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
         f"or name its port with path; {attached_text}"
     )
 
@@ -133,14 +135,14 @@ def _check_ids(path: str, options: Options) -> None:
     port = discovery.serial_port(path)
     if options.vendor_id is None or options.product_id is None:
         return
-    wanted = ids(options.vendor_id, options.product_id)
-    if port is not None and port.ids != wanted:
+    usb_ids = ids(options.vendor_id, options.product_id)
+    if port is not None and port.ids != usb_ids:
         raise DeviceError(
-            f"{path} is the device {port.ids} ({port.name}), and the rig is for {wanted}: name the right port, or "
+            f"{path} is the device {port.ids} ({port.name}), and the rig is for {usb_ids}: name the right port, or "
             "leave `path` out"
         )
-    if port is not None and (other := describe_foreign_product(port)) is not None:
-        raise DeviceError(f"{path} is {other} ('{port.name}'), which speaks another language: name the right port")
+    if port is not None and (product := describe_foreign_product(port)) is not None:
+        raise DeviceError(f"{path} is {product} ('{port.name}'), which speaks another language: name the right port")
 
 
 def _how_to_permit(path: str, options: Options) -> str:

@@ -151,7 +151,7 @@ def _read_led_by_puck(handle: int, sample: Any) -> int:
     return OK
 
 
-class Simulated(Device):
+class SimulatedDevice(Device):
     """Plant as a device; written wrenches act on the handle, and are logged.
 
     After `stop` it remains disarmed: only delayed forces still act, and the hand continues to move.
@@ -169,7 +169,7 @@ class Simulated(Device):
         stored_state[:] = flatten(state)
         block.numbers(AT.intention, _INTENTION_SIZE)[:] = flatten(intention)
         block.set_address(AT.poses, poses)
-        self._hand = led_hand.Hand(state.orientation, lambda: unflatten(_STATE_LIKE, stored_state).goal)
+        self._hand = led_hand.HandWriter(state.orientation, lambda: unflatten(_STATE_LIKE, stored_state).goal)
         block.word[AT.hand] = self._hand.handle
         self._puck: Puck | None = None
         self._puck_name = ""
@@ -211,7 +211,7 @@ class Simulated(Device):
     def reason(self) -> str:
         return f"its hand is led by {self._puck_name}" if self._puck_name else ""
 
-    def hand(self) -> led_hand.Hand | None:
+    def hand(self) -> led_hand.HandWriter | None:
         return self._hand if self._puck is None else None
 
     def counts(self) -> dict[str, int]:
@@ -222,16 +222,16 @@ class Simulated(Device):
         return self._log.read_log()
 
 
-def open_device(options: Options, rate_hz: float) -> Simulated:
+def open_device(options: Options, rate_hz: float) -> SimulatedDevice:
     """Open a simulated device at `rate_hz`.
 
     Raises RecordingError if its recording cannot be used, DeviceError or a subclass if its puck cannot.
     """
     if options.puck is None:
-        return Simulated(options, rate_hz)
+        return SimulatedDevice(options, rate_hz)
     fd, name = spacemouse.open_puck(options.puck)
     try:
-        return Simulated(options, rate_hz, (fd, name))
+        return SimulatedDevice(options, rate_hz, (fd, name))
     except BaseException:
         os.close(fd)
         raise

@@ -99,7 +99,7 @@ def clamp_step(rotation_vector: Vec3, share: float, max_length: float) -> Vec3:
     return vec3.scale(max_length / length, rotation_vector)
 
 
-class Hand:
+class HandWriter:
     """Writer's side of the hand. Use it from one thread only."""
 
     def __init__(self, orientation: Quaternion, goal: Callable[[], Vec3]) -> None:

@@ -22,16 +22,23 @@ from softfinger.drivers.base import (
     SAMPLE_GRIPPER,
     SAMPLE_TIME,
     STALE,
-    Device,
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import Block, BlockDevice, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
-from softfinger.drivers.spacemouse.puck import BUTTONS, REPORT_MAX, Options, Setup, decode, make_setup, move
+from softfinger.drivers.spacemouse.puck import (
+    BUTTONS,
+    REPORT_MAX,
+    Options,
+    PuckParameters,
+    decode,
+    make_parameters,
+    move,
+)
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
 from softfinger.drivers.system.libc import (
     EAGAIN,
@@ -62,7 +69,7 @@ STEP_MAX_S: Final = 0.05
 """Maximum time step of a read: after a pause the fingertip resumes without a jump."""
 
 _ZERO: Final = (0.0, 0.0, 0.0)
-SETUP_LIKE: Final = Setup(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
+SETUP_LIKE: Final = PuckParameters(0.0, _ZERO, _ZERO, _ZERO, _ZERO)
 SETUP_SIZE: Final = len(flatten(SETUP_LIKE))
 
 LED_ON: Final = b"\x04\x01"
@@ -79,7 +86,7 @@ class Fields(NamedTuple):
     moved_at: Annotated[int, word("ns, up to when the fingertip has been moved")]
     hold: Annotated[int, word("ns without a report after which it counts as let go")]
     timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
-    setup: Annotated[int, numbers("a `Setup`", SETUP_SIZE)]
+    setup: Annotated[int, numbers("a `PuckParameters`", SETUP_SIZE)]
     state: Annotated[int, numbers("pose of the fingertip, see POSITION and the next indices", STATE_SIZE)]
     buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
 
@@ -122,7 +129,7 @@ def _drain(handle: int, now: int) -> int:
 
 
 @jit
-def read_setup(handle: int) -> Setup:
+def read_setup(handle: int) -> PuckParameters:
     """Return the options of a puck, converted for kernels."""
     return unpack_at(SETUP_LIKE, handle + 8 * AT.setup)  # type: ignore[no-any-return]
 
@@ -141,7 +148,7 @@ def button_mask(handle: int) -> float:
 
 
 @jit
-def update_pose(handle: int, setup: Setup, now: int, dt: float) -> int:
+def update_pose(handle: int, setup: PuckParameters, now: int, dt: float) -> int:
     """Read the puck's reports and move the fingertip by `dt` (s); return the status of the puck."""
     at = int64_at(handle)
     if at[AT.fd] < 0:
@@ -190,7 +197,7 @@ class Puck:
         self._word, self._led = block.word, options.led
         word, state = block.word, block.numbers(AT.state, STATE_SIZE)
         state[POSITION : POSITION + 3], state[ORIENTATION] = options.start_m, 1.0
-        block.numbers(AT.setup, SETUP_SIZE)[:] = flatten(make_setup(options))
+        block.numbers(AT.setup, SETUP_SIZE)[:] = flatten(make_parameters(options))
         word[AT.fd] = fd
         word[AT.hold] = round(options.hold_s * 1e9)
         word[AT.moved_at] = word[AT.sampled_at] = time.monotonic_ns()
@@ -210,7 +217,7 @@ class Puck:
                 os.write(int(self._word[AT.fd]), report)
 
 
-class SpaceMouse(Device):
+class SpaceMouse(BlockDevice):
     """Fingertip of the puck as a device. Written wrenches are only logged."""
 
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
@@ -242,9 +249,6 @@ class SpaceMouse(Device):
         self._log.close()
         self._puck.close()
 
-    def counts(self) -> dict[str, int]:
-        return self._block.counts()
-
     def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         return self._log.read_log()
@@ -261,13 +265,13 @@ def open_puck(options: Options) -> tuple[int, str]:
     return open_path(found.node, found.vendor, found.product), found.name
 
 
-def find(options: Options) -> Attached:
+def find(options: Options) -> SystemDevice:
     """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
     nodes = list(discovery.hidraw_nodes())
     if options.path is not None:
         # opening reports whether an unlisted node is missing or is not a node
         return next(
-            (node for node in nodes if node.node == options.path), Attached("hid", *PUCKS[0], "", "", options.path)
+            (node for node in nodes if node.node == options.path), SystemDevice("hid", *PUCKS[0], "", "", options.path)
         )
     pucks = [node for node in nodes if (node.vendor, node.product) in PUCKS]
     matching = [node for node in pucks if options.serial in (None, node.serial)]
@@ -276,9 +280,9 @@ def find(options: Options) -> Attached:
     if matching:
         listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
         raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
-    others = ", ".join(map(str, pucks or nodes)) or "no HID device"
+    present = ", ".join(map(str, pucks or nodes)) or "no HID device"
     condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
-    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {others}")
+    raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {present}")
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:

@@ -70,7 +70,7 @@ class Options(Table, frozen=True, kw_only=True):
             yield "start_m", self.start_m, "is outside of the workspace: begin in it"
 
 
-class Setup(NamedTuple):
+class PuckParameters(NamedTuple):
     """Options of a puck, converted for kernels.
 
     deadband     counts
@@ -86,13 +86,13 @@ class Setup(NamedTuple):
     high: Vec3
 
 
-def make_setup(options: Options) -> Setup:
+def make_parameters(options: Options) -> PuckParameters:
     """Return `options` converted for kernels."""
-    signs = [-1.0 if turned else 1.0 for turned in options.invert]
+    signs = [-1.0 if is_inverted else 1.0 for is_inverted in options.invert]
     v, w = options.gain_m_per_s, options.gain_rad_per_s
     x0, y0, z0 = (float(a) for a in options.workspace_min_m)
     x1, y1, z1 = (float(a) for a in options.workspace_max_m)
-    return Setup(
+    return PuckParameters(
         float(options.deadband),
         (signs[0] * v, signs[1] * v, signs[2] * v),
         (signs[3] * w, signs[4] * w, signs[5] * w),
@@ -155,7 +155,9 @@ def _beyond_deadband(deadband: float, counts: float) -> float:
 
 
 @jit
-def move(setup: Setup, position: Vec3, orientation: Quaternion, deflection: Any, dt: float) -> tuple[Vec3, Quaternion]:
+def move(
+    setup: PuckParameters, position: Vec3, orientation: Quaternion, deflection: Any, dt: float
+) -> tuple[Vec3, Quaternion]:
     """Return the fingertip after `dt` (s) of a constant deflection (6,) counts.
 
     Velocities are in the world frame; the position is clamped to the box, the orientation is unlimited.
@@ -171,10 +173,10 @@ def move(setup: Setup, position: Vec3, orientation: Quaternion, deflection: Any,
         dt * setup.angular[1] * _beyond_deadband(d, deflection[4]),
         dt * setup.angular[2] * _beyond_deadband(d, deflection[5]),
     )
-    moved = vec3.add(position, step)
+    new_position = vec3.add(position, step)
     inside = (
-        min(max(moved[0], setup.low[0]), setup.high[0]),
-        min(max(moved[1], setup.low[1]), setup.high[1]),
-        min(max(moved[2], setup.low[2]), setup.high[2]),
+        min(max(new_position[0], setup.low[0]), setup.high[0]),
+        min(max(new_position[1], setup.low[1]), setup.high[1]),
+        min(max(new_position[2], setup.low[2]), setup.high[2]),
     )
     return inside, normalize(multiply(exp(turn), orientation))

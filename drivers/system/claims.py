@@ -16,7 +16,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import list_shipped
 from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
-from softfinger.drivers.system.discovery import NO_PRODUCT, Attached, Bus
+from softfinger.drivers.system.discovery import NO_PRODUCT, Bus, SystemDevice
 
 PUCKS: Final = (
     *((0x046D, product) for product in (0xC625, 0xC626, 0xC627, 0xC628, 0xC629, 0xC62B)),
@@ -60,7 +60,7 @@ class Claim(NamedTuple):
     product_prefix: str = ""
 
 
-def find_claim(device: Attached) -> Claim | None:
+def find_claim(device: SystemDevice) -> Claim | None:
     """Return the claim to a device, with the shipped rigs for it; None if no driver claims it.
 
     Drivers of hidraw nodes and serial ports also claim the device on the USB bus, where it is listed without a node if
@@ -74,7 +74,7 @@ def find_claim(device: Attached) -> Claim | None:
     return matching[0]._replace(rigs=tuple(rig for claim in matching for rig in claim.rigs), reports=None)
 
 
-def claims_by_ids(device: Attached) -> list[Claim]:
+def claims_by_ids(device: SystemDevice) -> list[Claim]:
     """Return the claims to the ids of a device, regardless of its reports and product string.
 
     A claim to every product of a vendor holds for those without a claim of their own.
@@ -84,17 +84,17 @@ def claims_by_ids(device: Attached) -> list[Claim]:
     return of_product or [claim for claim in of_vendor if claim.product is None]
 
 
-def describe_foreign_product(device: Attached) -> str | None:
+def describe_foreign_product(device: SystemDevice) -> str | None:
     """Return a description of a device with known ids, but the product string of another maker; else None."""
-    known = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
-    return next((what for product_prefix, what in known.items() if _has_prefix(device, product_prefix)), None)
+    products = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
+    return next((what for product_prefix, what in products.items() if _has_prefix(device, product_prefix)), None)
 
 
-def _has_prefix(device: Attached, product_prefix: str) -> bool:
+def _has_prefix(device: SystemDevice, product_prefix: str) -> bool:
     return product_prefix != "" and device.name.lower().startswith(product_prefix)
 
 
-def matches(device: Attached, options: Mapping[str, Any]) -> bool:
+def matches(device: SystemDevice, options: Mapping[str, Any]) -> bool:
     """Return True if a device matches the USB ids and reports in a rig's [device] table."""
     if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or describe_foreign_product(
         device
@@ -105,18 +105,18 @@ def matches(device: Attached, options: Mapping[str, Any]) -> bool:
     return _has_reports(device, claim)
 
 
-def explain_ambiguity(device: Attached) -> str | None:
+def explain_ambiguity(device: SystemDevice) -> str | None:
     """Return why ids and product string do not identify a device; None if they do.
 
     The product string of WoodenHaptics' board is unpublished, so no string identifies it.
     """
     if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
         return None
-    said = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
-    return f"{said}, and {device.ids} is any Teensy with a serial port, with any firmware"
+    product_text = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
+    return f"{product_text}, and {device.ids} is any Teensy with a serial port, with any firmware"
 
 
-def _has_reports(device: Attached, claim: Claim) -> bool:
+def _has_reports(device: SystemDevice, claim: Claim) -> bool:
     if claim.reports is None or not device.descriptor:
         return True
     try:

@@ -12,7 +12,7 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, claims_by_ids, describe_foreign_product, explain_ambiguity
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import install_command
 
 MODULES: Final = {"hid": ("hidraw node", "usbhid"), "serial": ("serial port", "cdc_acm")}
@@ -35,7 +35,7 @@ class Diagnosis(NamedTuple):
     remedy: str = ""
 
 
-def diagnose(device: Attached, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
+def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None = None) -> Diagnosis:
     """Return the first obstacle to opening a device with its driver; they have to be removed in this order.
 
     rig  configures files that the driver needs
@@ -124,7 +124,7 @@ def diagnose_requirements(
     return Diagnosis("usable")
 
 
-def how_to_permit(device: Attached) -> str:
+def how_to_permit(device: SystemDevice) -> str:
     """Return the command that permits this user to open a node: membership of a group, else the udev rules."""
     if (group := discovery.group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"

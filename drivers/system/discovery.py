@@ -33,7 +33,7 @@ NO_PRODUCT: Final = "serial port"
 """Name of a port whose device has no product string."""
 
 
-class Attached(NamedTuple):
+class SystemDevice(NamedTuple):
     """Device listed by the system.
 
     node        path that a driver opens; empty if there is none
@@ -66,7 +66,7 @@ class Holder(NamedTuple):
         return f"process {self.pid} ({self.name})"
 
 
-def list_attached(root: Path = ROOT) -> list[Attached]:
+def list_attached(root: Path = ROOT) -> list[SystemDevice]:
     """Return every hidraw node and serial port on USB, and every USB device that has neither, except hubs.
 
     root  folder that contains sys and dev
@@ -91,7 +91,7 @@ def names(root: Path = ROOT) -> frozenset[str]:
     )
 
 
-def read_device(name: str, root: Path = ROOT) -> Attached | None:
+def read_device(name: str, root: Path = ROOT) -> SystemDevice | None:
     """Return the device for one of `names`; None if it was unplugged, or is a hub."""
     path = root / name
     if path.parent == root / TTY:
@@ -99,7 +99,7 @@ def read_device(name: str, root: Path = ROOT) -> Attached | None:
     return _hidraw_node(path) if path.parent == root / HIDRAW else _usb_device(path)
 
 
-def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
+def hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
     for name in _sorted_by_number(_list_names(folder)):
@@ -107,7 +107,7 @@ def hidraw_nodes(root: Path = ROOT) -> Iterator[Attached]:
             yield found
 
 
-def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
+def serial_ports(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
     for name in _sorted_by_number(filter(_is_port, _list_names(folder))):
@@ -115,12 +115,12 @@ def serial_ports(root: Path = ROOT) -> Iterator[Attached]:
             yield found
 
 
-def serial_port(node: str, root: Path = ROOT) -> Attached | None:
+def serial_port(node: str, root: Path = ROOT) -> SystemDevice | None:
     """Return the device of a port's node or of a link to it; None if the port is not on USB."""
     return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
 
 
-def usb_devices(root: Path = ROOT) -> Iterator[Attached]:
+def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
@@ -143,10 +143,10 @@ def holder(node: str) -> Holder | None:
     /proc/locks lists the locks of all users, but open files are visible only for processes that this user may inspect.
     """
     try:
-        wanted = os.stat(node)
+        node_stat = os.stat(node)
     except OSError:
         return None
-    for pid in _pids_with_lock(wanted.st_ino):
+    for pid in _pids_with_lock(node_stat.st_ino):
         return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
@@ -154,7 +154,7 @@ def holder(node: str) -> Holder | None:
             continue
         for entry in _list_names(folder):
             try:
-                if os.path.samestat(os.stat(folder / entry), wanted):
+                if os.path.samestat(os.stat(folder / entry), node_stat):
                     return process(pid)
             except OSError:
                 continue
@@ -212,7 +212,7 @@ def _parse_int(text: str, base: int) -> int | None:
         return None
 
 
-def _hidraw_node(path: Path) -> Attached | None:
+def _hidraw_node(path: Path) -> SystemDevice | None:
     # HID_ID=bus:vendor:product in hexadecimal digits, HID_NAME, HID_UNIQ
     uevent = dict(line.split("=", 1) for line in _read_text(path / "device" / "uevent").splitlines() if "=" in line)
     numbers = [_parse_int(part, 16) for part in uevent.get("HID_ID", "").split(":")]
@@ -220,27 +220,29 @@ def _hidraw_node(path: Path) -> Attached | None:
         return None
     name = uevent.get("HID_NAME") or "HID device"
     descriptor = _read_bytes(path / "device" / "report_descriptor")
-    return Attached("hid", numbers[1], numbers[2], name, uevent.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor)
+    return SystemDevice(
+        "hid", numbers[1], numbers[2], name, uevent.get("HID_UNIQ", ""), f"/dev/{path.name}", descriptor
+    )
 
 
-def _usb_device(path: Path) -> Attached | None:
+def _usb_device(path: Path) -> SystemDevice | None:
     vendor, product = (_parse_int(_read_text(path / key), 16) for key in ("idVendor", "idProduct"))
     if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
     bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
     node = "" if bus is None or number is None else _usb_node(bus, number)
-    return Attached(
+    return SystemDevice(
         "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
     )
 
 
-def _serial_port(path: Path) -> Attached | None:
+def _serial_port(path: Path) -> SystemDevice | None:
     # `device` links to the port's interface, in a subfolder of its USB device
     for folder in (path / "device").resolve().parents:
         vendor, product = (_parse_int(_read_text(folder / key), 16) for key in ("idVendor", "idProduct"))
         if vendor is not None and product is not None:
             name = _read_text(folder / "product") or NO_PRODUCT
-            return Attached("serial", vendor, product, name, _read_text(folder / "serial"), f"/dev/{path.name}")
+            return SystemDevice("serial", vendor, product, name, _read_text(folder / "serial"), f"/dev/{path.name}")
     return None
 
 
@@ -258,10 +260,10 @@ def find_usb(**ids: int) -> list[Any]:
         return []
 
 
-def _usb_devices_of_pyusb() -> Iterator[Attached]:
+def _usb_devices_of_pyusb() -> Iterator[SystemDevice]:
     for device in find_usb():
         if device.bDeviceClass != 0x09:
-            yield Attached(
+            yield SystemDevice(
                 "usb",
                 device.idVendor,
                 device.idProduct,

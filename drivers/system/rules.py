@@ -63,8 +63,12 @@ def program_command() -> list[str]:
 
 def install_command(vendor: int | None = None, product: int | None = None) -> str:
     """Return the command for root that permits opening a device of these ids (default: any), once and for all."""
-    known = vendor is None or any(claim.vendor == vendor and claim.product in (None, product) for claim in claims())
-    return shlex.join(["sudo", *program_command(), "install", "--system"]) + ("" if known else " --rig YOUR-RIG.toml")
+    is_claimed = vendor is None or any(
+        claim.vendor == vendor and claim.product in (None, product) for claim in claims()
+    )
+    return shlex.join(["sudo", *program_command(), "install", "--system"]) + (
+        "" if is_claimed else " --rig YOUR-RIG.toml"
+    )
 
 
 def how_to_permit(vendor: int, product: int) -> str:

@@ -156,7 +156,7 @@ class LeaderArm(Device):
         self._block = Block(AT)
         word = self._block.word
         self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
-            exchange.Model(*options.mounting.frame(), options.force_max_n)
+            exchange.FrameConversion(*options.mounting.frame(), options.force_max_n)
         )
         word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
         for place, seconds in ((AT.quiet, options.quiet_s), (AT.timeout_after, options.timeout_s), (AT.stale, 0.05)):

@@ -39,7 +39,7 @@ SPIN_BOUND_RAD: Final = 1e3
 
 
 @dataclass(frozen=True)
-class Setup:
+class EnvironmentParameters:
     """Parameters of an environment, except the scene.
 
     home_m           (3,) m       initial position of hand and fingertip, at rest
@@ -68,7 +68,7 @@ class Touch(LedHands):
     """Fingertip that the agent leads to a scene's objects; for scenes with one finger.
 
     scene    as for `load_scene`
-    setup    parameters; keywords of `Setup` may be given instead: Touch("sphere", goal_n=1.0)
+    setup    parameters; keywords of `EnvironmentParameters` may be given instead: Touch("sphere", goal_n=1.0)
 
     action       (6,) from -1 to 1, constant during a step: velocity of the hand's goal along x, y, z as a fraction of
                  `speed_m_per_s`, angular velocity about x, y, z as a fraction of `turn_rad_per_s`, world frame
@@ -86,10 +86,12 @@ class Touch(LedHands):
     (1, True, 20)
     """
 
-    setup: Setup
+    setup: EnvironmentParameters
 
-    def __init__(self, scene: SceneSource = "paper-plane", setup: Setup | None = None, **changes: Any) -> None:
-        setup = setup or Setup(**changes)
+    def __init__(
+        self, scene: SceneSource = "paper-plane", setup: EnvironmentParameters | None = None, **changes: Any
+    ) -> None:
+        setup = setup or EnvironmentParameters(**changes)
         super().__init__(scene, setup, [setup.home_m])
         self._scale: Final = np.repeat([setup.speed_m_per_s, setup.turn_rad_per_s], 3)
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm

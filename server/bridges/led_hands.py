@@ -15,11 +15,12 @@ from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Intention, PlantInputs
 from softfinger.proxy.bodies import begin_bodies
 from softfinger.proxy.engine import PoseError
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import ClosedLoop, DrivenPlant
-from softfinger.server.offline.goals import plan_goals
 
 try:
     import gymnasium
@@ -42,6 +43,29 @@ RAMP_S: Final = 0.01
 def box_space(bound: float, *shape: int) -> spaces.Box:
     """Return a space of arrays with elements between -bound and bound."""
     return spaces.Box(-bound, bound, shape, np.float64)
+
+
+@entry
+def plan_goals(goals: Array, velocities: Array, lowest: Array, highest: Array, dt: float) -> None:
+    """Fill `goals` (n, hands, 7), poses `dt` s apart, from the first of them on.
+
+    velocities       (hands, 6) m/s, rad/s  linear along x, y, z, then angular about them, world frame
+    lowest, highest  (hands, 3) m           bounds of the positions
+    """
+    for hand in range(goals.shape[1]):
+        start = goals[0, hand]
+        a, b, c = velocities[hand, 3], velocities[hand, 4], velocities[hand, 5]
+        orientation = (start[3], start[4], start[5], start[6])
+        for i in range(goals.shape[0]):
+            t = i * dt
+            for k in range(3):
+                position = start[k] + t * velocities[hand, k]
+                goals[i, hand, k] = min(max(position, lowest[hand, k]), highest[hand, k])
+            q = orientation
+            if a != 0.0 or b != 0.0 or c != 0.0:
+                q = rotations.normalize(rotations.multiply(rotations.exp((t * a, t * b, t * c)), orientation))
+            for k in range(4):
+                goals[i, hand, 3 + k] = q[k]
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):

@@ -19,7 +19,7 @@ from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Event, Note, Ticks, World
+from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
 from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
 from softfinger.server.wire.protocol import WORLD
 
@@ -171,15 +171,15 @@ def show_recording(recording: str | Path, stream: Any) -> int:
     for part in read_recording(recording):  # first pass: metadata and fingers
         if isinstance(part, Note):
             about[part.name] = part.value
-        elif isinstance(part, Ticks) and part.finger not in fingers:
+        elif isinstance(part, TickBlock) and part.finger not in fingers:
             fingers.append(part.finger)
     sink, count = RerunSink(stream, fingers, parse_scene(about)), 0
     for part in read_recording(recording):
-        if isinstance(part, Ticks):
+        if isinstance(part, TickBlock):
             sink.take(part.records(), fingers.index(part.finger))
             count += len(part.rows)
         elif isinstance(part, Event):
             sink.event(part.event)
-        elif isinstance(part, World):
+        elif isinstance(part, RecordedWorld):
             sink.message(WORLD, part.world)
     return count

@@ -15,7 +15,7 @@ from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.trial_order import list_conditions
 from softfinger.server.progress import progress
 
-ALL: Final = "all participants"
+ALL_PARTICIPANTS: Final = "all participants"
 AVERAGED_COLUMNS: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")
 """Columns of the table of trials that are averaged by condition."""
 
@@ -63,7 +63,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
         raise ConfigError("no trial beyond practice has been answered: nothing to draw yet")
     participants = sorted({row["participant"] for row in counted})
     if len(participants) > max(1, len(excluded)):
-        participants.append(ALL)
+        participants.append(ALL_PARTICIPANTS)
     pairs = [(participant, each.name) for participant in participants for each in list_conditions(experiment)]
     groups = []
     with progress("fitting", len(pairs)) as done:
@@ -73,7 +73,10 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
                 row
                 for row in counted
                 if row["condition"] == condition
-                and (row["participant"] == participant or (participant == ALL and row["participant"] not in excluded))
+                and (
+                    row["participant"] == participant
+                    or (participant == ALL_PARTICIPANTS and row["participant"] not in excluded)
+                )
             ]
             if group_rows:
                 fitted, means = fit_answers(experiment, group_rows), mean_columns(group_rows)

@@ -18,7 +18,7 @@ from softfinger.config.words import format_value, near
 from softfinger.server.experiment import rigs
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
 from softfinger.server.experiment.masses import load_changed_scene
-from softfinger.server.experiment.schema import ONE, ExperimentFile
+from softfinger.server.experiment.schema import SINGLE_FINGER, ExperimentFile
 from softfinger.server.experiment.session import CONSENT, consent_question
 from softfinger.server.experiment.trial_order import list_conditions
 
@@ -113,7 +113,7 @@ class _Checks:
             self._faults += self._parameter_faults()
         if self._are_sound("motion", "scene", "factor") and None not in self._scenes.values():
             fingers = {finger.name for scene in self._scenes.values() if scene for finger in scene.finger or ()}
-            fingers |= {ONE} if any(scene and not scene.finger for scene in self._scenes.values()) else set()
+            fingers |= {SINGLE_FINGER} if any(scene and not scene.finger for scene in self._scenes.values()) else set()
             self._faults += [
                 f"motion.{finger}: no scene has this finger; there are {', '.join(sorted(fingers))}"
                 for finger in sorted(experiment.motion.keys() - fingers)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softfinger.server.experiment.analysis import ALL, Group, PowerLaw, is_counted, student_975
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, Group, PowerLaw, is_counted, student_975
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
@@ -66,9 +66,10 @@ def compare_models(
     names = [factor.name for factor in experiment.factor]
     found = []
     for factor in names:
-        others = [name for name in names if name != factor]
+        remaining_factors = [name for name in names if name != factor]
         with_factor, without = (
-            [_maximum(experiment, each, keys) for each in by_participant.values()] for keys in (names, others)
+            [_maximum(experiment, each, keys) for each in by_participant.values()]
+            for keys in (names, remaining_factors)
         )
         parameters = sum(count for count, _ in with_factor), sum(count for count, _ in without)
         maxima = math.fsum(value for _, value in with_factor), math.fsum(value for _, value in without)
@@ -214,5 +215,5 @@ def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> 
             group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold
         )
         for group in groups
-        if group.participant != ALL and group.participant not in excluded
+        if group.participant != ALL_PARTICIPANTS and group.participant not in excluded
     }

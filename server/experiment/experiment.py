@@ -14,9 +14,9 @@ from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
 from softfinger.server.experiment.answers import DryRun, Participant
 from softfinger.server.experiment.daemon import RunOptions, record_ticks, run_doctor, start_daemon
-from softfinger.server.experiment.folder import Folder, load, read_trials
+from softfinger.server.experiment.folder import ParticipantFolder, load, read_trials
 from softfinger.server.experiment.interfaces import NullApparatus
-from softfinger.server.experiment.journal import Entry, Journal, Memory
+from softfinger.server.experiment.journal import Entry, Journal, MemoryJournal
 from softfinger.server.experiment.session import Session
 from softfinger.server.experiment.trial_order import Condition, list_conditions
 from softfinger.server.progress import progress
@@ -62,7 +62,7 @@ class Experiment:
 
     def rehearse(self, participant: int = 1) -> list[Entry]:
         """Run the trials with the simulated observer, without daemon and files; return one row per trial."""
-        journal, simulated = Memory(), DryRun(self.file, _check_participant(participant))
+        journal, simulated = MemoryJournal(), DryRun(self.file, _check_participant(participant))
         session = Session(self.file, participant)
         session.welcome(journal, simulated)
         session.run(journal, NullApparatus(), simulated)
@@ -96,7 +96,7 @@ class Experiment:
         HapticError
             Errors that end a daemon.
         """
-        participant_folder = Folder(
+        participant_folder = ParticipantFolder(
             Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
@@ -119,7 +119,7 @@ class Experiment:
         session: Session,
         stack: ExitStack,
         journal: Journal | None,
-        participant_folder: Folder,
+        participant_folder: ParticipantFolder,
         running: RunOptions,
     ) -> None:
         """Run the unanswered trials. Files are written only after the device ticks: earlier steps can fail."""
@@ -152,7 +152,7 @@ def _begin_run(
     session: Session,
     stack: ExitStack,
     journal: Journal | None,
-    participant_folder: Folder,
+    participant_folder: ParticipantFolder,
     run_files: Mapping[str, Any],
     dry_run: bool,
 ) -> tuple[Journal, int]:

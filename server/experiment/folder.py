@@ -37,7 +37,7 @@ JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
 BIDS_VERSION: Final = "1.10.0"
 
 
-class Folder:
+class ParticipantFolder:
     """Files of one participant's sessions. Nothing is written before `begin`.
 
     files  hashes of the scenes and the rig next to the experiment, by name

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.drivers import quaternions
-from softfinger.server.experiment.schema import ONE, ExperimentFile
+from softfinger.server.experiment.schema import SINGLE_FINGER, ExperimentFile
 from softfinger.server.remote import Client
 
 Point = tuple[float, float, float]
@@ -33,7 +33,7 @@ class Hands:
         """Lead hands to the start of their path, or of the trial; return these positions, m, and orientations."""
         starts = dict[str, tuple[Point, Quaternion | None]]()
         for name, is_led in self._is_led.items():
-            path = self._experiment.motion.get(name or ONE)
+            path = self._experiment.motion.get(name or SINGLE_FINGER)
             start = path[0][1:] if path else self._experiment.trial.start_m
             if is_led and start is not None:
                 starts[name] = start, self._lead(name, start, 0.0)
@@ -42,12 +42,12 @@ class Hands:
     def lead(self, elapsed_s: float) -> None:
         """Lead each hand with a path to its point at a time of the touch, s."""
         for name, is_led in self._is_led.items():
-            if is_led and (path := self._experiment.motion.get(name or ONE)):
+            if is_led and (path := self._experiment.motion.get(name or SINGLE_FINGER)):
                 self._lead(name, interpolate_path(path, elapsed_s), elapsed_s)
 
     def _lead(self, name: str, position: Point, elapsed_s: float) -> Quaternion | None:
         """Set the goal of a hand; return its orientation, None without [turn]."""
-        rotations = self._experiment.turn.get(name or ONE)
+        rotations = self._experiment.turn.get(name or SINGLE_FINGER)
         orientation = quaternions.exp(interpolate_path(rotations, elapsed_s)).tolist() if rotations else None
         self._client.hand(position, orientation, finger=name or None)
         return orientation

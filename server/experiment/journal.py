@@ -19,7 +19,7 @@ Entry = dict[str, Any]
 _DECODER: Final = msgspec.json.Decoder(dict)
 
 
-class Memory:
+class MemoryJournal:
     """Entries in memory only, for a rehearsal."""
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class Memory:
         return [entry for entry in self.entries if entry["kind"] == kind]
 
 
-class Journal(Memory, Closeable):
+class Journal(MemoryJournal, Closeable):
     """Append-only file; `entries` include the existing ones. Locked: a second session on the file is refused.
 
     Raises ConfigError if the file is damaged or another session writes to it.

@@ -23,15 +23,15 @@ def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: st
 
     Raises ConfigError, with `where`, if the scene lacks a value.
     """
-    masses, others = split(values)
+    masses, parameters = split(values)
     scene = load_scene(source)
     if not masses:
-        return apply_overrides(scene, others, where) if others else scene
+        return apply_overrides(scene, parameters, where) if parameters else scene
     if scene.world is None:
         raise ConfigError(
             f"{where}: {PREFIX}{next(iter(masses))}: the scene has no [world], so it has no bodies with a mass"
         )
-    changed = apply_overrides(scene, {**others, "world.mass_kg": scene.world.mass_kg | masses}, where)
+    changed = apply_overrides(scene, {**parameters, "world.mass_kg": scene.world.mass_kg | masses}, where)
     try:
         return add_objects_of_world(changed)
     except ConfigError as error:

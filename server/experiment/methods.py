@@ -104,10 +104,10 @@ def _procedure(experiment: ExperimentFile) -> list[str]:
     match procedure.kind:
         case "staircase":
             starts = procedure.starts or (procedure.start,)
-            several = len(starts) > 1
+            is_repeated = len(starts) > 1
             text = [
-                f"Levels were chosen by {f'{len(starts)} interleaved staircases' if several else 'a staircase'} of "
-                f"{procedure.trials} trials {'together ' if several else ''}per condition, starting at "
+                f"Levels were chosen by {f'{len(starts)} interleaved staircases' if is_repeated else 'a staircase'} of "
+                f"{procedure.trials} trials {'together ' if is_repeated else ''}per condition, starting at "
                 f"{_list([f'{start:g}' for start in starts])}: {_number(procedure.down, 'right answer')} in a row "
                 f"decreased the level by a factor of {procedure.step:g} (its square before the second reversal) and a "
                 f"wrong one increased it (Levitt 1971), within {procedure.smallest:g} and {procedure.largest:g}."
@@ -165,11 +165,11 @@ def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
             text.append("Its score is the unweighted mean of its ratings.")
         if survey.at == ("before",):  # describes the participants
             names = {each.name for each in survey.question if each.kind != "text"}
-            given = [
+            sentences = [
                 row for row in answers if row["survey"] == (survey.title or survey.name) and row["question"] in names
             ]
-            if given:
-                facts = [f"{row['question']} {format_answers(row)}" for row in given]
+            if sentences:
+                facts = [f"{row['question']} {format_answers(row)}" for row in sentences]
                 text.append(f"Its answers were: {', '.join(facts)}.")
     return text
 

@@ -50,8 +50,8 @@ class SimulatedObserver:
         """
         observer, normal = observer_for(self._experiment, condition), NormalDist()
         chance = float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
-        drawn = self._rng(TRIAL, trial.number).random()
-        evidence = normal.inv_cdf(min(chance, 1.0 - 1e-12)) - normal.inv_cdf(max(drawn, 1e-300))
+        uniform = self._rng(TRIAL, trial.number).random()
+        evidence = normal.inv_cdf(min(chance, 1.0 - 1e-12)) - normal.inv_cdf(max(uniform, 1e-300))
         marks = question.marks
         return float(marks[min(int(abs(evidence) / CERTAIN * len(marks)), len(marks) - 1)])
 

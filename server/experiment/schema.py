@@ -17,7 +17,7 @@ from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, P
 
 SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "an observer with half of the answers at random is useless")
-ONE: Final = "fingertip"
+SINGLE_FINGER: Final = "fingertip"
 """Name in an experiment for the finger of a scene with only one."""
 WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 

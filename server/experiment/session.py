@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from softfinger.config.errors import HapticError
-from softfinger.server.experiment.folder import Folder
+from softfinger.server.experiment.folder import ParticipantFolder
 from softfinger.server.experiment.interfaces import Answer, AnswerSource, Apparatus, Progress, Stimulus
-from softfinger.server.experiment.journal import Entry, Memory
+from softfinger.server.experiment.journal import Entry, MemoryJournal
 from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question, Survey
@@ -42,15 +42,15 @@ class Session:
         self._blocks = number_blocks(self.trials, experiment.design.order == "random")
         self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
-    def check(self, folder: Folder) -> None:
+    def check(self, folder: ParticipantFolder) -> None:
         """Raise ConfigError if the participant's folder has another design; write nothing."""
         folder.check_design(self.experiment, self.conditions, self.trials)
 
-    def begin(self, folder: Folder) -> None:
+    def begin(self, folder: ParticipantFolder) -> None:
         """Write the design into the participant's folder."""
         folder.begin(self.experiment, self.conditions, self.trials)
 
-    def welcome(self, journal: Memory, answers: AnswerSource) -> None:
+    def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
         """Ask for consent and the surveys before the first trial, then show the instructions.
 
         Raises Stopped if the participant does not agree.
@@ -63,7 +63,13 @@ class Session:
         self._ask_surveys("before", 0, journal, answers)
         answers.instruct()
 
-    def run(self, journal: Memory, apparatus: Apparatus, answers: AnswerSource, folder: Folder | None = None) -> None:
+    def run(
+        self,
+        journal: MemoryJournal,
+        apparatus: Apparatus,
+        answers: AnswerSource,
+        folder: ParticipantFolder | None = None,
+    ) -> None:
         """Run the trials without an answer in the journal.
 
         The procedures first receive the previous answers, in order.
@@ -90,7 +96,7 @@ class Session:
         if not journal.of("finished"):
             journal.write("finished", trials=len(self.trials))
 
-    def _ask_surveys(self, at: str, block: int, journal: Memory, answers: AnswerSource) -> None:
+    def _ask_surveys(self, at: str, block: int, journal: MemoryJournal, answers: AnswerSource) -> None:
         """Ask the questions that are due and have no answer in the journal.
 
         block  number of the block that has ended, 0: none

@@ -26,16 +26,16 @@ def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded:
         own += [{"question": "mean", "condition": key[2], "answer": value} for key, value in scores.items()]
         for question in [*(question.name for question in survey.question), *(["mean"] if scores else [])]:
             for condition in dict.fromkeys(row["condition"] for row in own):
-                given = [row["answer"] for row in own if (row["question"], row["condition"]) == (question, condition)]
-                if given:
+                values = [row["answer"] for row in own if (row["question"], row["condition"]) == (question, condition)]
+                if values:
                     table.append(
                         {
                             "survey": survey.title or survey.name,
                             "question": question,
                             "condition": condition or "",
-                            "answers": len(given),
+                            "answers": len(values),
                         }
-                        | _summarise(given)
+                        | _summarise(values)
                     )
     return table
 
@@ -47,7 +47,9 @@ def compare_scores(
     found = []
     for survey in experiment.survey:
         own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
-        scores = {(who, at): score for (who, _, at), score in _scores(survey, own).items() if at is not None}
+        scores = {
+            (participant, at): score for (participant, _, at), score in _scores(survey, own).items() if at is not None
+        }
         found += [(survey.title or survey.name, effect) for effect in difference_of_levels(experiment, scores)]
     return found
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.config.schema import BESIDE, commands_beside, is_public, telemetry_of
+from softfinger.config.schema import COMMANDS_SUFFIX, commands_beside, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -59,16 +59,16 @@ def find_addresses(
     """
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
-    if endpoint.startswith("ipc://") and endpoint.endswith(BESIDE):
+    if endpoint.startswith("ipc://") and endpoint.endswith(COMMANDS_SUFFIX):
         return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
     neighbour = commands_beside(endpoint)
     if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, neighbour)
-    likely = Addresses(endpoint, endpoint if to_command else neighbour)
+    suggestion = Addresses(endpoint, endpoint if to_command else neighbour)
     if is_public(endpoint):
-        return likely
+        return suggestion
     queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]
-    return _first_answer(queries, endpoint, keys, within_s) or likely
+    return _first_answer(queries, endpoint, keys, within_s) or suggestion
 
 
 def _first_answer(

@@ -18,14 +18,14 @@ from softfinger.server.gateway.streams import QUEUE, Stream
 from softfinger.server.keys import ClientKeys
 from softfinger.server.publishing.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.publishing.readers import Readers
-from softfinger.server.wire.endpoint import Bound
+from softfinger.server.wire.endpoint import BoundSocket
 
 KEY_CHECK_S: Final = 1.0
 """Interval of the check of the folders of keys and of the count of connections."""
 POLL_MS: Final = 100
 
 
-class Source(NamedTuple):
+class ForwardedServer(NamedTuple):
     """Endpoint of a server, and the keys it requires."""
 
     endpoint: str
@@ -35,8 +35,8 @@ class Source(NamedTuple):
 class CommandPath(NamedTuple):
     """Path of commands from a server to an endpoint for peers; without a lock, every peer in reach may connect."""
 
-    source: Source
-    bound: Bound
+    source: ForwardedServer
+    bound: BoundSocket
     lock: KeyLock | None = None
 
 
@@ -51,8 +51,8 @@ class Forward:
 
     def __init__(
         self,
-        stream: Source | None,
-        readers: tuple[Bound, KeyLock | None] | None = None,
+        stream: ForwardedServer | None,
+        readers: tuple[BoundSocket, KeyLock | None] | None = None,
         commands: CommandPath | None = None,
         outlets: Outlets | None = None,
     ) -> None:
@@ -94,7 +94,7 @@ class Forward:
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
         """Forward until `ended` returns True; call `show` with the counts once a second."""
         bound_resources()
-        due = 0.0
+        next_check_s = 0.0
         while not ended():
             handlers = dict(self._handlers())
             poller = zmq.Poller()
@@ -104,8 +104,8 @@ class Forward:
             while not (changed or ended()):
                 for socket, _ in poller.poll(POLL_MS):
                     changed |= bool(handlers[socket]())
-                if (now := time.monotonic()) >= due:
-                    due = now + KEY_CHECK_S
+                if (now := time.monotonic()) >= next_check_s:
+                    next_check_s = now + KEY_CHECK_S
                     for peers in self._peer_sockets:
                         peers.process_events()
                         peers.refresh_keys()

@@ -100,8 +100,8 @@ class Outlets:
 
 def marker(event: dict[str, Any]) -> str:
     """Return an event as the text of a marker, JSON: `tick`, `kind`, `name` and its other keys."""
-    shown = {key: value for key, value in event.items() if key not in ("schema", "timestamp")}
-    return msgspec.json.encode(shown).decode()
+    content = {key: value for key, value in event.items() if key not in ("schema", "timestamp")}
+    return msgspec.json.encode(content).decode()
 
 
 def stream_name(finger: str) -> str:

@@ -11,7 +11,7 @@ import zmq
 from softfinger.server.keys import ClientKeys
 from softfinger.server.publishing.peer_socket import KeyLock, PeerSocket, SocketContext
 from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
-from softfinger.server.wire.endpoint import Bound
+from softfinger.server.wire.endpoint import BoundSocket
 
 CLIENTS_MAX: Final = 16
 """Clients at a time, half of the server's limit; another one replaces the client with the oldest last request."""
@@ -23,7 +23,7 @@ class Commanders:
     """Clients that command a server through the gateway."""
 
     def __init__(
-        self, gate: SocketContext, endpoint: str, keys: ClientKeys | None, bound: Bound, lock: KeyLock | None
+        self, gate: SocketContext, endpoint: str, keys: ClientKeys | None, bound: BoundSocket, lock: KeyLock | None
     ) -> None:
         options = {"maxmsgsize": REQUEST_MAX, "sndhwm": WAITING_MAX, "rcvhwm": WAITING_MAX, "router_mandatory": 1}
         self.peers: Final = PeerSocket(gate, zmq.ROUTER, bound, lock, options)

@@ -15,7 +15,7 @@ from softfinger.config.errors import ConfigError
 
 State = Literal["new", "unchanged", "outdated", "edited", "foreign"]
 
-DONE: Final[dict[State, str]] = {"new": "written", "outdated": "renewed", "unchanged": "as it was"}
+ACTION_TEXTS: Final[dict[State, str]] = {"new": "written", "outdated": "renewed", "unchanged": "as it was"}
 
 
 class File(NamedTuple):
@@ -101,7 +101,7 @@ class Ledger:
                 if state != "unchanged":
                     self._write_file(file.path, file.text)
                 self._files[str(file.path)] = _digest(file.text.encode())
-                yield Action(DONE[state], self._at(file.path))
+                yield Action(ACTION_TEXTS[state], self._at(file.path))
         finally:
             self._save()
 

@@ -89,8 +89,8 @@ WantedBy=default.target
 
 def unit(words: Sequence[str], system: bool) -> str:
     """Return the unit that runs a command, given as a list of arguments."""
-    program, *others = map(_quote, words)
-    command = " ".join([program, *(word.replace("$", "$$") for word in others)])  # no expansion in the program
+    program, *arguments = map(_quote, words)
+    command = " ".join([program, *(word.replace("$", "$$") for word in arguments)])  # no expansion in the program
     head = HEAD.format(command=command, scope="" if system else "--user ")
     return head + (SYSTEM if system else USER)
 

@@ -82,7 +82,7 @@ class Histogram:
         )
 
 
-class Finger:
+class FingerCounts:
     """Sums of one finger."""
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class MetricsCollector(Collector):
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
         self._pending_rows = self._ticks = self._missed = self._drops = 0
         self._late, self._exec = Histogram(LATENESS_S), Histogram(EXECUTION_S)
-        self._fingers = [Finger() for _ in self._names]
+        self._fingers = [FingerCounts() for _ in self._names]
 
     def add_records(self, records: Array, drops: int) -> None:
         """Receive a batch (n, fingers x RECORD_SIZE), and the number of ticks lost by the ring buffer so far."""
@@ -203,15 +203,15 @@ class MetricsCollector(Collector):
         yield from (force, modes, guard, errors)
 
 
-def _recording_metrics(written: RecordingTotals) -> Iterator[Metric]:
-    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", written.ticks)
-    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", written.bytes)
+def _recording_metrics(totals: RecordingTotals) -> Iterator[Metric]:
+    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks)
+    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", totals.bytes)
     yield _counter(
-        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", written.ticks_dropped
+        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", totals.ticks_dropped
     )
-    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", written.events_dropped)
+    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", totals.events_dropped)
     yield GaugeMetricFamily(
-        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", written.worst_write_s
+        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", totals.worst_write_s
     )
 
 

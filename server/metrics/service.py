@@ -18,7 +18,7 @@ from softfinger.server.loop import shutdown
 from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
-from softfinger.server.wire.endpoint import Bound
+from softfinger.server.wire.endpoint import BoundSocket
 
 log: Final = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.j
 DASHBOARD_PATH: Final = "/dashboard.json"
 
 
-class Metrics(Worker):
+class MetricsService(Worker):
     """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
 
     Parameters
@@ -43,7 +43,7 @@ class Metrics(Worker):
         Publishes an event.
     """
 
-    def __init__(self, bound: Bound, counts: MetricsCollector, event: Callable[..., Any]) -> None:
+    def __init__(self, bound: BoundSocket, counts: MetricsCollector, event: Callable[..., Any]) -> None:
         super().__init__("metrics")
         self.endpoint: Final = bound.endpoint.replace("tcp://", "http://")
         self._bound, self._event = bound, event
@@ -78,7 +78,7 @@ class _Server(WSGIServer):
 
     timeout = POLL_S
 
-    def __init__(self, bound: Bound, answer: Any) -> None:
+    def __init__(self, bound: BoundSocket, answer: Any) -> None:
         host, port = bound.listener.getsockname()[:2]
         super().__init__((host, port), _Handler, bind_and_activate=False)
         self.socket.close()

@@ -33,7 +33,7 @@ from softfinger.server.progress import CHUNK, progress
 Array = NDArray[np.float64]
 
 FIGURES: Final = ("ticks", "exit_tick", "excursion", "force", "energy")
-"""Figures of a case that `close_many` writes: fields of `Outcome`."""
+"""Figures of a case that `close_many` writes: fields of `ClosedLoopResult`."""
 
 
 class NullRecord(NamedTuple):
@@ -52,7 +52,7 @@ def _set_null_record(record, index, value):  # type: ignore[no-untyped-def]
     return None
 
 
-class Run(NamedTuple):
+class TickRange(NamedTuple):
     """Number of the first tick, number of ticks, and nominal period of a tick, s, which is the plant's period."""
 
     first: int
@@ -60,7 +60,7 @@ class Run(NamedTuple):
     dt: float
 
 
-class Outcome(NamedTuple):
+class ClosedLoopResult(NamedTuple):
     """Result of a closed loop.
 
     memory, state  for the continuation
@@ -89,9 +89,9 @@ def close_loop(
     plant: Plant,
     state: PlantState,
     drive: PlantInputs,
-    run: Run,
+    run: TickRange,
     bound: float,
-) -> Outcome:
+) -> ClosedLoopResult:
     """Run the ticks of `run`; stop early when the handle leaves `bound` (m).
 
     start   begin(tuning.scene)
@@ -121,7 +121,7 @@ def close_loop(
             if not distance2 <= bound * bound:
                 exit_tick = tick_number + 1.0
                 break
-    return Outcome(contact, state, float(tick_count), exit_tick, sqrt(max_distance2), sqrt(max_force2), energy)
+    return ClosedLoopResult(contact, state, float(tick_count), exit_tick, sqrt(max_distance2), sqrt(max_force2), energy)
 
 
 class DrivenPlant(NamedTuple):
@@ -266,7 +266,7 @@ def close_many(
         plant = unpack(plants.like, plants.values[min(i, plants.values.shape[0] - 1)])
         state = unpack(states.like, states.values[min(i, states.values.shape[0] - 1)])
         drive.line[:] = 0.0
-        end = close_loop(tuning, start, start, plant, state, drive, Run(0, ticks, 1.0 / plant.rate), bound)
+        end = close_loop(tuning, start, start, plant, state, drive, TickRange(0, ticks, 1.0 / plant.rate), bound)
         figures[i, 0] = end.ticks
         figures[i, 1] = end.exit_tick
         figures[i, 2] = end.excursion

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.materials import Entry, Measured
+from softfinger.config.materials import LibraryEntry, Measured
 from softfinger.config.schema import Fingertip, Material
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.server.offline.library_texts import entries, find_entry, library_table
@@ -42,7 +42,7 @@ def draw(name: str, path: Path) -> None:
 # --- materials -----------------------------------------------------------------------------------------
 
 
-def friction(axes: Any, entry: Entry, material: Material) -> None:
+def friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
     """Draw static and kinetic friction over the load, and the published coefficients at their loads."""
     law = material.friction
     assert law is not None  # every material of the library has friction
@@ -92,7 +92,7 @@ def overview(axes: Any) -> None:
     axes.set(xlabel="coefficient of friction", xlim=(0.0, 1.8))
 
 
-def depth(axes: Any, entry: Entry, material: Material) -> None:
+def depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
     """Draw the normal force over the depth, and that of an elastic sphere for the range of measured moduli.
 
     There are no published points of force over depth: no table of them was accessible.
@@ -131,7 +131,7 @@ def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Arra
 # --- fingertips ----------------------------------------------------------------------------------------
 
 
-def patch(axes: Any, tips: dict[str, tuple[Entry, Fingertip]]) -> None:
+def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     """Draw the patch radius over the load, and the bands that follow from measured moduli and exponents."""
     load = np.linspace(0.0, 10.0, 31)
     drawn_labels: set[str] = set()

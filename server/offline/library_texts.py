@@ -10,7 +10,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.fields import unit
 from softfinger.config.load import build, describe
-from softfinger.config.materials import FINGERTIPS, MATERIALS, Entry, Measured, flat, papers
+from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measured, flat, papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
 from softfinger.config.words import format_value, near
@@ -19,12 +19,12 @@ LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
 _TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "fingertip": Fingertip}
 
 
-def entries() -> dict[str, tuple[str, Entry]]:
+def entries() -> dict[str, tuple[str, LibraryEntry]]:
     """Return all entries by name, each with its kind, `material` or `fingertip`."""
     return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
 
 
-def find_entry(name: str) -> tuple[str, Entry]:
+def find_entry(name: str) -> tuple[str, LibraryEntry]:
     """Return one of `entries`. Raises ConfigError if the name is unknown."""
     by_name = entries()
     if name not in by_name:
@@ -67,7 +67,7 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
     return [("  library", f"{name}; of the scene itself: {', '.join(changes)}" if changes else f"{name}, all of it")]
 
 
-def value_rows(entry: Entry) -> list[tuple[str, str]]:
+def value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
     """Return each value that a scene gets from an entry, with its unit."""
     return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
 
@@ -97,7 +97,7 @@ def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
     ]
 
 
-def cited_papers(entry: Entry) -> set[str]:
+def cited_papers(entry: LibraryEntry) -> set[str]:
     """Return the names of the papers cited for an entry's values, measurements and range."""
     return {
         *entry.papers,

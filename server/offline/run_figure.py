@@ -18,7 +18,7 @@ POINTS_MAX: Final = 2000
 SHADES: Final = {"rolling": "#cfe3f5", "sliding": "#fbe0c3"}
 
 
-DRAWN: Final = (
+COLUMNS: Final = (
     AT.tick,
     AT.dt,
     AT.contact_penetration,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, build, load_rig, load_scene
-from softfinger.config.schema.pairing import Moved, pair
+from softfinger.config.schema.pairing import FingerDevice, pair
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -216,15 +216,15 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     RecordingError
         If a recording is unusable.
     """
-    several = len(fingers) > 1
-    has_one_file = set(recordings) == {""} and (not several or Path(recordings[""]).suffix.lower() == ".mcap")
+    has_fingers = len(fingers) > 1
+    has_one_file = set(recordings) == {""} and (not has_fingers or Path(recordings[""]).suffix.lower() == ".mcap")
     if not has_one_file and set(recordings) != set(fingers):
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
         given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
         raise ConfigError(f"poses of {given_fingers}: not the scene's fingers: give poses of {expected_fingers}")
     each = [
         resample(
-            load_poses(recordings["" if has_one_file else name], name if has_one_file and several else ""), rate_hz
+            load_poses(recordings["" if has_one_file else name], name if has_one_file and has_fingers else ""), rate_hz
         )
         for name in fingers
     ]
@@ -249,7 +249,7 @@ def simulate_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> It
         yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *lengths]))
 
 
-def _open_simulated(paired: Moved, rate_hz: float) -> Any:
+def _open_simulated(paired: FingerDevice, rate_hz: float) -> Any:
     """Return the opened device of a finger. Raises ConfigError if it needs a clock."""
     config = paired.device
     driver = registry.load(config.driver)

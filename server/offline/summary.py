@@ -60,10 +60,12 @@ def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
         if coupling.torsional_damping_nms_per_rad:
             drags += f", torsion damped by {coupling.torsional_damping_nms_per_rad:g} N m s/rad"
-    what, moved = ("fingertip", "") if not finger.name else (f"finger '{finger.name}'", f", moved by {finger.device}")
+    what, moved_text = (
+        ("fingertip", "") if not finger.name else (f"finger '{finger.name}'", f", moved by {finger.device}")
+    )
     within = "" if not finger.name else "  "
     return [
-        (what, f"{_form(finger)}{moved}"),
+        (what, f"{_form(finger)}{moved_text}"),
         (f"{within}patch", "left out" if finger.patch is None else _values(finger.patch)),
         (f"{within}rolling", rolling),
         (f"{within}coupling", drags),
@@ -243,8 +245,8 @@ def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
     options, tool = ", ".join(f"{key} = {format_value(value)}" for key, value in device.options.items()), device.tool
     rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
     if tool is not None:
-        turned = f"turned by {format_value(tool.orientation_wxyz)}"
-        rows.append(("  tool", f"tip at {format_value(tool.offset_m)} m of the handle, {turned}"))
+        turned_text = f"turned by {format_value(tool.orientation_wxyz)}"
+        rows.append(("  tool", f"tip at {format_value(tool.offset_m)} m of the handle, {turned_text}"))
     return rows
 
 

@@ -69,15 +69,15 @@ class Channel:
         while self._queue and not self.ended:
             first = self._queue.popleft()
             try:
-                sent = self._end.send(first)
+                sent_bytes = self._end.send(first)
             except BlockingIOError:
-                sent = 0
+                sent_bytes = 0
             except OSError:
                 self.ended = True
                 return
-            self._queued_bytes -= sent
-            if sent < len(first):
-                self._queue.appendleft(first[sent:])
+            self._queued_bytes -= sent_bytes
+            if sent_bytes < len(first):
+                self._queue.appendleft(first[sent_bytes:])
                 return
 
     def receive(self) -> Iterator[Message]:

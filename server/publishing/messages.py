@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.proxy.record import FIELDS, NAMED, PATCHES, RECORD_SIZE, Field
-from softfinger.server.publishing.setup import StateInfo, Ticks
+from softfinger.server.publishing.setup import StateInfo, TickParameters
 
 _WORD: Final = 2.0**63
 _TICK: Final = NAMED["tick"].at
@@ -56,7 +56,7 @@ class _Map:
 class Messages:
     """Encoder of rows (fingers x RECORD_SIZE,)."""
 
-    def __init__(self, ticks: Ticks, state_info: StateInfo) -> None:
+    def __init__(self, ticks: TickParameters, state_info: StateInfo) -> None:
         self._topics, self._every = [topic.encode() for topic in ticks.topics], ticks.every
         self._state_topic, self._state_hz = ticks.state.encode(), ticks.state_hz
         self._encode = msgspec.msgpack.Encoder().encode

@@ -29,8 +29,8 @@ from softfinger.server.publishing.clients import Clients
 from softfinger.server.publishing.messages import Messages
 from softfinger.server.publishing.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.publishing.readers import Readers
-from softfinger.server.publishing.setup import PERIOD_S, Figures, Kind, ListeningSocket, Setup, StateInfo
-from softfinger.server.publishing.ticks import Rows
+from softfinger.server.publishing.setup import PERIOD_S, Figures, Kind, ListeningSocket, ProcessSetup, StateInfo
+from softfinger.server.publishing.ticks import RowReader
 
 log: Final = logging.getLogger(__name__)
 
@@ -62,13 +62,13 @@ class Publishing:
     channel  to the daemon, from which `setup` has been received
     """
 
-    def __init__(self, channel: Channel, setup: Setup, files: ExitStack) -> None:
+    def __init__(self, channel: Channel, setup: ProcessSetup, files: ExitStack) -> None:
         self._channel, self._unanswered = channel, 0
         self._waiting = OrderedDict[bytes, deque[tuple[Kind, bytes]]]()
         """Requests of each client that wait until fewer are unanswered; the client whose turn is next is the first."""
         self._waiting_count = self._waiting_bytes = 0
         self._brake = Brake(setup.switch)
-        self._rows = Rows(setup.memory, setup.begin, setup.bell)
+        self._rows = RowReader(setup.memory, setup.begin, setup.bell)
         self._messages = Messages(setup.ticks, setup.shown)
         self._tick_topics = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
         self._last_tick_s = -QUIET_S
@@ -320,11 +320,11 @@ def publish(channel: Channel) -> None:
         publishing.run()
 
 
-def _setup(channel: Channel) -> Setup | None:
+def _setup(channel: Channel) -> ProcessSetup | None:
     """Return the first message from the daemon; None if the daemon has exited."""
     while not channel.ended:
         select.select([channel], [], [])
         for message in channel.receive():
             if message.kind == Kind.SETUP:
-                return msgspec.msgpack.decode(message.body, type=Setup)
+                return msgspec.msgpack.decode(message.body, type=ProcessSetup)
     return None

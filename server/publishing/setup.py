@@ -76,7 +76,7 @@ class StateInfo(Struct, frozen=True):
     epoch_s: float = 0.0
 
 
-class Ticks(Struct, frozen=True):
+class TickParameters(Struct, frozen=True):
     """Parameters of the published ticks.
 
     schema    version of the protocol
@@ -93,7 +93,7 @@ class Ticks(Struct, frozen=True):
     state_hz: float
 
 
-class Setup(Struct, frozen=True):
+class ProcessSetup(Struct, frozen=True):
     """Setup of a process; without an endpoint of telemetry it does not send ticks.
 
     memory    file of the ticks
@@ -110,7 +110,7 @@ class Setup(Struct, frozen=True):
     switch: int
     backlog: int
     priority: int
-    ticks: Ticks
+    ticks: TickParameters
     shown: StateInfo
     entrances: list[ListeningSocket]
 

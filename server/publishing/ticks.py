@@ -17,7 +17,7 @@ _HEAD: Final = 8
 _PAGE_BYTES: Final = 4096
 
 
-class Rows:
+class RowReader:
     """Reader that starts at row `begin` and takes ownership of the file; `bell` is an eventfd that signals new rows."""
 
     def __init__(self, file: int, begin: int, bell: int) -> None:

@@ -81,7 +81,7 @@ class Difference(NamedTuple):
     now: float
 
 
-class Span(NamedTuple):
+class SkippedTicks(NamedTuple):
     """Ticks from `first` to `last` that are not compared, and the reason."""
 
     first: int
@@ -89,7 +89,7 @@ class Span(NamedTuple):
     why: str
 
 
-class Outcome(NamedTuple):
+class ReplayComparison(NamedTuple):
     """Result of a comparison.
 
     ticks      number of ticks of the recording
@@ -105,7 +105,7 @@ class Outcome(NamedTuple):
     different: int
     first: Difference | None
     largest: dict[str, float]
-    left_out: list[Span]
+    left_out: list[SkippedTicks]
 
 
 class Replayed(NamedTuple):
@@ -119,7 +119,7 @@ class Replayed(NamedTuple):
 
     columns: Array
     comparable: Mask
-    left_out: list[Span]
+    left_out: list[SkippedTicks]
     bodies: Array
 
     def field(self, name: str, finger_index: int) -> Array:
@@ -150,7 +150,7 @@ def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int]
     devices, settling_ticks = _device_infos(run), _settling_ticks(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     bodies = np.full_like(run.bodies.poses, np.nan)
-    comparable, left_out = np.zeros(len(ticks), dtype=bool), list[Span]()
+    comparable, left_out = np.zeros(len(ticks), dtype=bool), list[SkippedTicks]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
     for part in _split_run(run, scene, ticks, ramp):
         block = slice(part.start, part.stop)
@@ -177,7 +177,9 @@ def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int]
     comparable[withheld] = False
     if withheld.any():
         left_out.append(
-            Span(int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between")
+            SkippedTicks(
+                int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between"
+            )
         )
     return Replayed(
         columns,
@@ -188,7 +190,7 @@ def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int]
 
 
 def _simulate(
-    run: Run, part: _Part, tuning: Tuning, poses: Array, out: tuple[Array, Array], done: Callable[[int], None]
+    run: Run, part: _Segment, tuning: Tuning, poses: Array, out: tuple[Array, Array], done: Callable[[int], None]
 ) -> None:
     """Simulate the poses (n, fingers, 7) of a part from an empty state; call `done` with the ticks of the run so far.
 
@@ -226,8 +228,8 @@ def _split_ticks(ticks: NDArray[np.int64], count: int) -> Iterator[tuple[int, in
     return pairwise([0, *sorted(ends)])
 
 
-def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Span]:
-    return [Span(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
+def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[SkippedTicks]:
+    return [SkippedTicks(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
 
 
 def _has_bit(run: Run, bit: int) -> Mask:
@@ -266,7 +268,9 @@ def _settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
     return math.ceil(FORGET_TIME_CONSTANTS * slowest * rate_hz) + 1
 
 
-def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float) -> Outcome:
+def compare(
+    run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float
+) -> ReplayComparison:
     """Compare a replay with the recorded or other values.
 
     Parameters
@@ -308,7 +312,9 @@ def compare(run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Arr
                 )
     differences += _compare_bodies(run, replayed, tolerance, differs, largest)
     first = min(differences, key=lambda each: each.tick, default=None)
-    return Outcome(len(ticks), int(replayed.comparable.sum()), int(differs.sum()), first, largest, replayed.left_out)
+    return ReplayComparison(
+        len(ticks), int(replayed.comparable.sum()), int(differs.sum()), first, largest, replayed.left_out
+    )
 
 
 def _compare_bodies(
@@ -337,7 +343,7 @@ def _compare_bodies(
                 yield Difference(int(ticks[row]), seconds, "", f"{name}.{key}[{k}]", *values)
 
 
-class _Part(NamedTuple):
+class _Segment(NamedTuple):
     """Consecutive ticks that are simulated from an empty state.
 
     start, stop  rows of the recording, `stop` excluded
@@ -353,7 +359,7 @@ class _Part(NamedTuple):
     armed: bool
 
 
-def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Part]:
+def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> Iterator[_Segment]:
     """Split the run where its state is unknown."""
     breaks = {0: "the recording starts in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
@@ -368,7 +374,7 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
     for start, stop in pairwise([*starts, end]):
         if changes.get(start):
             scene = apply_overrides(scene, changes[start], "the recording's commands")
-        yield _Part(start, stop, scene, breaks[start], start in armed)
+        yield _Segment(start, stop, scene, breaks[start], start in armed)
 
 
 def _rows_after(mask: Mask) -> list[int]:
@@ -397,9 +403,9 @@ def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, An
         mapping = describe(scene)
         return {index_entries(mapping, key): change["to"] for key, change in what.items()}
     if event["name"] == "drive":
-        object_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
-        return None if object_index is None else {
-            f"object.{object_index}.{key}": value for key, value in what.items() if key != "object"
+        scene_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
+        return None if scene_index is None else {
+            f"object.{scene_index}.{key}": value for key, value in what.items() if key != "object"
         }  # fmt: skip
     return {}
 

@@ -10,20 +10,20 @@ import numpy as np
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording, load_poses
-from softfinger.server.recording.layout import Part, tick_layout
-from softfinger.server.recording.reader import End, Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.layout import TickField, tick_layout
+from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
 from softfinger.server.recording.results import read_results
 
 POSE_PARTS: Final = [
-    Part("timestamp", 1, False, 0),
-    Part("tick", 1, True, 1),
-    Part("probe.position", 3, False, 2),
-    Part("probe.orientation", 4, False, 5),
+    TickField("timestamp", 1, False, 0),
+    TickField("tick", 1, True, 1),
+    TickField("probe.position", 3, False, 2),
+    TickField("probe.orientation", 4, False, 5),
 ]
 """Columns of poses, named as in results, which every verb reads as poses."""
 
 
-def read_recording(recording: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
+def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording as `read_contents` does; a table contains the ticks of one finger.
 
     Raises
@@ -39,10 +39,10 @@ def read_recording(recording: str | Path) -> Iterator[Ticks | Event | World | No
         yield from read_contents(path)
 
 
-def _read_table(path: Path) -> Ticks:
+def _read_table(path: Path) -> TickBlock:
     try:
-        return Ticks("", tick_layout().parts, read_results(path))
+        return TickBlock("", tick_layout().parts, read_results(path))
     except RecordingError:  # no results: poses, or an invalid file
         poses = load_poses(path)
         numbers = np.arange(len(poses.t))
-        return Ticks("", POSE_PARTS, np.column_stack((poses.t, numbers, poses.position, poses.orientation)))
+        return TickBlock("", POSE_PARTS, np.column_stack((poses.t, numbers, poses.position, poses.orientation)))

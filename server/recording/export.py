@@ -13,7 +13,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Ticks
+from softfinger.server.recording.reader import TickBlock
 from softfinger.server.recording.results import RESULTS_MAX, write_csv_rows
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
@@ -60,13 +60,13 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
         raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from error
 
 
-def _read_finger(recording: str | Path, finger: str) -> Iterator[Ticks]:
+def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
     other_fingers, has_ticks = set[str](), False
     for part in read_recording(recording):
-        if isinstance(part, Ticks) and part.finger == finger:
+        if isinstance(part, TickBlock) and part.finger == finger:
             has_ticks = True
             yield part
-        elif isinstance(part, Ticks):
+        elif isinstance(part, TickBlock):
             other_fingers.add(part.finger)
     if not has_ticks:
         available = (
@@ -77,12 +77,12 @@ def _read_finger(recording: str | Path, finger: str) -> Iterator[Ticks]:
         )
 
 
-def column_names(ticks: Ticks) -> list[str]:
+def column_names(ticks: TickBlock) -> list[str]:
     """Return the names of the columns."""
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.parts for i in range(p.size)]
 
 
-def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+def _csv(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     count = 0
     for part in ticks:
         if not count:
@@ -92,7 +92,7 @@ def _csv(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
     return count
 
 
-def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+def _parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     import pyarrow
     import pyarrow.parquet
 
@@ -122,16 +122,16 @@ def _parquet(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
     return count
 
 
-def _npz(file: IO[bytes], ticks: Iterator[Ticks]) -> int:
+def _npz(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     """Write one array per field, like results; all ticks are in memory, so their number is limited."""
-    parts: list[Ticks] = []
+    parts: list[TickBlock] = []
     count = 0
     for part in ticks:
         parts.append(part)
         count += len(part.rows)
         if count > RESULTS_MAX:
             raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the limit of an npz: use .parquet")
-    rows = Ticks(parts[0].finger, parts[0].parts, np.concatenate([part.rows for part in parts]))
+    rows = TickBlock(parts[0].finger, parts[0].parts, np.concatenate([part.rows for part in parts]))
     arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.parts}
     if not rows.missing():
         arrays["records"] = rows.records()

@@ -26,7 +26,7 @@ COLUMNS_MAX: Final = 4096
 """Maximum of numbers per tick in a file; ticks of this program have about a hundred."""
 
 
-class Part(NamedTuple):
+class TickField(NamedTuple):
     """Field: dotted name, number of components, whether it is an integer, first column."""
 
     name: str
@@ -114,7 +114,7 @@ class Layout:
             raise ValueError(f"a message of {len(values)} numbers, must be {self.width}")
         return values
 
-    def _walk_fields(self, message: Any, prefix: str, at: int) -> Iterator[Part]:
+    def _walk_fields(self, message: Any, prefix: str, at: int) -> Iterator[TickField]:
         for field in message.DESCRIPTOR.fields:
             inner = getattr(message, field.name)
             if field.type == field.TYPE_MESSAGE and not field.is_repeated:
@@ -135,7 +135,7 @@ class Layout:
                     inner[:] = markers
                 else:
                     setattr(message, field.name, markers[0])
-                yield Part(f"{prefix}{field.name}", size, is_integer, at)
+                yield TickField(f"{prefix}{field.name}", size, is_integer, at)
                 at += size
 
 

@@ -22,7 +22,7 @@ from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.progress import progress
-from softfinger.server.recording.layout import Layout, Part
+from softfinger.server.recording.layout import Layout, TickField
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
 from softfinger.server.wire.protocol import WORLD, finger_of
@@ -33,11 +33,11 @@ METADATA_MAX: Final = 256
 """Maximum of metadata tables read; this program writes about ten."""
 
 
-class Ticks(NamedTuple):
+class TickBlock(NamedTuple):
     """Block of ticks of a finger: `rows` (n, width) with the columns of `parts`."""
 
     finger: str
-    parts: list[Part]
+    parts: list[TickField]
     rows: Array
 
     def column(self, name: str) -> Array | None:
@@ -70,7 +70,7 @@ class Event(NamedTuple):
     event: dict[str, Any]
 
 
-class World(NamedTuple):
+class RecordedWorld(NamedTuple):
     """Message of `world`, a map as on the wire."""
 
     world: dict[str, Any]
@@ -114,17 +114,17 @@ class _Channel:
             self._message_type = load_message_class(self.schema.data, self.schema.name)
         return self._message_type
 
-    def ticks(self, messages: list[bytes]) -> Ticks:
+    def ticks(self, messages: list[bytes]) -> TickBlock:
         layout = self.layout = self.layout or Layout(self.message_type.FromString(messages[0]))
         rows = None
         if all(len(message) == layout.size for message in messages):
             rows = layout.decode(np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1))
         if rows is None:  # another program may encode the same values differently
             rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
-        return Ticks(self.finger or "", layout.parts, rows)
+        return TickBlock(self.finger or "", layout.parts, rows)
 
 
-def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | End]:
+def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording in file order, followed by an End; report the progress.
 
     Raises
@@ -143,7 +143,7 @@ def read_contents(path: str | Path) -> Iterator[Ticks | Event | World | Note | E
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | Note | End]:
+def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     from mcap.exceptions import EndOfFile
     from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 
@@ -179,7 +179,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[Ticks | Event | World | N
                         yield Event(decode_event(channel.message_type.FromString(message)))
                 elif channel.topic == WORLD:
                     for message in messages:
-                        yield World(decode_world(channel.message_type.FromString(message)))
+                        yield RecordedWorld(decode_world(channel.message_type.FromString(message)))
     except (GeneratorExit, OSError, RecordingError):
         raise
     except Exception as error:  # the decoders raise exceptions of many types on damaged bytes

@@ -34,7 +34,7 @@ from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
 from softfinger.server.closing import Closeable
 from softfinger.server.progress import progress
-from softfinger.server.recording.reader import End, Ticks, read_contents
+from softfinger.server.recording.reader import End, TickBlock, read_contents
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
 
@@ -313,7 +313,7 @@ def _read_mcap(path: Path, finger: str) -> Array:
     blocks: list[Array] = []
     count = 0
     for part in read_contents(path):
-        if isinstance(part, Ticks) and part.finger == finger:
+        if isinstance(part, TickBlock) and part.finger == finger:
             try:
                 blocks.append(part.records())
             except RecordingError as error:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import POSES_MAX, rate_from_period
-from softfinger.server.recording.reader import End, Event, Note, Ticks, World, read_contents
+from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
 
 Array = NDArray[np.float64]
 
@@ -77,12 +77,12 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     cut, count = "", 0
     for part in read_contents(path):
         match part:
-            case Ticks():
+            case TickBlock():
                 blocks.setdefault(part.finger, []).append(dict(_fields(part, fields)))
                 count += len(part.rows)
                 if count > POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the limit for reading")
-            case World():
+            case RecordedWorld():
                 worlds.append(part.world)
             case Event():
                 events.append(part.event)
@@ -112,7 +112,7 @@ def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:
     )
 
 
-def _fields(ticks: Ticks, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
+def _fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
     for name in dict.fromkeys((*_REQUIRED, *fields)):
         column = ticks.column(name)
         if column is not None:

@@ -189,8 +189,8 @@ def load_message_class(descriptors: bytes, name: str) -> Any:
 
 def event_message(event: Mapping[str, Any]) -> bytes:
     """Encode an event, a map as on the wire."""
-    known = {key.name for key in _keys_of(event)}
-    fields = {key: value for key, value in event.items() if key in known and key in _EVENT_FIELDS}
+    names = {key.name for key in _keys_of(event)}
+    fields = {key: value for key, value in event.items() if key in names and key in _EVENT_FIELDS}
     # A value may have a type of the wire, such as the change of a parameter.
     more = msgspec.to_builtins({key: value for key, value in event.items() if key not in fields})
     # `from` is a keyword in Python and cannot be a keyword argument.

@@ -14,7 +14,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import End, Event, Note, Ticks
+from softfinger.server.recording.reader import End, Event, Note, TickBlock
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
@@ -33,16 +33,16 @@ class _Finger:
         self.peaks: dict[str, float] = {}
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
 
-    def add(self, ticks: Ticks) -> None:
+    def add(self, ticks: TickBlock) -> None:
         numbers, stamps = ticks.column("tick"), ticks.column("timestamp")
         if numbers is None or stamps is None:
             raise RecordingError("its ticks have no tick, or no timestamp: not a recording of this program")
         if not self.ticks:
             self.first, self.start_s = int(numbers[0]), float(stamps[0])
         steps = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
-        lost = steps[steps > 1] - 1
-        self.gaps, self.missing = self.gaps + len(lost), self.missing + int(lost.sum())
-        self.longest = max(self.longest, int(lost.max(initial=0)))
+        gaps = steps[steps > 1] - 1
+        self.gaps, self.missing = self.gaps + len(gaps), self.missing + int(gaps.sum())
+        self.longest = max(self.longest, int(gaps.max(initial=0)))
         self.ticks, self.last, self.end_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
         modes = ticks.column("contact.mode")
         if modes is not None:
@@ -90,7 +90,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
     end = End([], "")
     for part in read_recording(path):
         match part:
-            case Ticks():
+            case TickBlock():
                 fingers.setdefault(part.finger, _Finger()).add(part)
             case Note():
                 notes[part.name] = part.value

@@ -46,7 +46,7 @@ class _Dialect:
         self.commas = set[bool]()
 
 
-class Layout(NamedTuple):
+class TableFormat(NamedTuple):
     """Format of a table.
 
     columns  one of POSE_COLUMNS or SKIPPED for each column of the table
@@ -63,7 +63,7 @@ class Layout(NamedTuple):
     skip: int = 0
 
 
-def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> Layout:
+def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> TableFormat:
     """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
     invalid = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
@@ -86,10 +86,10 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
             raise ConfigError(f"{option} {value:g}: must be above 0")
     if skip < 0:
         raise ConfigError(f"--skip {skip}: must be 0 or more lines")
-    return Layout(names, unit_s, unit_m, rate_hz, skip)
+    return TableFormat(names, unit_s, unit_m, rate_hz, skip)
 
 
-def read_table(path: Path, layout: Layout) -> Poses:
+def read_table(path: Path, layout: TableFormat) -> Poses:
     """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
 
     Numbers have decimal points, or decimal commas if another character separates them. Empty lines and lines that start
@@ -146,7 +146,7 @@ def _is_comment(line: bytes, columns: int) -> bool:
     return not has_cells or (_COMMENT.match(line) is not None and line.count(b";") != columns - 1)
 
 
-def _parse_row(location: str, line: bytes, layout: Layout, dialect: _Dialect) -> list[float]:
+def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialect) -> list[float]:
     """Return the numbers of a line."""
     try:
         text = line.decode().replace("\N{MINUS SIGN}", "-")

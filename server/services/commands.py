@@ -33,7 +33,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.publishing.brake import SHORT
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.compilation import Change, NotCompiled, SceneChanges, Superseded
+from softfinger.server.services.compilation import NotCompiled, SceneChanges, SceneRequest, Superseded
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.prompts import Prompts
 from softfinger.server.services.recordings import Recordings
@@ -88,7 +88,7 @@ class DaemonInterface(NamedTuple):
     report: Callable[[str], None]
 
 
-class Commands:
+class CommandService:
     """Service that answers the requests of an endpoint.
 
     scene_name  name of the initial scene
@@ -332,17 +332,17 @@ class Commands:
             self._publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
             self._daemon.reply(client, encode_answer(request.command_id, result(outcome)))
 
-        self._scenes.request(Change(checked, name, done))
+        self._scenes.request(SceneRequest(checked, name, done))
 
     def _drive(self, request: Request) -> wire.Applied:
         params: wire.Drive = request.params
-        object_index, obj = self._object(params.object)
+        scene_index, obj = self._object(params.object)
         if not isinstance(obj.motion, schema.Driven):
             raise Declined("refused", f'object {obj.name} is not driven: it needs motion = {{ kind = "driven" }}')
         pose: dict[str, Any] = {"position_m": list(params.position_m)}
         if params.orientation_wxyz is not msgspec.UNSET:
             pose["orientation_wxyz"] = list(params.orientation_wxyz)
-        _, _, tick = self._rendering.set_parameters({f"object.{object_index}.{k}": v for k, v in pose.items()}, "drive")
+        _, _, tick = self._rendering.set_parameters({f"object.{scene_index}.{k}": v for k, v in pose.items()}, "drive")
         self._publish_change("drive", request.command_id, {"object": obj.name} | pose)
         return wire.Applied(tick)
 
@@ -350,10 +350,10 @@ class Commands:
         """Return the index of an object, and the object."""
         objects = self._rendering.scene.object
         names = [obj.name for obj in objects]
-        object_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
-        if object_index >= len(names):
+        scene_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
+        if scene_index >= len(names):
             raise Declined("bad_params", f"no object is {format_value(key)}: there are {', '.join(names)}")
-        return object_index, objects[object_index]
+        return scene_index, objects[scene_index]
 
     def _hand(self, request: Request) -> wire.Applied:
         params: wire.Hand = request.params

@@ -48,7 +48,7 @@ class NotCompiled(HapticError):
     """Compiler process that failed."""
 
 
-class Change(NamedTuple):
+class SceneRequest(NamedTuple):
     """Request to replace the scene.
 
     read  returns the validated scene
@@ -72,10 +72,10 @@ class SceneChanges(Worker):
         super().__init__("scenes")
         self._replace, self._report = replace, report
         self._changed = threading.Condition()
-        self._next: Change | None = None
+        self._next: SceneRequest | None = None
         self._compiler: subprocess.Popen[str] | None = None
 
-    def request(self, change: Change) -> None:
+    def request(self, change: SceneRequest) -> None:
         """Replace the scene once it is compiled; returns at once."""
         with self._changed:
             before, self._next = self._next, change
@@ -116,7 +116,7 @@ class SceneChanges(Worker):
         finally:
             self._report("")
 
-    def _next_change(self) -> Change | None:
+    def _next_change(self) -> SceneRequest | None:
         with self._changed:
             while self._next is None and not self.closing.is_set():
                 self._changed.wait()

@@ -41,21 +41,21 @@ class Deformation:
     def _take(self, records: NDArray[np.float64], drops: int) -> None:
         """Publish the loads in the last of `records` (n, fingers x RECORD_SIZE) if they have changed."""
         rows = records[-1].reshape(-1, RECORD_SIZE)
-        thing, now = self._rendering.scene.elastic_object, float(rows[0, AT.timestamp])
-        if (thing is None and not self._loads) or self._due_s - 1.0 / PICTURE_HZ <= now < self._due_s:
+        elastic_object, now = self._rendering.scene.elastic_object, float(rows[0, AT.timestamp])
+        if (elastic_object is None and not self._loads) or self._due_s - 1.0 / PICTURE_HZ <= now < self._due_s:
             return
-        loads = self._loads_on(thing, rows)
+        loads = self._loads_on(elastic_object, rows)
         if has_changed(self._loads, loads):
             self._loads, self._due_s = loads, now + 1.0 / PICTURE_HZ
             self._publish(DEFORMATION, int(rows[0, AT.tick]), {"loads": [load._asdict() for load in loads]})
 
-    def _loads_on(self, thing: schema.Mesh | None, rows: NDArray[np.float64]) -> list[ContactLoad]:
+    def _loads_on(self, elastic_object: schema.Mesh | None, rows: NDArray[np.float64]) -> list[ContactLoad]:
         """Return the loads; none in ticks of the scene before."""
-        if thing is None or rows[0, AT.tick] < self._rendering.since:
+        if elastic_object is None or rows[0, AT.tick] < self._rendering.since:
             return []
         from softfinger.proxy.elastic.loads import contact_loads
 
-        return contact_loads(thing, dict(zip(self._fingers, rows, strict=True)))
+        return contact_loads(elastic_object, dict(zip(self._fingers, rows, strict=True)))
 
 
 def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bool:

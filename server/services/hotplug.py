@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.services.base import Worker
 
 log: Final = logging.getLogger(__name__)
@@ -26,11 +26,11 @@ class Hotplug:
 
     def __init__(self, root: Path = discovery.ROOT) -> None:
         self._root = root
-        self._known: dict[str, Attached] = {}
+        self._known: dict[str, SystemDevice] = {}
         self.present = [device for _, device in self.changes()]
         """Devices attached when the object was created."""
 
-    def changes(self) -> list[tuple[str, Attached]]:
+    def changes(self) -> list[tuple[str, SystemDevice]]:
         """Return the changes since the last call: `detached` or `attached`, and the device."""
         names = discovery.names(self._root)
         detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
@@ -55,7 +55,7 @@ def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event
             event("device", what, **event_fields(device))
 
 
-def event_fields(device: Attached) -> dict[str, Any]:
+def event_fields(device: SystemDevice) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
     claim = find_claim(device)
     return {

@@ -39,14 +39,14 @@ class Notify(Worker):
         self._period_s = min(_watchdog_s(environment) / 4.0, 1.0)
 
     def work(self) -> None:
-        ready, reported_ticks, due = False, 0, 0.0
+        ready, reported_ticks, next_report_s = False, 0, 0.0
         while not self.closing.wait(min(POLL_S, self._period_s)):
             ticks, now = self._servo.ticks, time.monotonic()
-            if ticks == reported_ticks or now < due:
+            if ticks == reported_ticks or now < next_report_s:
                 continue
             state = ["WATCHDOG=1", f"STATUS={ticks} ticks, {self._servo.missed} missed"]
             ready = self._send(*state, *([] if ready else ["READY=1"])) or ready
-            reported_ticks, due = ticks, now + self._period_s
+            reported_ticks, next_report_s = ticks, now + self._period_s
 
     def stop(self) -> None:
         super().stop()

@@ -35,7 +35,7 @@ class Sink(NamedTuple):
     vital: Callable[[Exception], HapticError] | None = None
 
 
-class Records(Worker):
+class RecordService(Worker):
     """Service that reads the relay's tap, from the servo's start to the last record after its end.
 
     tap    source of the records

@@ -10,7 +10,7 @@ from softfinger.server.services.records import Sink
 from softfinger.server.wire.publisher import Publisher
 
 
-class Telemetry:
+class TelemetryService:
     """Service of an open publisher; its `sink` is vital, because without it rendering cannot be monitored."""
 
     def __init__(self, publisher: Publisher, servo: Servo) -> None:

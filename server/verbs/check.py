@@ -31,7 +31,7 @@ _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
 _EXPERIMENT_KEYS: Final = frozenset(("task", "procedure"))
 
 
-class Finding(NamedTuple):
+class FileReport(NamedTuple):
     """Result for one file: kind (scene, rig, experiment, or empty), summary rows, errors, content, meshes by object."""
 
     file: str
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
 
 
-def _with_starts(findings: list[Finding]) -> list[Finding]:
+def _with_starts(findings: list[FileReport]) -> list[FileReport]:
     """Return the findings, with an error for each scene whose [world] cannot start at the rate of a given rig."""
     usable = [finding for finding in findings if not finding.errors]
     rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
@@ -73,7 +73,7 @@ def _with_starts(findings: list[Finding]) -> list[Finding]:
     return checked
 
 
-def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None:
+def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> None:
     """Print the soft wall of each rig around the objects of each scene, unless `quiet`, and save a picture as `plot`.
 
     Raises ConfigError if a plot is requested and there is not exactly one rig with a wall and one scene.
@@ -104,7 +104,7 @@ def _draw_walls(findings: list[Finding], plot: Path | None, quiet: bool) -> None
                 print("\n".join(f"  {line}" for line in workspace.text(wall, objects, freedom)))
 
 
-def examine_file(file: str) -> Finding:
+def examine_file(file: str) -> FileReport:
     """Check a file for every fault that `run` finds before it opens the device, and summarise it if it has none."""
     kind = ""
     try:
@@ -114,31 +114,31 @@ def examine_file(file: str) -> Finding:
             return _experiment(file, path)
         config = load_scene(path) if kind == "scene" else load_rig(path)
         if faults := part_faults(config, file):
-            return Finding(file, kind, [], faults, {}, {})
+            return FileReport(file, kind, [], faults, {}, {})
         summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
     except FaultyConfig as error:
         faults = [*map(str, error.faults), *part_faults(error.config, file)]
-        return Finding(file, kind, [], faults, {}, {})
+        return FileReport(file, kind, [], faults, {}, {})
     except (ConfigError, DeviceError) as error:
-        return Finding(file, kind, [], [str(error)], {}, {})
-    return Finding(file, kind, summary, [], describe(config), _reports(config))
+        return FileReport(file, kind, [], [str(error)], {}, {})
+    return FileReport(file, kind, summary, [], describe(config), _reports(config))
 
 
-def _experiment(file: str, path: Path) -> Finding:
+def _experiment(file: str, path: Path) -> FileReport:
     from softfinger.server.experiment.checks import load
     from softfinger.server.experiment.trial_order import describe_session
 
     experiment = load(path, {}, part_faults)[0]
-    return Finding(file, "experiment", describe_session(experiment), [], describe(experiment), {})
+    return FileReport(file, "experiment", describe_session(experiment), [], describe(experiment), {})
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
     """Return the report on each mesh by the name of its object."""
-    meshes = [thing for thing in config.object if isinstance(thing, Mesh)] if isinstance(config, Scene) else []
-    return {thing.name: msgspec.to_builtins(mesh_report(thing)) for thing in meshes}
+    meshes = [mesh for mesh in config.object if isinstance(mesh, Mesh)] if isinstance(config, Scene) else []
+    return {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
 
 
-def with_costs(finding: Finding) -> Finding:
+def with_costs(finding: FileReport) -> FileReport:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
@@ -156,7 +156,7 @@ def with_costs(finding: Finding) -> Finding:
             rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
             done(number + 2)
         rows.append(("  bare contact", f"{measure(keep_contact(scene), poses).median_ns:.0f} ns"))
-    rows += [_stability_row(thing) for thing in scene.object]
+    rows += [_stability_row(obj) for obj in scene.object]
     return finding._replace(summary=finding.summary + rows)
 
 
@@ -217,7 +217,7 @@ def _exists(file: str) -> bool:
         return False
 
 
-def _show(finding: Finding) -> None:
+def _show(finding: FileReport) -> None:
     if finding.errors:
         print(f"{finding.file}: not usable", file=sys.stderr)
         for error in finding.errors:

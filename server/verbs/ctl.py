@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     within_s = BUSY_S if args.timeout is None else args.timeout
     with ExitStack() as early:
         if args.method == "disarm":  # the search waits for a daemon that is slow to describe itself
-            for likely in {args.endpoint, commands_beside(args.endpoint)}:
-                early.enter_context(Control(likely, args.timeout, lock)).post(args.method)
+            for address in {args.endpoint, commands_beside(args.endpoint)}:
+                early.enter_context(Control(address, args.timeout, lock)).post(args.method)
         addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
         with (
             Control(addresses.command_endpoint(), args.timeout, lock) as daemon,

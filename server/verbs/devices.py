@@ -16,20 +16,20 @@ from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, options_for
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 
 OPENABLE_STATES: Final = ("usable", "firmware")
 """States in which a device can be opened. Only an opened Falcon can report whether its firmware is loaded."""
 
 
 UNLISTED: Final = {
-    "forcedimension": Attached("library", 0, 0, "device of Force Dimension's library", "", ""),
-    "haply": Attached("service", 0, 0, "devices of Haply's Inverse Service", "", ""),
-    "openhaptics": Attached("library", 0, 0, "device of 3D Systems' library: Ethernet, FireWire, or USB", "", ""),
+    "forcedimension": SystemDevice("library", 0, 0, "device of Force Dimension's library", "", ""),
+    "haply": SystemDevice("service", 0, 0, "devices of Haply's Inverse Service", "", ""),
+    "openhaptics": SystemDevice("library", 0, 0, "device of 3D Systems' library: Ethernet, FireWire, or USB", "", ""),
 }
 """By driver, the entry for a device that the system does not list, but the maker's library or service may know."""
 
-ListedDevice = tuple[Attached, Claim | None, Diagnosis, Mapping[str, Any] | None]
+ListedDevice = tuple[SystemDevice, Claim | None, Diagnosis, Mapping[str, Any] | None]
 """Device, claim of its driver, diagnosis, and identification that the device reported."""
 
 
@@ -63,7 +63,7 @@ def ask_rig(rig: DeviceConfig, name: str) -> ListedDevice:
 
 
 def identify_device(
-    device: Attached, claim: Claim, rig: DeviceConfig | None = None
+    device: SystemDevice, claim: Claim, rig: DeviceConfig | None = None
 ) -> tuple[Diagnosis, dict[str, Any] | None]:
     """Open a free device and read its identification; return the diagnosis and the identification by name.
 
@@ -81,7 +81,7 @@ def identify_device(
 
 
 def as_map(
-    device: Attached, claim: Claim | None, diagnosis: Diagnosis, identification: Mapping[str, Any] | None = None
+    device: SystemDevice, claim: Claim | None, diagnosis: Diagnosis, identification: Mapping[str, Any] | None = None
 ) -> dict[str, object]:
     """Return a device as a mapping for `--json`."""
     return {

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.materials import Entry
+from softfinger.config.materials import LibraryEntry
 from softfinger.server.offline.feel_figure import draw
 from softfinger.server.offline.library_texts import (
     cited_papers,
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def as_json(name: str, kind: str, entry: Entry) -> dict[str, Any]:
+def as_json(name: str, kind: str, entry: LibraryEntry) -> dict[str, Any]:
     """Return an entry as plain values, with the papers as a mapping from name to text."""
     plain = msgspec.to_builtins(entry)
     measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
@@ -65,7 +65,7 @@ def _list(is_json: bool) -> None:
         print(f"{name:{width}}  {kind:9}  {_short(entry):32}  {entry.about}")
 
 
-def _short(entry: Entry) -> str:
+def _short(entry: LibraryEntry) -> str:
     """Return the main values of an entry, for the list."""
     values = entry.values
     if "friction" in values:

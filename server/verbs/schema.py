@@ -157,7 +157,7 @@ def _format_new_keys(listed_rows: dict[str, list[Row]], rows: list[Row]) -> str:
 def _format_variants(variants: list[TableRows]) -> str:
     """Format a table that has several kinds: the common keys, the kinds, and the keys of single kinds."""
     tag = variants[0].rows[0].key
-    shared = [row for row in variants[0].rows if all(row in other.rows for other in variants)]
+    shared = [row for row in variants[0].rows if all(row in variant.rows for variant in variants)]
     variant_rows: dict[Row, list[str]] = {}
     lines = []
     for table in variants:
@@ -211,8 +211,8 @@ def _tables(info: inspect.StructType, name: str) -> Iterator[TableRows]:
     inner = []
     for field in info.fields:
         structs = list(_structs(field.type))
-        path, many = _path(name, field)
-        inner += [(struct, f"[[{path}]]" if many else f"[{path}]") for struct in structs]
+        path, is_array = _path(name, field)
+        inner += [(struct, f"[[{path}]]" if is_array else f"[{path}]") for struct in structs]
         if not structs and field.encode_name != getattr(info.cls, "gathers", None):
             rows.append(_row(field))
     yield TableRows(name, " ".join((info.cls.__doc__ or "").split()), rows)
@@ -234,7 +234,7 @@ def _row(field: inspect.Field) -> Row:
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', describe_allowed(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(
-        r"^(a number|an integer) from", lambda found: "" if "number" in found[1] else "integer,", allowed
+        r"^(a number|an integer) from", lambda match: "" if "number" in match[1] else "integer,", allowed
     ).strip()
     allowed = allowed.removeprefix("a number ")
     allowed = re.sub(r"^text of (.*) characters( like .*)?", r"text, \1", allowed)  # characters: see its meaning

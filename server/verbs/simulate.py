@@ -13,7 +13,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
 from softfinger.server.arguments import check_distinct, default_rig, files_by_finger
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.run_figure import DRAWN, draw_run
+from softfinger.server.offline.run_figure import COLUMNS, draw_run
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import write_blocks
@@ -82,7 +82,7 @@ class Summary:
         strongest = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1).max(initial=0.0)
         self._peak = max(self._peak, float(strongest))
         if self._with_curves:
-            self.curves.append(records[:, DRAWN])
+            self.curves.append(records[:, COLUMNS])
 
     def __str__(self) -> str:
         """Format modes, mode changes and largest force of the run as one line."""

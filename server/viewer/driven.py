@@ -23,7 +23,7 @@ class Drive(NamedTuple):
     """Tick, index of the driven object, and its new pose: position (3,) m and orientation; None: unchanged."""
 
     tick: int
-    object_index: int
+    scene_index: int
     position: Vector
     orientation: Quaternion | None
 
@@ -36,18 +36,18 @@ def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
         command = msgspec.convert(event.get("what"), commands.Drive)
     except msgspec.ValidationError:  # a recording may contain any value
         return None
-    object_index = next((k for k, obj in enumerate(scene.object) if obj.name == command.object), None)
-    if object_index is None:  # an object of another scene
+    scene_index = next((k for k, obj in enumerate(scene.object) if obj.name == command.object), None)
+    if scene_index is None:  # an object of another scene
         return None
     orientation = command.orientation_wxyz
-    return Drive(event["tick"], object_index, command.position_m, None if orientation is msgspec.UNSET else orientation)
+    return Drive(event["tick"], scene_index, command.position_m, None if orientation is msgspec.UNSET else orientation)
 
 
 def initial_poses(scene: schema.Scene) -> dict[int, PoseTuple]:
     """Return the driven objects of a scene by index, with their initial poses."""
     return {
-        object_index: (obj.position_m, obj.orientation_wxyz)
-        for object_index, obj in enumerate(scene.object)
+        scene_index: (obj.position_m, obj.orientation_wxyz)
+        for scene_index, obj in enumerate(scene.object)
         if isinstance(obj.motion, schema.Driven)
     }
 
@@ -56,19 +56,19 @@ class DrivenPoses:
     """Poses of the driven objects at each tick of a recording, from its events in order of time."""
 
     def __init__(self, scene: schema.Scene, events: Iterable[Mapping[str, Any]]) -> None:
-        self._poses = {object_index: [pose] for object_index, pose in initial_poses(scene).items()}
-        self._ticks: dict[int, list[int]] = {object_index: [] for object_index in self._poses}
+        self._poses = {scene_index: [pose] for scene_index, pose in initial_poses(scene).items()}
+        self._ticks: dict[int, list[int]] = {scene_index: [] for scene_index in self._poses}
         for drive in filter(None, (parse_drive(event, scene) for event in events)):
-            if drive.object_index in self._poses:
-                poses = self._poses[drive.object_index]
+            if drive.scene_index in self._poses:
+                poses = self._poses[drive.scene_index]
                 poses.append((drive.position, drive.orientation or poses[-1][1]))
-                self._ticks[drive.object_index].append(drive.tick)
+                self._ticks[drive.scene_index].append(drive.tick)
 
     def at(self, tick: int) -> dict[int, PoseTuple]:
         """Return the poses by object index."""
         return {
-            object_index: poses[bisect_right(self._ticks[object_index], tick)]
-            for object_index, poses in self._poses.items()
+            scene_index: poses[bisect_right(self._ticks[scene_index], tick)]
+            for scene_index, poses in self._poses.items()
         }
 
 
@@ -106,12 +106,12 @@ class ObjectControls:
         self._switch.disabled = not poses
         self._show()
 
-    def update_pose(self, object_index: int, position: Vector, orientation: Quaternion | None) -> None:
+    def update_pose(self, scene_index: int, position: Vector, orientation: Quaternion | None) -> None:
         """Update the pose of an object after any client drove it; a control that is being dragged does not move."""
-        if object_index in self._poses:
-            self._poses[object_index] = (position, orientation or self._poses[object_index][1])
-            if object_index not in self._dragged:
-                self._update_control(object_index)
+        if scene_index in self._poses:
+            self._poses[scene_index] = (position, orientation or self._poses[scene_index][1])
+            if scene_index not in self._dragged:
+                self._update_control(scene_index)
 
     def step(self) -> None:
         """Send the latest pose of each object moved since the last call."""
@@ -120,8 +120,8 @@ class ObjectControls:
 
     def restore(self) -> None:
         """Move the controls back to the objects after a command was refused."""
-        for object_index in list(self._nodes):
-            self._update_control(object_index)
+        for scene_index in list(self._nodes):
+            self._update_control(scene_index)
 
     def _show(self) -> None:
         for node in self._nodes.values():
@@ -129,30 +129,30 @@ class ObjectControls:
         self._nodes.clear()
         self._dragged.clear()
         if self._switch.value:
-            for object_index in self._poses:
+            for scene_index in self._poses:
                 node = self._api.add_transform_controls(
-                    f"/handles/{object_index}", scale=CONTROL_SIZE_CM, line_width=3.0, depth_test=False
+                    f"/handles/{scene_index}", scale=CONTROL_SIZE_CM, line_width=3.0, depth_test=False
                 )
 
                 # In order: viser awaits each call.
-                async def on_drag(event: Any, object_index: int = object_index) -> None:
-                    self._on_drag(object_index, event)
+                async def on_drag(event: Any, scene_index: int = scene_index) -> None:
+                    self._on_drag(scene_index, event)
 
                 node.on_update(on_drag)
-                self._nodes[object_index] = node
-                self._update_control(object_index)
+                self._nodes[scene_index] = node
+                self._update_control(scene_index)
 
-    def _on_drag(self, object_index: int, event: Any) -> None:
+    def _on_drag(self, scene_index: int, event: Any) -> None:
         # A control of a previous scene may still send events.
-        if object_index not in self._nodes or event.target is not self._nodes[object_index]:
+        if scene_index not in self._nodes or event.target is not self._nodes[scene_index]:
             return
-        (self._dragged.discard if event.phase == "end" else self._dragged.add)(object_index)
+        (self._dragged.discard if event.phase == "end" else self._dragged.add)(scene_index)
         if event.phase == "update":
             x, y, z = (float(part) / CM for part in event.target.position)
             w, i, j, k = (float(part) for part in event.target.wxyz)
-            self._unsent[object_index] = ((x, y, z), (w, i, j, k))
+            self._unsent[scene_index] = ((x, y, z), (w, i, j, k))
 
-    def _update_control(self, object_index: int) -> None:
-        if object_index in self._nodes:
-            (x, y, z), orientation = self._poses[object_index]
-            self._nodes[object_index].position, self._nodes[object_index].wxyz = (CM * x, CM * y, CM * z), orientation
+    def _update_control(self, scene_index: int) -> None:
+        if scene_index in self._nodes:
+            (x, y, z), orientation = self._poses[scene_index]
+            self._nodes[scene_index].position, self._nodes[scene_index].wxyz = (CM * x, CM * y, CM * z), orientation

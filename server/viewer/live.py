@@ -57,6 +57,8 @@ class LivePage:
         self._received_meshes = deque[tuple[int, int, Triangles]]()
         """Received triangles of objects from files: scene number, object index."""
         self._scene: schema.Scene | None = None
+        self._is_outdated = True
+        """Whether the description has to be requested: it is unknown, or the event of a change may be lost."""
         self._first_tick = -1
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()
@@ -87,7 +89,8 @@ class LivePage:
             self._has_new_description.clear()
             self._show_description()
         self._since_request_s += dt
-        if self._scene is None and self._since_request_s > REQUEST_PERIOD_S:
+        self._is_outdated |= received.has_lost
+        if self._is_outdated and self._since_request_s > REQUEST_PERIOD_S:
             self._request_description()
         while self._received_meshes:
             self._draw_mesh(*self._received_meshes.popleft())
@@ -112,13 +115,17 @@ class LivePage:
 
     def _request_description(self) -> None:
         """Request the daemon's description."""
-        self._since_request_s = 0.0
+        self._since_request_s, self._is_outdated = 0.0, False
         self._prompt.request()
-        self._commands.submit("describe", Request("describe", {}, self._store_description))
+        self._commands.submit("describe", Request("describe", {}, self._store_description, self._set_outdated))
 
     def _store_description(self, description: dict[str, Any]) -> None:
-        self._description = description
-        self._has_new_description.set()
+        if description != self._description:
+            self._description = description
+            self._has_new_description.set()
+
+    def _set_outdated(self, error: str) -> None:
+        self._is_outdated = True
 
     def _show_description(self) -> None:
         """Show the described scene."""
@@ -139,11 +146,11 @@ class LivePage:
         self._page.change(scene, parse_scene_start(description), find_low_dof_devices(description))
         self._object_controls.change(initial_poses(scene))
         self._tuning.change(scene, description["scene_name"])
-        for object_index, obj in enumerate(scene.object):
+        for scene_index, obj in enumerate(scene.object):
             if isinstance(obj, Filed):
-                on_mesh = partial(self._store_mesh, self._scene_number, object_index)
-                request = Request("mesh", {"object": object_index}, on_mesh, self._page.show_message)
-                self._commands.submit(f"mesh {object_index}", request)
+                on_mesh = partial(self._store_mesh, self._scene_number, scene_index)
+                request = Request("mesh", {"object": scene_index}, on_mesh, self._page.show_message)
+                self._commands.submit(f"mesh {scene_index}", request)
         self._orientable_fingers = {
             finger["name"] for finger in description["fingers"] if finger["device"]["sensed_dof"] >= ORIENTATION_DOF
         }
@@ -168,28 +175,28 @@ class LivePage:
         if description["since"] != self._first_tick:
             self._first_tick = int(description["since"])
             self._page.restart(parse_scene_start(description))
-            for object_index in initial_poses(scene):
-                obj = scene.object[object_index]
-                self._page.drive(object_index, obj.position_m, obj.orientation_wxyz)
+            for scene_index in initial_poses(scene):
+                obj = scene.object[scene_index]
+                self._page.drive(scene_index, obj.position_m, obj.orientation_wxyz)
             self._object_controls.change(initial_poses(scene))
             self._play.change(scene, self._page.bodies, description)
 
-    def _store_mesh(self, scene_number: int, object_index: int, triangles: Triangles) -> None:
-        self._received_meshes.append((scene_number, object_index, triangles))
+    def _store_mesh(self, scene_number: int, scene_index: int, triangles: Triangles) -> None:
+        self._received_meshes.append((scene_number, scene_index, triangles))
 
-    def _draw_mesh(self, scene_number: int, object_index: int, mesh: Triangles) -> None:
+    def _draw_mesh(self, scene_number: int, scene_index: int, mesh: Triangles) -> None:
         """Draw the triangles of an object, unless the scene was replaced."""
         if scene_number != self._scene_number:
             return
         try:
-            self._page.draw(object_index, surface_meshes.decode_mesh(mesh.vertices, mesh.triangles))
+            self._page.draw(scene_index, surface_meshes.decode_mesh(mesh.vertices, mesh.triangles))
         except ValueError as error:
-            self._page.show_message(f"object {object_index}: {error}")
+            self._page.show_message(f"object {scene_index}: {error}")
 
     def _handle_event(self, event: dict[str, Any]) -> None:
         if self._scene is not None and (drive := parse_drive(event, self._scene)) is not None:
-            self._page.drive(drive.object_index, drive.position, drive.orientation)
-            self._object_controls.update_pose(drive.object_index, drive.position, drive.orientation)
+            self._page.drive(drive.scene_index, drive.position, drive.orientation)
+            self._object_controls.update_pose(drive.scene_index, drive.position, drive.orientation)
         elif event["kind"] == "lifecycle" or (event["kind"] == "command" and event["name"] in SCENE_COMMANDS):
             self._request_description()
 
@@ -218,9 +225,9 @@ class LivePage:
         params = {"finger": finger} if finger else {}
         self._commands.submit(f"hold {finger}", Request("hold", params, on_held, on_refused))
 
-    def _drive_object(self, object_index: int, pose: PoseTuple) -> None:
-        params = {"object": object_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
-        self._send(f"drive {object_index}", "drive", params)
+    def _drive_object(self, scene_index: int, pose: PoseTuple) -> None:
+        params = {"object": scene_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
+        self._send(f"drive {scene_index}", "drive", params)
 
     def _reset_world(self) -> None:
         self._scene_commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
@@ -259,9 +266,9 @@ def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
         {
             key: value
             for key, value in each.items()
-            if key not in (POSE_KEYS if object_index in driven else ()) + ("material",)
+            if key not in (POSE_KEYS if scene_index in driven else ()) + ("material",)
         }
-        for object_index, each in enumerate(plain["object"])
+        for scene_index, each in enumerate(plain["object"])
     ]
     model = None if scene.world is None else scene.world.model
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}

@@ -21,7 +21,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
@@ -52,6 +52,9 @@ FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
 NOTIFICATION_S: Final = 12.0
 """Duration of a notification: long enough to read three lines twice."""
+PANEL_WIDTH: Final = 384
+"""Width of the docked panel, pixels: that of the theme. Without it, viser 1.1.1 uses its default width if a browser
+happens to draw the panel before it applies the theme."""
 PROMPT_WIDTH: Final = 640
 """Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
@@ -128,6 +131,7 @@ class Page:
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
+        gui.main_panel.set_width(PANEL_WIDTH)
 
     def show_only_prompts(self) -> None:
         """Hide everything that shows the rendering."""
@@ -209,10 +213,10 @@ class Page:
         client.camera.position = look_at + factor * (camera.position - look_at)
         client.camera.look_at, client.camera.fov = look_at, camera.fov
 
-    def drive(self, object_index: int, position: Any, orientation: Any) -> None:
+    def drive(self, scene_index: int, position: Any, orientation: Any) -> None:
         """Move a driven object of the scene."""
         if self.bodies is not None:
-            self.bodies.drive(object_index, position, orientation)
+            self.bodies.drive(scene_index, position, orientation)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
         """Move the bodies of the scene's [world], by name."""
@@ -222,11 +226,11 @@ class Page:
                 self._awaits_body_poses = False
                 self._set_camera()
 
-    def draw(self, object_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
-            self.bodies.draw(object_index, mesh)
-            self._file_vertices[object_index] = mesh.vertices
+            self.bodies.draw(scene_index, mesh)
+            self._file_vertices[scene_index] = mesh.vertices
             self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:

@@ -133,9 +133,9 @@ class Play:
         projection = self._bodies.below(self._proxy(finger))
         if projection is None:
             return "no object is below the fingertip: move it over one first"
-        if projection.object_index >= len(self._scene.object):
+        if projection.scene_index >= len(self._scene.object):
             return "the object below cannot be touched: move the fingertip over another one first"
-        below = self._scene.object[projection.object_index]
+        below = self._scene.object[projection.scene_index]
         if name == "roll" and self._scene.rolling is None:
             return "this scene has no `[rolling]`; the tab *Feel* switches it on"
         if name == "spin" and below.material.torsion is None:
@@ -147,17 +147,17 @@ class Play:
     def _try_lift(self, stage: Stage) -> str:
         assert self._scene is not None and self._bodies is not None
         sides = self._hand.sides()
-        for object_index, obj in enumerate(self._scene.object):
+        for scene_index, obj in enumerate(self._scene.object):
             if len(sides) > 1 and isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body):
-                half = half_width(obj.size_m, self._bodies.poses[object_index][1])
-                box = Box(partial(self._box_centre, object_index), half, self._actions.reset_world)
+                half = half_width(obj.size_m, self._bodies.poses[scene_index][1])
+                box = Box(partial(self._box_centre, scene_index), half, self._actions.reset_world)
                 self._start(lift(stage, sides[0], sides[1], box))
                 return ""
         return self._request_box_scene()
 
-    def _box_centre(self, object_index: int) -> Array:
+    def _box_centre(self, scene_index: int) -> Array:
         assert self._bodies is not None
-        return np.array(self._bodies.poses[object_index][0])
+        return np.array(self._bodies.poses[scene_index][0])
 
     def _request_box_scene(self) -> str:
         """Request the scene with a box, if the fingers match it."""

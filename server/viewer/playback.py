@@ -16,8 +16,8 @@ from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.record import AT
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Event, Note, Ticks, World
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
@@ -72,19 +72,19 @@ def load(recording: str, scene: str | None) -> Recording:
     RecordingError, ConfigError
         If the recording or the scene cannot be read, or their fingers differ.
     """
-    blocks: dict[str, list[Ticks]] = {}
+    blocks: dict[str, list[TickBlock]] = {}
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
     worlds: list[dict[str, Any]] = []
     for part in read_recording(recording):
         match part:
-            case Ticks():
+            case TickBlock():
                 blocks.setdefault(part.finger, []).append(part)
             case Note():
                 notes[part.name] = part.value
             case Event():
                 events.append(part.event)
-            case World():
+            case RecordedWorld():
                 worlds.append(part.world)
     if not blocks:
         raise RecordingError(f"{recording}: has no tick")
@@ -185,9 +185,9 @@ class RecordedPage:
         page.add_views()
         page.change(recording.scene, recording.start, find_low_dof_devices(recording.notes))
         self._drives, self._worlds = DrivenPoses(recording.scene, recording.events), RecordedBodies(recording.worlds)
-        for object_index, obj in enumerate(recording.scene.object):
+        for scene_index, obj in enumerate(recording.scene.object):
             if isinstance(obj, Filed):
-                self._draw(object_index, obj)
+                self._draw(scene_index, obj)
         names = list(page.fingers)
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
 
@@ -199,19 +199,19 @@ class RecordedPage:
             self._page.clear_traces()
         for rows in list(ticks.values())[:1]:
             tick = int(rows[-1, AT.tick])
-            for object_index, pose in self._drives.at(tick).items():
-                self._page.drive(object_index, *pose)
+            for scene_index, pose in self._drives.at(tick).items():
+                self._page.drive(scene_index, *pose)
             self._page.move_bodies(self._worlds.at(tick))
         self._page.show({self._names[name]: rows for name, rows in ticks.items()})
 
-    def _draw(self, object_index: int, obj: Filed) -> None:
+    def _draw(self, scene_index: int, obj: Filed) -> None:
         """Draw the triangles of an object from a file, if the file exists."""
         try:
             vertices, triangles = picture_of(obj).arrays
         except ConfigError as error:
             self._page.show_message(str(error))
             return
-        self._page.draw(object_index, Mesh(vertices, triangles.astype(np.uint32)))
+        self._page.draw(scene_index, SurfaceMesh(vertices, triangles.astype(np.uint32)))
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""

@@ -85,7 +85,7 @@ class Tuning:
         self._object.visible = len(names) > 1
         self.show()
 
-    def _object_index(self) -> int:
+    def _scene_index(self) -> int:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
     def show(self) -> None:
@@ -93,7 +93,7 @@ class Tuning:
         if self._scene is None:
             return
         for knob in self._knobs.values():
-            knob.show(self._scene.object[self._object_index()].material)
+            knob.show(self._scene.object[self._scene_index()].material)
         self._rolling.value = NO_ROLLING if self._scene.rolling is None else self._scene.rolling.method
         names = tuple(list_shipped(schema.Scene))
         if self._name not in names:
@@ -108,9 +108,9 @@ class Tuning:
         if not is_on_slider(self._knobs[name].slider):
             self.show()
             return
-        object_index, knob = self._object_index(), self._knobs[name]
-        changed = knob.keys(self._scene.object[object_index].material, float(knob.slider.value))
-        self._params(name, {f"object.{object_index}.material.{key}": value for key, value in changed.items()})
+        scene_index, knob = self._scene_index(), self._knobs[name]
+        changed = knob.keys(self._scene.object[scene_index].material, float(knob.slider.value))
+        self._params(name, {f"object.{scene_index}.material.{key}": value for key, value in changed.items()})
 
     def _on_rolling(self, event: Any) -> None:
         if event.client is None or self._scene is None:

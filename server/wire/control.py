@@ -347,9 +347,9 @@ class AsyncControl:
     async def _read(self) -> None:
         while True:
             answer = decode_answer(await self._socket.recv_multipart())
-            waiting = self._waiting.get(str(answer.get("command_id")))
-            if waiting is not None and not waiting.done():
-                waiting.set_result(answer)
+            future = self._waiting.get(str(answer.get("command_id")))
+            if future is not None and not future.done():
+                future.set_result(answer)
 
     get_state = _make_awaitable(Control.get_state)
     heartbeat = _make_awaitable(Control.heartbeat)

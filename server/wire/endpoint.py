@@ -23,7 +23,7 @@ LISTENING_STATE: Final = "0A"
 """State of a listening socket in proc_pid_net(5)."""
 
 
-class Bound(NamedTuple):
+class BoundSocket(NamedTuple):
     """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with its final port."""
 
     listener: socket.socket
@@ -108,7 +108,7 @@ def check_runtime_folder() -> None:
     check_owner(folder, status, "could take commands in the place of the daemon")
 
 
-def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> Bound:
+def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> BoundSocket:
     """Bind an endpoint.
 
     key     key of the rig with this value, for messages
@@ -133,7 +133,7 @@ def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> 
             raise ConfigError(
                 f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another"
             ) from error
-        return Bound(listener, files.pop_all(), f"{scheme}://{address}")
+        return BoundSocket(listener, files.pop_all(), f"{scheme}://{address}")
 
 
 def _listen_tcp(address: str) -> socket.socket:
@@ -194,10 +194,10 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
 
 def _in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
-    who = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
+    program = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
     return AddressInUse(
-        f"{key} {endpoint} is in use: stop {who or 'the softfinger or other program that holds it'}, "
+        f"{key} {endpoint} is in use: stop {program or 'the softfinger or other program that holds it'}, "
         f"or set {key} to {free}"
     )
 

@@ -19,7 +19,7 @@ _HEALTH_ROWS: Final = 16384  # twice the rows of a second at the highest rate
 _QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
-class Health:
+class HealthSummary:
     """Accumulator of records that summarizes each second of one finger."""
 
     def __init__(self) -> None:

@@ -64,7 +64,7 @@ class RequestHandlers(NamedTuple):
     each_period: Callable[[], None]
 
 
-class Link:
+class SocketProcess:
     """Process with ZeroMQ sockets, from construction until `close`.
 
     name          of its endpoints: telemetry or commands
@@ -199,10 +199,10 @@ class Link:
 
     def _poll(self) -> float:
         """Wait for messages and handle them; return the time waited, s, or 0.0 if none was a request."""
-        waiting = select.poll()
-        waiting.register(self._channel.fileno(), select.POLLIN | (select.POLLOUT if self._channel.has_queued else 0))
+        poller = select.poll()
+        poller.register(self._channel.fileno(), select.POLLIN | (select.POLLOUT if self._channel.has_queued else 0))
         start_s = time.monotonic()
-        waiting.poll(PERIOD_S * 1000.0)
+        poller.poll(PERIOD_S * 1000.0)
         waited_s, has_request = time.monotonic() - start_s, False
         self._channel.flush()
         for message in self._channel.receive():

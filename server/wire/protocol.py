@@ -243,9 +243,9 @@ SCHEMA_KEYS: Final = (
 _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
 
 
-def _type(written: str) -> Any:
+def _type(text: str) -> Any:
     """Return the Python type of a key's type; `[3]` makes it a tuple of that size."""
-    kind, _, size = written.partition("[")
+    kind, _, size = text.partition("[")
     return GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
 
 

@@ -20,12 +20,12 @@ from softfinger.config.schema import commands_beside
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.closing import Closeable
-from softfinger.server.publishing.setup import Figures, Kind, Setup, StateInfo, Ticks
+from softfinger.server.publishing.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
 from softfinger.server.wire.events import RecordEvents, event_map
-from softfinger.server.wire.health import Health, combine
-from softfinger.server.wire.link import SILENT_MAX_S, Link, RequestHandlers, Send
+from softfinger.server.wire.health import HealthSummary, combine
+from softfinger.server.wire.link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
 from softfinger.server.wire.native.memory import LAYOUT
-from softfinger.server.wire.native.relay import Relay, Source
+from softfinger.server.wire.native.relay import RecordSource, Relay
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.protocol import (
     EVENT,
@@ -87,10 +87,10 @@ class Publisher(Closeable):
         self.report_event: Callable[..., None] = self.event
         """Called like `event` for events of the process; replaced by a function that also records them."""
         self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *extra, SCHEMA_TOPIC]
-        self._ticks = Ticks(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
+        self._ticks = TickParameters(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
         self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
-        self._health = [Health() for _ in fingers]
+        self._health = [HealthSummary() for _ in fingers]
         self._closed, self._state, self._preparing = False, "", ""
         is_standalone = isinstance(endpoints, str)
         self._endpoints: Final = bind_telemetry(endpoints) if isinstance(endpoints, str) else endpoints
@@ -115,18 +115,18 @@ class Publisher(Closeable):
             self._commands: Final = self._open_commands(files)
             if self._commands is not None:
                 undo.callback(self._commands.close, 0.0)
-            self._link: Final = Link(TELEMETRY, self._setup_telemetry, files, self._report_restart)
+            self._link: Final = SocketProcess(TELEMETRY, self._setup_telemetry, files, self._report_restart)
             undo.pop_all()
         self._links: Final = [self._link] if self._commands is None else [self._link, self._commands]
         self.tap: Final = self._relay.tap
         """Records passed on by the relay, for one thread of this process."""
 
-    def _open_commands(self, files: list[int]) -> Link | None:
+    def _open_commands(self, files: list[int]) -> SocketProcess | None:
         """Start the process of commands; None if they are off."""
         if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
             return None
         on_handled = self._switch.count_handled
-        return Link(COMMANDS, self._setup_commands, files, self._report_restart, on_handled, SILENT_MAX_S)
+        return SocketProcess(COMMANDS, self._setup_commands, files, self._report_restart, on_handled, SILENT_MAX_S)
 
     def _setup_telemetry(self, send: Send) -> None:
         # The first process misses no tick; peers of an earlier process have missed the ticks since its end.
@@ -142,7 +142,7 @@ class Publisher(Closeable):
         self._send_setup(send, COMMANDS, 0)
 
     def _send_setup(self, send: Send, name: str, begin: int) -> None:
-        setup = Setup(
+        setup = ProcessSetup(
             self._relay.file,
             begin,
             self._relay.bell,
@@ -191,7 +191,7 @@ class Publisher(Closeable):
         """Number of restarts of the processes."""
         return sum(link.restarts for link in self._links)
 
-    def attach(self, source: Source) -> None:
+    def attach(self, source: RecordSource) -> None:
         """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
 

@@ -10,7 +10,7 @@ import pytest
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides, build, describe, load_scene
-from softfinger.config.materials import Entry, fingertips, materials, papers
+from softfinger.config.materials import LibraryEntry, fingertips, materials, papers
 from softfinger.config.schema import Fingertip, Material, Scene
 
 pytestmark = pytest.mark.plain
@@ -85,7 +85,7 @@ def test_names_of_materials_and_fingertips_are_distinct() -> None:
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
-def test_every_entry_has_sources_and_a_range(entry: Entry) -> None:
+def test_every_entry_has_sources_and_a_range(entry: LibraryEntry) -> None:
     """Entries cite papers and a range of validity; those with friction name the measured pair."""
     assert entry.papers and entry.holds and entry.about.endswith(".")
     assert bool(entry.friction_of) == ("friction" in entry.values)

@@ -24,7 +24,7 @@ from softfinger.drivers.forcedimension import library
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, how_to_permit
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.verbs import devices
 
 COMMAND = (sys.executable, "-m", "softfinger.server.cli", "devices")
@@ -71,8 +71,8 @@ def plug_serial(root: Path, name: str, vendor: str, number: str, serial: str = "
     return str(discovery.TTY / name)
 
 
-def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: discovery.Bus = "hid") -> Attached:
-    return Attached(bus, vendor, product, "thing", "", str(node))
+def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: discovery.Bus = "hid") -> SystemDevice:
+    return SystemDevice(bus, vendor, product, "thing", "", str(node))
 
 
 def test_tables_are_read(root: Path) -> None:
@@ -91,11 +91,11 @@ def test_tables_are_read(root: Path) -> None:
     for name in ("ttyS0", "tty", "ptmx", "ttyACM7"):  # ports of the machine, and one unplugged while the table was read
         (root / discovery.TTY / name).mkdir()
     assert discovery.list_attached(root) == [
-        Attached("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
-        Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw10"),
-        Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0"),
-        Attached("serial", 0x0403, 0x6001, "Teensy", "", "/dev/ttyUSB0"),
-        Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "0042", "/dev/bus/usb/001/007"),
+        SystemDevice("hid", 0x16C0, 0x0486, "Arm = left", "SN7", "/dev/hidraw2"),
+        SystemDevice("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw10"),
+        SystemDevice("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0"),
+        SystemDevice("serial", 0x0403, 0x6001, "Teensy", "", "/dev/ttyUSB0"),
+        SystemDevice("usb", 0x1451, 0x0402, "omega.x haptic device", "0042", "/dev/bus/usb/001/007"),
     ]
 
 

@@ -33,7 +33,7 @@ from softfinger.drivers.falcon.block import AT as WORDS
 from softfinger.drivers.falcon.device import Falcon, open_device
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
@@ -380,7 +380,7 @@ def test_the_daemon_itself(tmp_path: Path) -> None:
     assert left["opens"] == left["closes"]
 
 
-FALCON = Attached("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/001/005")
+FALCON = SystemDevice("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/001/005")
 
 
 def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:

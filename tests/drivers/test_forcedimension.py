@@ -37,7 +37,7 @@ from softfinger.drivers.forcedimension import exchange, library
 from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.drivers.system.claims import Claim
 from softfinger.drivers.system.diagnosis import Diagnosis
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
@@ -318,7 +318,7 @@ def test_a_device_is_identified_without_force(stub: Stub) -> None:
     claim = Claim("forcedimension", "usb", 0x1451, None)
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
-    omega = Attached("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
+    omega = SystemDevice("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
     diagnosis, said = devices.identify_device(omega, claim, rig)
     assert diagnosis == Diagnosis("usable")
     assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}

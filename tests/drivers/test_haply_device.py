@@ -34,7 +34,7 @@ from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, TIMEOUT, WITHHELD,
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
@@ -43,7 +43,7 @@ from softfinger.server.verbs import devices
 pytestmark = pytest.mark.real_time
 
 GRIP = "wireless_verse_grip:7"
-BOARD = Attached("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
+BOARD = SystemDevice("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyACM0")
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from helpers.plain_by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_
 
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
-from softfinger.drivers.haply.exchange import AT, Model
+from softfinger.drivers.haply.exchange import AT, FrameConversion
 from softfinger.proxy.kernels.jit.pack import flatten
 
 pytestmark = BY_CALL
@@ -32,7 +32,7 @@ class Device:
         self.block = GuardedBlock(AT)
         self.word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
-        self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(Model(*mounting, 5.0))
+        self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(FrameConversion(*mounting, 5.0))
         self.word[AT.opened_at] = START_NS - 2000 * MS
         self.word[AT.quiet], self.word[AT.timeout_after] = QUIET, TIMEOUT_NS
         self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1

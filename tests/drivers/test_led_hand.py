@@ -12,7 +12,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.drivers import registry
-from softfinger.drivers.simulated.device import Options, Simulated, open_device
+from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.simulated.lead import NoSimulatedHand, RequestedPose, hold, lead
 from softfinger.proxy.kernels.numerics.tool import make_tool
@@ -26,7 +26,7 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 RATE_HZ = 1000.0
 
 
-def opened(**options: Any) -> Simulated:
+def opened(**options: Any) -> SimulatedDevice:
     return open_device(build(Options, options, "[device]"), RATE_HZ)
 
 

@@ -28,7 +28,7 @@ from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import diagnose, diagnose_requirements
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -45,9 +45,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason
 TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
 NAMES = tuple(MODELS)
-OLDEST = Attached("serial", 0x0301, 0x2988, "3D Systems Touch 3D Stylus", "", "/dev/ttyACM0")
+OLDEST = SystemDevice("serial", 0x0301, 0x2988, "3D Systems Touch 3D Stylus", "", "/dev/ttyACM0")
 """Product string as the kernel logs it (jhu-saw/sawSensablePhantom)."""
-NEWEST = Attached("hid", 0x2988, 0x0304, "Touch", "", "/dev/hidraw0")
+NEWEST = SystemDevice("hid", 0x2988, 0x0304, "Touch", "", "/dev/hidraw0")
 WAIT_S = 10.0
 
 
@@ -307,7 +307,7 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
     ],
 )
 def test_each_generation_of_the_touch_is_claimed(
-    device: Attached, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
+    device: SystemDevice, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A port of 0301:2988 and a HID device of 2988:0304 have driver, rig and udev rules, and are named in errors."""
     claim = find_claim(device)

@@ -28,7 +28,7 @@ from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, make_mechanism
 from softfinger.drivers.serial import device, exchange
 from softfinger.drivers.serial.device import Options, SerialDevice
-from softfinger.drivers.serial.exchange import AT, CHUNK, Model
+from softfinger.drivers.serial.exchange import AT, CHUNK, FrameConversion
 
 pytestmark = BY_CALL
 
@@ -64,7 +64,7 @@ class Board:
         mechanism = NO_MECHANISM if given is None else make_mechanism(given, options.force_max_n)
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
-        self.block = opened._make_block(FD, Model(*options.mounting.frame(), options.force_max_n, mechanism))
+        self.block = opened._make_block(FD, FrameConversion(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
         self.block.fixed = [(AT.model, AT.last_position)]
         if given is not None:  # no text is received

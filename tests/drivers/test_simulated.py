@@ -19,7 +19,7 @@ from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated import device as simulated
-from softfinger.drivers.simulated.device import Options, Simulated, open_device
+from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
 from softfinger.drivers.simulated.plant import goal_at
 from softfinger.server.driver_contract import Servo
 
@@ -29,7 +29,7 @@ BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "del
 """Only a mass."""
 
 
-def opened(rate_hz: float = 1000.0, **options: Any) -> Simulated:
+def opened(rate_hz: float = 1000.0, **options: Any) -> SimulatedDevice:
     return open_device(build(Options, options, "[device]"), rate_hz)
 
 

@@ -24,10 +24,10 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, Device
 from softfinger.drivers.simulated import device as simulated
 from softfinger.drivers.simulated.device import Options as SimulatedOptions
-from softfinger.drivers.simulated.device import Simulated
+from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
-from softfinger.drivers.spacemouse.puck import Options, decode, make_setup, move
+from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
@@ -299,7 +299,7 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
         reports = generator.integers(0, 256, (100_000, 64), dtype=np.uint8)
         reports[::2, 0] = generator.integers(1, 4, 50_000)
         counts = generator.integers(0, 65, 100_000)
-        total += wild(reports, counts, make_setup(Options()), deflection, buttons)
+        total += wild(reports, counts, make_parameters(Options()), deflection, buttons)
     assert total.sum() == number * 100_000
     assert total.min() > number * 1_000
 
@@ -360,11 +360,11 @@ FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "res
 
 
 @contextlib.contextmanager
-def led(**options: Any) -> Iterator[tuple[Simulated, Servo, socket.socket]]:
+def led(**options: Any) -> Iterator[tuple[SimulatedDevice, Servo, socket.socket]]:
     """Simulated device whose hand is led by a puck."""
     fd, end = ends()
     built = build(SimulatedOptions, {"puck": {}, **options}, "test")
-    with end, Simulated(built, RATE_HZ, (fd, "puck")) as device:
+    with end, SimulatedDevice(built, RATE_HZ, (fd, "puck")) as device:
         yield device, Servo(device), end
 
 

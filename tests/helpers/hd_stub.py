@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import usb
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "hd.c"
@@ -92,7 +92,7 @@ def hd(hd_library: Path) -> Iterator[HdStub]:
     stub.reset()
 
 
-PORT = Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
+PORT = SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
 
 
 class TouchBench(Bench):
@@ -103,7 +103,7 @@ class TouchBench(Bench):
         self._patch = monkeypatch
         self.ports(())
 
-    def ports(self, ports: tuple[Attached, ...], permitted: bool = True) -> None:
+    def ports(self, ports: tuple[SystemDevice, ...], permitted: bool = True) -> None:
         """Devices listed by the system, and whether this user may open them."""
         self._patch.setattr(usb.discovery, "list_attached", lambda: list(ports))
         self._patch.setattr(usb.discovery, "is_permitted", lambda node: permitted)

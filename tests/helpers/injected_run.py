@@ -19,7 +19,7 @@ from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.recording.reader import End, Event, Ticks, read_contents
+from softfinger.server.recording.reader import End, Event, TickBlock, read_contents
 from softfinger.server.recording.recorder import Recorder
 from softfinger.server.services.supervisor import Supervisor
 
@@ -106,6 +106,6 @@ def read(path: Path) -> tuple[list[str], np.ndarray]:
     parts = list(read_contents(path))
     (end,) = [part for part in parts if isinstance(part, End)]
     assert end.cut == ""
-    ticks = [part.records() for part in parts if isinstance(part, Ticks)]
+    ticks = [part.records() for part in parts if isinstance(part, TickBlock)]
     rows = np.concatenate(ticks) if ticks else np.empty((0, RECORD_SIZE))
     return [part.event["name"] for part in parts if isinstance(part, Event)], rows

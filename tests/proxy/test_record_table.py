@@ -95,7 +95,7 @@ from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
 from softfinger.server.recording.results import read_results, write_results
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import StateInfo, Ticks
+from softfinger.server.publishing.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import record_of
 from softfinger.server.wire.protocol import CONTACT, decode
 
@@ -103,7 +103,8 @@ assert FIELDS[-1] is NAMED["fault.level"] and AT.fault_level == RECORD_SIZE - 2
 records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
-_, body = next(Messages(Ticks(1, 1, [CONTACT], "state", 200.0), StateInfo()).encode_row(tuple(records[0].tolist())))
+ticks = TickParameters(1, 1, [CONTACT], "state", 200.0)
+_, body = next(Messages(ticks, StateInfo()).encode_row(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):

@@ -25,7 +25,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, HISTORY_S, BlackBox, files, prepare_folder
-from softfinger.server.recording.reader import Event, Ticks, read_contents
+from softfinger.server.recording.reader import Event, TickBlock, read_contents
 from softfinger.server.wire.client import subscribe
 
 WAIT_S = 60.0
@@ -40,7 +40,7 @@ def records(first: int, count: int) -> np.ndarray:
 
 
 def ticks_in(path: Path) -> list[int]:
-    parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
+    parts = [part.records() for part in read_contents(path) if isinstance(part, TickBlock)]
     return [int(tick) for part in parts for tick in part[:, AT.tick]]
 
 

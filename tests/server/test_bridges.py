@@ -21,7 +21,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.cli import main
 from softfinger.server.recording import picture
-from softfinger.server.recording.reader import World, read_contents
+from softfinger.server.recording.reader import RecordedWorld, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
 from softfinger.server.recording.writer import RecordingFile
 
@@ -223,7 +223,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
     """The message is read back unchanged, the body's frame has its pose, and only the box is drawn in that frame."""
     path, world = lifted(tmp_path / "lift.mcap")
-    assert [part.world for part in read_contents(path) if isinstance(part, World)] == [world]
+    assert [part.world for part in read_contents(path) if isinstance(part, RecordedWorld)] == [world]
     frames, entities = {}, {}
     with path.open("rb") as file:
         for schema, _, message in make_reader(file).iter_messages():

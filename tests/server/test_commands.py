@@ -46,7 +46,7 @@ from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
-from softfinger.server.services.commands import EVENT_BYTES_MAX, Commands
+from softfinger.server.services.commands import EVENT_BYTES_MAX, CommandService
 from softfinger.server.services.records import Sink
 from softfinger.server.states import SILENT
 from softfinger.server.wire import link
@@ -501,7 +501,7 @@ def test_what_is_no_request_is_no_sign_of_life():
     given = [(b"\xc1", False), (None, False), (other, False), (good, True), (good, False)]
     alive = []
     for body, too_much in given:
-        commands = Commands("ipc:///nowhere", rendering, doing, "none")  # no request received so far
+        commands = CommandService("ipc:///nowhere", rendering, doing, "none")  # no request received so far
         reasons.clear()
         assert commands._receive(b"client", body, too_much) is not None
         commands._check_heartbeat()

@@ -14,7 +14,7 @@ from test_devices_verb import plug_hid, plug_serial, plug_usb, root  # noqa: F40
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
 from softfinger.server.app import Daemon
 from softfinger.server.services import hotplug
@@ -23,9 +23,9 @@ from softfinger.server.wire.client import subscribe
 
 pytestmark = pytest.mark.real_time
 
-PUCK = Attached("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw3")
-TEENSY = Attached("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
-OMEGA = Attached("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
+PUCK = SystemDevice("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw3")
+TEENSY = SystemDevice("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
+OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
 
 
 def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811

@@ -25,7 +25,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT
-from softfinger.server.recording.reader import Ticks, read_contents
+from softfinger.server.recording.reader import TickBlock, read_contents
 
 pytestmark = pytest.mark.real_time
 
@@ -74,7 +74,7 @@ def gone(pid: int) -> bool:
 def readable(path: Path) -> int:
     """Return the number of consecutive ticks in a recording; 0 for a file that ends before its first tick."""
     try:
-        parts = [part.records() for part in read_contents(path) if isinstance(part, Ticks)]
+        parts = [part.records() for part in read_contents(path) if isinstance(part, TickBlock)]
     except RecordingError:
         assert path.stat().st_size < 4096, "a recording with something in it cannot be read"
         return 0

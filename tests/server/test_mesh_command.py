@@ -20,7 +20,7 @@ from softfinger.config import schema
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import build, load_rig
 from softfinger.server.app import Daemon
-from softfinger.server.services.commands import Commands
+from softfinger.server.services.commands import CommandService
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.publisher import Publisher
@@ -62,7 +62,7 @@ def commands(folder: Path) -> Iterator[str]:
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
         doing = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
-        service = Commands(str(doors.commands), rendering, doing, "meshes")
+        service = CommandService(str(doors.commands), rendering, doing, "meshes")
         service.start()
         yield service.endpoint
         service.stop()

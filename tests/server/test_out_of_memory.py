@@ -14,11 +14,12 @@ import subprocess
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import pytest
 import zmq
 from emulators.serialboard import Board
-from helpers.browser import answered
 from helpers.waits import until
 from test_kills import gone, of_kind
 from test_process_faults import end, read
@@ -117,12 +118,19 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "started again, 1 of 3 times" in ended
         assert process_of(process, "page", other=page)
-        assert answered(address) == 200
+        until(lambda: is_served(address), START_S, "an answer of the page")
         assert not zeroes_without_pause(board, first_frame)
         end(process)
         assert board.force == ZERO
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]
+
+
+def is_served(address: str) -> bool:
+    """Return True if a server answers with a page."""
+    with suppress(URLError), urlopen(address, timeout=60.0) as answer:
+        return bool(answer.status == 200)
+    return False
 
 
 def line_with(words: str, lines: IO[str]) -> str:

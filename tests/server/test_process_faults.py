@@ -25,7 +25,7 @@ from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
-from softfinger.server.recording.reader import Event, Ticks, read_contents
+from softfinger.server.recording.reader import Event, TickBlock, read_contents
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
 
@@ -42,7 +42,7 @@ RAMP_TICKS = 500
 def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
     """Return the ticks of a recording and the names and times of its events, in file order."""
     parts = list(read_contents(path))
-    ticks = [int(row) for part in parts if isinstance(part, Ticks) for row in part.records()[:, AT.tick]]
+    ticks = [int(row) for part in parts if isinstance(part, TickBlock) for row in part.records()[:, AT.tick]]
     return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
 
 
@@ -161,7 +161,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
         assert first is not None, "the force was carried over"
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2  # as above
         end(process)
-    rows = [row for part in read_contents(recording) if isinstance(part, Ticks) for row in part.records()]
+    rows = [row for part in read_contents(recording) if isinstance(part, TickBlock) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
     assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a suspension counts as one second
@@ -187,7 +187,7 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
         end(process)
     assert min(felt) > 0.0
     parts = list(read_contents(recording))
-    rows = [row for part in parts if isinstance(part, Ticks) for row in part.records()]
+    rows = [row for part in parts if isinstance(part, TickBlock) for row in part.records()]
     times = {int(row[AT.tick]): row[AT.timestamp] for row in rows}
     assert list(times) == list(range(len(times)))
     assert all(later > earlier for earlier, later in zip(list(times.values()), list(times.values())[1:], strict=False))

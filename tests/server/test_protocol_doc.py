@@ -16,7 +16,7 @@ from helpers.waits import repeated
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
@@ -152,7 +152,7 @@ def real_messages():
         join(publisher, socket)
         socket.subscribe(SCHEMA_TOPIC)
         publisher.publish(records)
-        puck = Attached("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
+        puck = SystemDevice("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
         publisher.event("device", "attached", **event_fields(puck))
         head = {"schema": SCHEMA, "timestamp": 1.7e9, "tick": 5}
         publisher.send_message("world", head | {"bodies": body_maps(["box"], np.arange(14.0))})

@@ -12,14 +12,14 @@ import pytest
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
 from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
-from softfinger.server.metrics.service import Metrics
-from softfinger.server.services.commands import Commands
+from softfinger.server.metrics.service import MetricsService
+from softfinger.server.services.commands import CommandService
 from softfinger.server.services.hotplug import HotplugWatch
 from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.services.world import WorldState
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
-from softfinger.server.wire.health import Health
+from softfinger.server.wire.health import HealthSummary
 
 pytestmark = pytest.mark.plain
 
@@ -54,7 +54,7 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
         bound = SimpleNamespace(
             endpoint="tcp://127.0.0.1:1", listener=broken, files=SimpleNamespace(close=lambda: None)
         )
-        service: Any = Metrics(cast(Any, bound), counts, event)
+        service: Any = MetricsService(cast(Any, bound), counts, event)
     else:
         service = HotplugWatch(broken, event) if name == "hotplug" else WorldState(broken, print, event)
     service.start()
@@ -87,7 +87,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
         fail=ended.append,
         event=lambda *words, **more: told.append((words, more)),
     )
-    commands = Commands("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
+    commands = CommandService("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
     commands.start()
     served[0].each_period()
     commands.stop()
@@ -106,7 +106,7 @@ def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) ->
     touches = [100, 2400, 2501, 4000]
     records[touches, AT.contact_cause] = CAUSE_TOUCH
     records[touches, AT.contact_mode] = ROLLING
-    events, health = RecordEvents(), Health()
+    events, health = RecordEvents(), HealthSummary()
     told = [event for event in events.observe(records) if event["name"] == "touch"]
     assert [event["tick"] for event in told] == touches
     seconds = health.add(records, 0)

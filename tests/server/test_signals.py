@@ -380,9 +380,9 @@ def state(pid: int) -> str:
 
 HANGING = """
 import sys, time
-from softfinger.drivers.simulated.device import Simulated
+from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.server import cli
-Simulated.stop = Simulated.close = lambda device: time.sleep(3600.0)
+SimulatedDevice.stop = SimulatedDevice.close = lambda device: time.sleep(3600.0)
 sys.exit(cli.main(sys.argv[1:]))
 """
 

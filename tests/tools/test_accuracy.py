@@ -231,8 +231,7 @@ def test_turns_lead_from_pose_to_pose() -> None:
 
 def test_cases_leave_out_what_cannot_be() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
-    words = ("--turn-rate", "2", "3000", "3500", "--curvature-ratio", "0.1", "10", "--spin-ratio", "0.5", "1")
-    sweep, drift = verb.plan(options(*words, "--rate", "500", "1000"))
+    sweep, drift = verb.plan(options())
     found = cases.cases(sweep)
     assert all(case.turn_rate / case.rate_hz < np.pi for case in found)
     assert {case.surface for case in found if case.curvature_ratio == 10.0} == {
@@ -307,16 +306,9 @@ def test_recommendations() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--rate", "0"], r"--rate 0: must be from 1 to 100000 Hz"),
+        (["--rate", "0"], r"--rate 0: must be from 4 to 100000 Hz"),
         (["--rate", "1000", "nan"], r"--rate nan: must be"),
-        (["--turn-rate", "-2"], r"--turn-rate -2: must be"),
         (["--drift-steps", "10"], r"--drift-steps 10: must be from 1000"),
-        (["--tolerance", "1"], r"--tolerance 1: must be from 1e-13 to 0.01"),
-        (["--turn-rate", "50", "--rate", "10", "90"], r"--turn-rate 50 at --rate 10: .* raise --rate above 50,"),
-        (
-            ["--turn-rate", "50", "--rate", "10", "--motion", "constant"],
-            r"a step of 5 rad; .* raise --rate above 15.92",
-        ),
         (["--figures", "/dev/null/figures"], r"--figures /dev/null/figures: Not a directory"),
         (["--surface", "torus", "--method", "rotation_vector"], r"rotation_vector is there for shapes with a closed"),
     ],

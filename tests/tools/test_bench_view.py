@@ -11,7 +11,7 @@ from helpers.browser import why_none
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
-from softfinger.tools.bench.view import Turn, summary
+from softfinger.tools.bench.view import TurnResult, summary
 
 pytestmark = pytest.mark.real_time
 
@@ -42,7 +42,7 @@ def test_what_cannot_be_opened_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
     """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
     ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
-    told = summary([Turn(ticks, 0.1, [20.0, 40.0]), Turn(ticks, 0.3, [30.0])])
+    told = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
     assert told["missed_of_1000"] == pytest.approx(400.0)
     assert told["viewer_load"] == pytest.approx(0.2)
     assert told["frames_per_s"] == {"least": 20.0, "median": 30.0}

@@ -12,14 +12,17 @@ from typing import Any
 import pytest
 import zmq
 from helpers.programs import run_program
+from helpers.shares import collect_shares
 
 from softfinger.config.errors import Unfit
-from softfinger.config.load import load_rig
-from softfinger.drivers.system.discovery import Attached
+from softfinger.config.load import load_rig, load_scene
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.server.loop import realtime
+from softfinger.server.progress import progress
 from softfinger.tools.doctor import attached, loop, machine
 from softfinger.tools.doctor.check import STATES, Check, grade, lines
+from softfinger.tools.doctor.verb import examine
 
 pytestmark = pytest.mark.real_time
 
@@ -142,6 +145,23 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
     assert "the same loop in C 40 us" in beside[1].seen
 
 
+def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share grows with each step, and within the measurements."""
+
+    def measured(*words: Any) -> Any:
+        with progress("measuring", 2) as done:
+            done(1)
+        return check
+
+    check, shares = Check("a", "good", "", ""), collect_shares(monkeypatch)
+    monkeypatch.setattr(loop, "cache", measured)
+    monkeypatch.setattr(loop, "step", measured)
+    monkeypatch.setattr(loop, "lateness", lambda *words: ([measured()], {"rate_hz": 1000.0}))
+    result = examine(load_rig("replay"), load_scene("paper-plane"), "replay", "paper-plane", 1.0, None)
+    assert result["states"]["good"] >= 3 and result["loop"] == {"rate_hz": 1000.0}
+    assert shares["checking the machine"] == [n / 14 for n in (2, 4, 5, 6, 7, 8, 9, 10, 12, 14)]
+
+
 def test_another_machine_is_read(tmp_path: Path) -> None:
     """A real-time kernel on a bare machine that does not save power is good; a guest of KVM in Docker is not."""
     good = write(
@@ -182,7 +202,7 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     """A device that may not be opened is bad for its rig and worth a remark for another; its absence is bad."""
-    puck = Attached("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
+    puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.devices(load_rig("spacemouse"), [puck])
     (other,) = attached.devices(load_rig("replay"), [puck])
     assert (own.state, other.state) == ("bad", "could be better")
@@ -191,7 +211,7 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     assert (absent.name, absent.state) == ("device of the rig", "bad")
     (none,) = attached.devices(load_rig("replay"), [])
     assert none.state == "good"
-    mine = Attached("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
+    mine = SystemDevice("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
     assert attached.is_of(load_rig("woodenhaptics-2019"), mine)
     assert not attached.is_of(load_rig("woodenhaptics-2015"), mine)
 

@@ -14,7 +14,7 @@ import zmq
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.tools.doctor import attached, loop, machine
 from softfinger.tools.doctor.check import Check
@@ -53,7 +53,7 @@ def as_nobody() -> Iterator[None]:
 
 def device(rig: Rig, node: Path) -> Check:
     """Return the report on a puck at a device node."""
-    (check,) = attached.devices(rig, [Attached("hid", 0x046D, 0xC626, "Puck", "", str(node))])
+    (check,) = attached.devices(rig, [SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(node))])
     return check
 
 

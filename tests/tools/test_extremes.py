@@ -127,7 +127,7 @@ def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
     assert all(wrong == "" for *_, wrong in wrenches.try_wrenches())
     monkeypatch.setattr(wrenches, "guard_wrench", broken)
     assert any(wrong for *_, wrong in wrenches.try_wrenches())
-    failing = [extremes.Finding("wrench", "", 1, 0.0, "-", "", wrong) for *_, wrong in wrenches.try_wrenches()]
+    failing = [extremes.ExtremeResult("wrench", "", 1, 0.0, "-", "", wrong) for *_, wrong in wrenches.try_wrenches()]
     monkeypatch.setattr(extremes, "try_extremes", lambda: failing)
     monkeypatch.setattr(hostile, "try_hostile", lambda *_: [])
     assert main(["stability", "--extremes"]) == 1

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softfinger.tools.stability import bodies, bodies_table
-from softfinger.tools.stability.bodies import Cell, Found
+from softfinger.tools.stability.bodies import Cell, CellResult
 
 pytestmark = pytest.mark.plain
 
-CELL = Found("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4, 0.0)
+CELL = CellResult("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4, 0.0)
 
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from test_device_report import checked, environment, home
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
 from softfinger.tools.doctor.axes_picture import picture
@@ -140,11 +140,11 @@ def test_a_rig_that_allows_less_than_a_push_is_told(
 
 def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first attached device that has a shipped rig is used; without one the error asks for a rig."""
-    ports: list[Attached] = [Attached("usb", 0x1234, 0x0001, "a lamp", "", "")]
+    ports: list[SystemDevice] = [SystemDevice("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
     with pytest.raises(DeviceNotFound, match="name yours with --rig"):
         probe.attached_rig()
-    ports.append(Attached("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
+    ports.append(SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
     assert probe.attached_rig() == "touch"
 
 

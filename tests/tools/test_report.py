@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.proxy.record import AT
 from softfinger.server.cli import main
 from softfinger.server.recording.blackbox import BlackBox
-from softfinger.server.recording.reader import Event, Note, Ticks, read_contents
+from softfinger.server.recording.reader import Event, Note, TickBlock, read_contents
 
 PREFIX = "softfinger-report/"
 
@@ -66,7 +66,7 @@ def test_the_archive_has_what_an_issue_needs_and_no_private_word(
     assert json.loads((found / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
     assert "hand.toml" in (found / "log.txt").read_text()
     parts = list(read_contents(found / "blackbox" / "new.mcap"))
-    copied = [part.records() for part in parts if isinstance(part, Ticks)]
+    copied = [part.records() for part in parts if isinstance(part, TickBlock)]
     assert sum(map(len, copied)) == 500 and copied[0][0].tolist() == ticks[0].tolist()
     told_texts = json.dumps([part.event for part in parts if isinstance(part, Event)])
     told_texts += json.dumps([part.value for part in parts if isinstance(part, Note)])

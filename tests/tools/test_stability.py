@@ -19,10 +19,10 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
-from softfinger.tools.stability.limit import Case, find_limits, grows_at, wall_and_weight
+from softfinger.tools.stability.limit import WallCase, find_limits, grows_at, wall_and_weight
 from softfinger.tools.stability.maps import VARIANTS
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
-from softfinger.tools.stability.runs import Block, run_blocks
+from softfinger.tools.stability.runs import RunBlock, run_blocks
 from softfinger.tools.sweep import run_cases
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,14 +31,14 @@ FOUND = 1e-3
 """Relative error of a computed limit: the bisection ends at 1e-4, and slow growth needs some margin."""
 
 
-def random_cases(count: int, seed: int, **more: float) -> list[Case]:
+def random_cases(count: int, seed: int, **more: float) -> list[WallCase]:
     """Linear cases; every second one has wall damping, up to the largest that leaves a stable wall."""
     random = np.random.default_rng(seed)
     cases = []
     while len(cases) < count:
         mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([2.0, 10.0, 8000.0])))
         wall = float(random.uniform(0.0, 0.4) * mass * rate) if len(cases) % 2 else 0.0
-        case = Case(
+        case = WallCase(
             mass_kg=float(mass), damping_ns_per_m=float(damping), rate_hz=float(rate), wall_damping_ns_per_m=wall,
             delay_ticks=int(random.integers(3)), **more,
         )  # fmt: skip
@@ -204,13 +204,13 @@ def test_no_passive_wall_is_unstable(variant: str) -> None:
 
 def test_friction_holds_what_damping_does_not() -> None:
     """Coulomb friction of the mechanism makes stiffer walls stable, more of it still stiffer ones."""
-    limits = [row["limit_n_per_m"] for row in find_limits([Case(friction_n=f) for f in (0.0, 0.02, 0.05)])]
+    limits = [row["limit_n_per_m"] for row in find_limits([WallCase(friction_n=f) for f in (0.0, 0.02, 0.05)])]
     assert limits[0] * 1.2 < limits[1] and limits[1] * 1.2 < limits[2]
 
 
 def test_encoder_steps_alone_are_no_instability() -> None:
     """An oscillation of a few encoder steps does not count; the limit stays near that of a fine encoder."""
-    coarse, fine = find_limits([Case(resolution_m=20e-6), Case()])
+    coarse, fine = find_limits([WallCase(resolution_m=20e-6), WallCase()])
     # Within the describing function of a quantiser, which is 1 to 1.27 at twenty steps' swing and less.
     assert coarse["limit_n_per_m"] == pytest.approx(fine["limit_n_per_m"], rel=0.27)
 
@@ -225,7 +225,7 @@ def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -
 
 def test_an_undamped_loop_has_no_stable_wall() -> None:
     """Without any damping the sampled spring feeds energy in at every stiffness: both limits are 0."""
-    (row,) = find_limits([Case(damping_ns_per_m=0.0)])
+    (row,) = find_limits([WallCase(damping_ns_per_m=0.0)])
     # The search ends a million times below its start, which is a millionth of m / T^2.
     assert row["predicted_n_per_m"] == 0.0 and row["limit_n_per_m"] < 1e-6 * 0.2e6
 
@@ -242,7 +242,7 @@ def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
 
 def test_random_runs_leave_passive_walls_alone() -> None:
     """Of random runs some grow out of reach, but none on a passive wall; the same seed gives the same runs."""
-    blocks = [Block(number, 300, 1000, 0) for number in range(4)]
+    blocks = [RunBlock(number, 300, 1000, 0) for number in range(4)]
     found = run_blocks(blocks)
     assert found == run_blocks(blocks[:2]) + run_blocks(blocks[2:])
     sums = {key: sum(part[key] for part in found) for key in found[0]}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.tools.accuracy.options import Motion
+from softfinger.tools.accuracy.options import MOTIONS, Motion
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,13 @@ DURATION_S: Final = 1.0
 MAX_ANGLE_RAD: Final = 20.0
 """A motion ends before the finger turns by more than this; on a plane it would only move further away."""
 MIN_TICKS: Final = 4
+PASSES: Final = 20
+QUICK_PASSES: Final = 5
+SWEEP_RATE_HZ: Final = 1000.0
+TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
+"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
+CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
+SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 TILT_RAD: Final = 1.2
 SPIN_RAD: Final = 0.8
 SWAY_RAD: Final = 0.4
@@ -31,7 +38,7 @@ TRAVEL: Final = (0.5, 0.3, 0.8)
 """Initial direction of the finger, projected onto the tangent plane. It is not an axis of any surface."""
 
 
-class Surface(NamedTuple):
+class StudiedSurface(NamedTuple):
     """Surface of a few centimetres.
 
     shape    kernel shape
@@ -46,37 +53,40 @@ class Surface(NamedTuple):
     largest: float
 
 
-_ANY: Final = float("inf")
+_NO_LIMIT: Final = float("inf")
 # Starts are so close to an edge, an end or the crest of the tube that every path of some tenths of a radian crosses it.
 # The inside of a box and of a cylinder with ends consists of planes and an inside cylinder, so it has no rows here.
-SURFACES: Final[dict[str, Surface]] = {
-    "plane": Surface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
-    "sphere": Surface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _ANY),
-    "sphere-inside": Surface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
-    "cylinder": Surface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _ANY),
-    "cylinder-inside": Surface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
-    "capped-cylinder": Surface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _ANY),
-    "capsule": Surface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _ANY),
-    "capsule-inside": Surface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
-    "box": Surface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _ANY),
-    "ellipsoid": Surface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _ANY),
-    "ellipsoid-inside": Surface(
+SURFACES: Final[dict[str, StudiedSurface]] = {
+    "plane": StudiedSurface(model.Plane((0.0, 0.0, 1.0), 0.0), 0.0, (0.04, 0.02, 0.03), 0.0),
+    "sphere": StudiedSurface(model.Sphere(0.05, 1.0), 0.05, (0.04, 0.02, 0.03), _NO_LIMIT),
+    "sphere-inside": StudiedSurface(model.Sphere(0.05, -1.0), 0.05, (0.04, 0.02, 0.03), 1.0),
+    "cylinder": StudiedSurface(model.Cylinder(0.03, 1.0), 0.03, (0.04, 0.02, 0.0), _NO_LIMIT),
+    "cylinder-inside": StudiedSurface(model.Cylinder(0.03, -1.0), 0.03, (0.02, 0.01, 0.0), 1.0),
+    "capped-cylinder": StudiedSurface(model.CappedCylinder(0.02, 0.01), 0.02, (0.03, 0.01, 0.004), _NO_LIMIT),
+    "capsule": StudiedSurface(model.Capsule(0.02, 0.01, 1.0), 0.02, (0.03, 0.01, 0.004), _NO_LIMIT),
+    "capsule-inside": StudiedSurface(model.Capsule(0.03, 0.01, -1.0), 0.03, (0.02, 0.01, 0.004), 1.0),
+    "box": StudiedSurface(model.Box((0.02, 0.015, 0.01)), 0.01, (0.015, 0.002, 0.03), _NO_LIMIT),
+    "ellipsoid": StudiedSurface(model.Ellipsoid((0.05, 0.03, 0.02), 1.0), 0.008, (0.04, 0.02, 0.03), _NO_LIMIT),
+    "ellipsoid-inside": StudiedSurface(
         model.Ellipsoid((0.06, 0.05, 0.04), -1.0), 0.04**2 / 0.06, (0.02, 0.01, 0.015), 1.0
     ),
     # A fingertip thicker than the tube fits everywhere but in the hole.
-    "torus": Surface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
-    "torus-inside": Surface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
+    "torus": StudiedSurface(model.Torus(0.05, 0.02, 1.0), 0.02, (0.06, 0.03, 0.01), 1.5),
+    "torus-inside": StudiedSurface(model.Torus(0.05, 0.02, -1.0), 0.02, (0.05, 0.025, 0.003), 1.0),
 }  # fmt: skip
 
-METHODS: Final[dict[str, Callable[[float], Any]]] = {
-    "euler_zxz": lambda _: model.EulerZxz(),
-    "euler_zyx": lambda _: model.EulerZyx(),
-    "rotation_vector": lambda _: model.RotationVector(),
-    "midpoint": lambda _: model.Midpoint(),
-    "montana_rk4": lambda _: model.MontanaRk4(),
-    "montana_rk45": lambda tolerance: model.MontanaRk45(tolerance),
+TOLERANCE: Final = 1e-9
+"""Tolerance of `montana_rk45`."""
+
+METHODS: Final[dict[str, Any]] = {
+    "euler_zxz": model.EulerZxz(),
+    "euler_zyx": model.EulerZyx(),
+    "rotation_vector": model.RotationVector(),
+    "midpoint": model.Midpoint(),
+    "montana_rk4": model.MontanaRk4(),
+    "montana_rk45": model.MontanaRk45(TOLERANCE),
 }
-"""Kernel nodes by name; the argument is the tolerance of `montana_rk45`."""
+"""Kernel nodes by name."""
 
 
 def has_method(surface: str, method: str) -> bool:
@@ -84,14 +94,13 @@ def has_method(surface: str, method: str) -> bool:
     return method != "rotation_vector" or not isinstance(SURFACES[surface].shape, model.Ellipsoid | model.Torus)
 
 
-class Case(NamedTuple):
+class RollingCase(NamedTuple):
     """One measurement, in plain values that can be sent to another process.
 
     rate_hz                servo rate; a step is its inverse
     turn_rate       rad/s  largest angular velocity of the fingertip
     curvature_ratio        r over the size of the surface; None for the size in SURFACES
     spin_ratio             spin over roll, at the start
-    tolerance              of montana_rk45
     passes                 repetitions of the motion for timing
     """
 
@@ -102,7 +111,6 @@ class Case(NamedTuple):
     turn_rate: float
     curvature_ratio: float | None
     spin_ratio: float
-    tolerance: float
     passes: int
 
 
@@ -117,12 +125,12 @@ class Track(NamedTuple):
     duration_s: float
 
 
-def ticks(case: Case) -> int:
+def ticks(case: RollingCase) -> int:
     """Return the number of steps of the motion."""
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 
-def track_of(case: Case) -> Track:
+def track_of(case: RollingCase) -> Track:
     return Track(
         case.surface, case.motion, case.turn_rate, case.curvature_ratio, case.spin_ratio, ticks(case) / case.rate_hz
     )
@@ -227,48 +235,36 @@ class Sweep(NamedTuple):
     """Values to measure.
 
     All servo rates are measured at the first rotation rate, the first spin ratio and the original size of the surfaces.
-    The other values of a parameter are measured one at a time, at a single servo rate.
+    The other values of a parameter are measured one at a time, at SWEEP_RATE_HZ, unless the sweep is `quick`.
     """
 
     surfaces: Sequence[str]
     methods: Sequence[str]
-    motions: Sequence[Motion]
     rates_hz: Sequence[float]
-    turn_rates: Sequence[float]
-    curvature_ratios: Sequence[float]
-    spin_ratios: Sequence[float]
-    tolerance: float
-    passes: int
-    sweep_rate_hz: float
+    quick: bool
 
 
-def longest_step(motions: Sequence[Motion]) -> float:
-    """Return the angle, rad, that steps must stay below.
-
-    Two poses determine neither the sense of half a turn nor a fast change.
-    """
-    return CHANGING_STEP_RAD if "changing" in motions else pi
-
-
-def cases(sweep: Sweep) -> list[Case]:
+def cases(sweep: Sweep) -> list[RollingCase]:
     """Return the cases, ordered so that cases with the same reference path are consecutive.
 
-    Steps of at least `longest_step` and curvature ratios at which the fingertip does not fit are left out.
+    Curvature ratios at which the fingertip does not fit are left out, and steps that are too long: two poses determine
+    neither the sense of half a turn nor a fast change.
     """
-    turn, spin, at = sweep.turn_rates[0], sweep.spin_ratios[0], sweep.sweep_rate_hz
+    turn, spin, passes = TURN_RATES[0], SPIN_RATIOS[0], QUICK_PASSES if sweep.quick else PASSES
     found = []
     for surface in sweep.surfaces:
-        largest = SURFACES[surface].largest
         variants: list[tuple[float, float, float | None, float]] = [(f, turn, None, spin) for f in sweep.rates_hz]
-        variants += [(at, other, None, spin) for other in sweep.turn_rates[1:]]
-        variants += [(at, turn, ratio, spin) for ratio in sweep.curvature_ratios if ratio < largest]
-        variants += [(at, turn, None, other) for other in sweep.spin_ratios[1:]]
-        for motion in sweep.motions:
+        if not sweep.quick:
+            ratios = (ratio for ratio in CURVATURE_RATIOS if ratio < SURFACES[surface].largest)
+            variants += [(SWEEP_RATE_HZ, other, None, spin) for other in TURN_RATES[1:]]
+            variants += [(SWEEP_RATE_HZ, turn, ratio, spin) for ratio in ratios]
+            variants += [(SWEEP_RATE_HZ, turn, None, other) for other in SPIN_RATIOS[1:]]
+        for motion in MOTIONS:
             for rate, turn_rate, ratio, spin_ratio in variants:
-                if turn_rate / rate >= longest_step([motion]):
+                if turn_rate / rate >= (CHANGING_STEP_RAD if motion == "changing" else pi):
                     continue
                 found += [
-                    Case(surface, m, motion, rate, turn_rate, ratio, spin_ratio, sweep.tolerance, sweep.passes)
+                    RollingCase(surface, m, motion, rate, turn_rate, ratio, spin_ratio, passes)
                     for m in sweep.methods
                     if has_method(surface, m)
                 ]

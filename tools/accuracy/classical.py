@@ -77,19 +77,19 @@ def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
 
 @jit
 def ode45(
-    radius: float, shape: Any, start: Coordinates, turning: Precession, span: float, share: float
+    radius: float, shape: Any, start: Coordinates, precession: Precession, span: float, share: float
 ) -> tuple[Coordinates, int]:
     """Return the coordinates after `span` (s), and the number of evaluations of the equations.
 
     share  longest step, as a fraction of the span
     """
-    w, normal, angle, spin_rate = turning
+    w, normal, angle, spin_rate = precession
     y, t, count = start, 0.0, 1
     k1 = slope(radius, shape, y, w, normal, angle)
     h = share * span
-    wanted = largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
-    if h * wanted > 1.0:
-        h = 1.0 / wanted
+    rate_ratio = largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
+    if h * rate_ratio > 1.0:
+        h = 1.0 / rate_ratio
     failed, done = False, False
     while not done:
         h = min(h, share * span)
@@ -114,9 +114,9 @@ def ode45(
         k7 = slope(radius, shape, ahead, w, normal, at + turn)
         count += 6
         nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
-        off = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
-        off = advance(advance(advance(off, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
-        error = h * largest(off, y, ahead)
+        error_estimate = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
+        error_estimate = advance(advance(advance(error_estimate, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
+        error = h * largest(error_estimate, y, ahead)
         if error > RELATIVE_TOLERANCE:
             # Only the first failure in a row trusts the error estimate.
             h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)
@@ -145,8 +145,8 @@ def roll_classical(
         at, count = start, 0
         for i in range(turns.shape[0]):
             w = vec3.scale(1.0 / dt, rotations.log((turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3])))
-            turning = Precession(w, normal, spin_rate * dt * i, spin_rate)
-            at, evaluations = ode45(radius, shape, at, turning, dt, share)
+            precession = Precession(w, normal, spin_rate * dt * i, spin_rate)
+            at, evaluations = ode45(radius, shape, at, precession, dt, share)
             count += evaluations
             path[i, 0], path[i, 1], path[i, 2] = chart(shape, at.u_o, at.v_o).point
         watch.ns[block] = now_ns(watch.timespec) - begun

@@ -19,7 +19,7 @@ FLOOR_M: Final = 1e-18
 """Smallest error drawn, since a logarithmic axis has no zero."""
 FRONT: Final = {"color": "0.8", "linewidth": 6, "solid_capstyle": "round"}
 """Wide grey line below the lines of the methods, visible even for a single point."""
-DRAWN: Final = 4
+PLOT_STRIDE: Final = 4
 """One of so many steps of the paper's paths is drawn."""
 
 
@@ -98,10 +98,10 @@ def draw_paper(result: dict[str, Any], path: Path) -> None:
     above, below = drawing.subplots(2, 2)
     lines: dict[str, Any] = {}
     for axes, bars, motion in zip(above, below, MOTIONS, strict=True):
-        x, y, _ = 1e3 * exact_path(motion)[::DRAWN].T
+        x, y, _ = 1e3 * exact_path(motion)[::PLOT_STRIDE].T
         (lines["reference"],) = axes.plot(x, y, color="0.8", linewidth=4)
         for name in ("euler_zxz", "euler_zyx", "rotation_vector"):
-            x, y, _ = 1e3 * method_path(name, motion, result["tolerance"])[::DRAWN].T
+            x, y, _ = 1e3 * method_path(name, motion)[::PLOT_STRIDE].T
             (lines[name],) = axes.plot(x, y, color=colour(name), linewidth=1)
         axes.set_title(f"axes of the {motion.replace('_', ' ')}", fontsize="medium")
         axes.set_xlabel("x, mm")

@@ -17,7 +17,7 @@ from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     Array,
-    Case,
+    RollingCase,
     Track,
     angular_velocity,
     contact,
@@ -99,14 +99,14 @@ def _reference_path(track: Track) -> Any:
     return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
 
 
-def run_case(case: Case) -> dict[str, Any]:
+def run_case(case: RollingCase) -> dict[str, Any]:
     """Return a row of the table: the case, its errors and its time."""
     track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
     points, spins = reference(track, count)
     unit = reference_ns()
-    found = roll_path_timed(METHODS[case.method](case.tolerance), shape, center, normal, dq, case.passes)
+    found = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
     return {
         "surface": case.surface,
         "method": case.method,
@@ -126,7 +126,7 @@ def run_case(case: Case) -> dict[str, Any]:
     }
 
 
-def run_block(some: Sequence[Case]) -> list[dict[str, Any]]:
+def run_block(some: Sequence[RollingCase]) -> list[dict[str, Any]]:
     """Run `run_case` for each case."""
     return [run_case(case) for case in some]
 
@@ -136,7 +136,6 @@ class DriftCase(NamedTuple):
 
     surface: str
     method: str
-    tolerance: float
     steps: int
 
 
@@ -150,14 +149,14 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
     half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])
-    method, off, blocks = METHODS[case.method](case.tolerance), 0.0, case.steps // DRIFT_BLOCK
+    method, drift, blocks = METHODS[case.method], 0.0, case.steps // DRIFT_BLOCK
     for _ in range(blocks):
         out = roll_path_timed(method, shape, center, normal, dq)
         point, n = out.points[-1].tolist(), out.normals[-1].tolist()
-        off = max(off, abs(float(closest(shape, tuple(point))[0])))
+        drift = max(drift, abs(float(closest(shape, tuple(point))[0])))
         normal = (n[0], n[1], n[2])
         center = (point[0] + RADIUS_M * n[0], point[1] + RADIUS_M * n[1], point[2] + RADIUS_M * n[2])
-    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": off}
+    return {"surface": case.surface, "method": case.method, "steps": blocks * DRIFT_BLOCK, "drift_m": drift}
 
 
 def run_drift_block(some: Sequence[DriftCase]) -> list[dict[str, Any]]:

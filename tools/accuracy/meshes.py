@@ -58,7 +58,7 @@ MEASURES: Final = {
 }
 
 
-class Case(NamedTuple):
+class MeshCase(NamedTuple):
     """Surface: kernel shape, function from fineness to triangles, and point (3,) m near the start of a path."""
 
     shape: Any
@@ -123,17 +123,17 @@ def ball(radius: float, fineness: int) -> Arrays:
     ])  # fmt: skip
     octant = np.stack([i, j, fineness - i - j], axis=1)[keep].astype(float)
     signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)]
-    turned = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
+    outward = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
     points = np.concatenate([octant * sign for sign in signs])
-    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(turned)])
+    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(outward)])
     points, places = np.unique(points, axis=0, return_inverse=True)
     return radius * points / np.linalg.norm(points, axis=1)[:, None], places.ravel()[triangles]
 
 
 CASES: Final = {
-    "ball": Case(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
-    "cylinder": Case(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, n), (0.04, 0.02, 0.003)),
-    "torus": Case(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, n), (0.06, 0.03, 0.01)),
+    "ball": MeshCase(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
+    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, n), (0.04, 0.02, 0.003)),
+    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, n), (0.06, 0.03, 0.01)),
 }
 
 
@@ -188,10 +188,10 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
     flat, shaded  records without friction
     rolls         records with friction
     """
-    off = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
+    distances = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
     return {
         "force_n": largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
-        "point_m": largest(off),
+        "point_m": largest(distances),
         "rolled_m": RADIUS_M * largest(rolls["contact.rolled"] - path.rolled),
         "wound_m": largest(rolls["contact.tangential_force"]) / STIFFNESS,
         "direction_rad": largest(along(flat) - path.normals),
@@ -201,7 +201,7 @@ def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> di
     }
 
 
-def begins(case: Case) -> tuple[Array, Array]:
+def begins(case: MeshCase) -> tuple[Array, Array]:
     """Return the point (3,) m of the surface where a path starts, and its normal (3,)."""
     _, foot, up = closest(case.shape, case.near)
     return np.array(foot), np.array(up)

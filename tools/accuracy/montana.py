@@ -26,7 +26,7 @@ Pair = tuple[float, float]
 Profile = tuple[float, float, float, float, float, float]
 
 
-class Chart(NamedTuple):
+class SurfacePoint(NamedTuple):
     """Surface at one of its points.
 
     point       (3,)    m
@@ -76,10 +76,10 @@ def profile(shape: Any, v: float) -> Any:
 
 
 @chart.of(Plane)
-def chart_of_plane(shape: Plane, u: float, v: float) -> Chart:
+def chart_of_plane(shape: Plane, u: float, v: float) -> SurfacePoint:
     x, y = rotations.tangent_frame(shape.normal)
     point = vec3.add_scaled(vec3.add_scaled(vec3.scale(shape.offset, shape.normal), u, x), v, y)
-    return Chart(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
+    return SurfacePoint(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
 
 
 @locate.of(Plane)
@@ -111,7 +111,7 @@ def profile_of_spheroid(shape: Ellipsoid, v: float) -> Profile:
     return a * cos(v), -a * sin(v), -a * cos(v), b * sin(v), b * cos(v), -b * sin(v)
 
 
-def turned_profile(shape: Any, u: float, v: float) -> Chart:
+def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
     """Return the chart of a profile rotated about the z axis; from inside, v is reversed so that z points inwards."""
     side = shape.side
     out, d_out, dd_out, up, d_up, dd_up = profile(shape, side * v)
@@ -120,7 +120,7 @@ def turned_profile(shape: Any, u: float, v: float) -> Chart:
     y = (side * d_out * c / m, side * d_out * s / m, side * d_up / m)
     z = (side * d_up * c / m, side * d_up * s / m, -side * d_out / m)
     bent = (d_out * dd_up - d_up * dd_out) / (m * m * m)
-    return Chart(
+    return SurfacePoint(
         (out * c, out * s, up), (-s, c, 0.0), y, z,
         (out, m), (side * d_up / (m * out), side * bent), (-side * d_out / (m * out), 0.0),
     )  # fmt: skip
@@ -152,7 +152,7 @@ def locate_on_spheroid(shape: Ellipsoid, point: Vec3) -> Pair:
 
 
 @jit
-def finger_axes(on_object: Chart, psi: float) -> tuple[Vec3, Vec3, Vec3]:
+def finger_axes(on_object: SurfacePoint, psi: float) -> tuple[Vec3, Vec3, Vec3]:
     """Return the contact frame of the fingertip in the object frame; its z points out of the fingertip, along -z_o.
 
     x_f = cos psi x_o - sin psi y_o, y_f = -sin psi x_o - cos psi y_o: the columns of R_psi.
@@ -179,9 +179,9 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
         psi' = omega_z + T_f M_f (u_f, v_f)' + T_o M_o (u_o, v_o)'
     """
     finger = chart(Sphere(radius, 1.0), at.u_f, at.v_f)
-    thing = chart(shape, at.u_o, at.v_o)
+    surface = chart(shape, at.u_o, at.v_o)
     c, s = cos(at.psi), sin(at.psi)
-    k1, k2 = thing.curvature
+    k1, k2 = surface.curvature
     # R K R for diagonal K: symmetric, entries a, b / b, d.
     a, b, d = c * c * k1 + s * s * k2, -c * s * k1 + c * s * k2, s * s * k1 + c * c * k2
     kf = finger.curvature[0]
@@ -192,10 +192,9 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
     qx, qy = -omega[1] + kf * velocity[0], omega[0] + kf * velocity[1]
     gx, gy = ((kf + d) * qx - b * qy) / determinant, ((kf + a) * qy - b * qx) / determinant
     ox, oy = c * gx - s * gy, -s * gx - c * gy
-    turning = finger.torsion[0] * fx + finger.torsion[1] * fy + thing.torsion[0] * ox + thing.torsion[1] * oy
-    return Coordinates(
-        fx / finger.metric[0], fy / finger.metric[1], ox / thing.metric[0], oy / thing.metric[1], omega[2] + turning
-    )
+    (f_u, f_v), (o_u, o_v) = finger.metric, surface.metric
+    spin_rate = finger.torsion[0] * fx + finger.torsion[1] * fy + surface.torsion[0] * ox + surface.torsion[1] * oy
+    return Coordinates(fx / f_u, fy / f_v, ox / o_u, oy / o_v, omega[2] + spin_rate)
 
 
 @jit
@@ -238,8 +237,8 @@ def coordinates(shape: Any, point: Vec3, orientation: Quaternion) -> Coordinates
     orientation  (4,)     of the fingertip
     """
     u_o, v_o = locate(shape, point)
-    thing = chart(shape, u_o, v_o)
-    spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), thing.z))
+    surface = chart(shape, u_o, v_o)
+    spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), surface.z))
     u_f, v_f = locate(Sphere(1.0, 1.0), spot)
     x = rotations.rotate(orientation, chart(Sphere(1.0, 1.0), u_f, v_f).x)
-    return Coordinates(u_f, v_f, u_o, v_o, atan2(-vec3.dot(x, thing.y), vec3.dot(x, thing.x)))
+    return Coordinates(u_f, v_f, u_o, v_o, atan2(-vec3.dot(x, surface.y), vec3.dot(x, surface.x)))

@@ -26,10 +26,6 @@ SURFACES: Final = (
 METHODS: Final = ("euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45")
 Motion = Literal["constant", "changing"]
 MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
-TURN_RATES: Final = (2.0, 0.2, 20.0, 200.0, 3000.0)
-"""rad/s. A hand turns at 2, quickly at 20; 3000 at 1 kHz is nearly half a turn per step."""
-CURVATURE_RATIOS: Final = (0.01, 0.1, 0.9, 10.0, 100.0)
-SPIN_RATIOS: Final = (0.5, 0.0, 0.1, 10.0)
 TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
 DRIFT_STEPS: Final = 1_000_000
 REPORT: Final = "accuracy.txt"
@@ -46,22 +42,7 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help=f"rolling methods: {', '.join(METHODS)} (default: all)",
     )
-    parser.add_argument(
-        "--motion", nargs="+", choices=MOTIONS, metavar="K", help=f"motions: {', '.join(MOTIONS)} (default: both)"
-    )
     parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (default: 4 to 8000)")
-    parser.add_argument(
-        "--turn-rate", nargs="+", type=float, metavar="RAD_S", default=TURN_RATES,
-        help="rotation rates; the first at every servo rate, the others at 1 kHz (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--curvature-ratio", nargs="*", type=float, metavar="R", default=CURVATURE_RATIOS,
-        help="additional ratios of the fingertip's radius to the surface's radius, at 1 kHz (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--spin-ratio", nargs="+", type=float, metavar="R", default=SPIN_RATIOS,
-        help="ratios of spin to roll; the first at every servo rate, the others at 1 kHz (default: %(default)s)",
-    )  # fmt: skip
     parser.add_argument(
         "--error-below",
         nargs="+",
@@ -69,9 +50,6 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         default=TARGETS_M,
         help="errors (m) to recommend methods for (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--tolerance", type=float, default=1e-9, help="tolerance of montana_rk45 (default: %(default)s)"
     )
     parser.add_argument(
         "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"

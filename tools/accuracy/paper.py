@@ -49,14 +49,14 @@ ROUNDS: Final = 15
 MOTIONS: Final = ("contact_frame", "world")
 
 
-def experiment(tolerance: float) -> list[dict[str, Any]]:
+def experiment() -> list[dict[str, Any]]:
     """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
     rows = list[dict[str, Any]]()
     names, exact_by_motion = (*METHODS, "classical"), {motion: exact_path(motion) for motion in MOTIONS}
     with progress("the paper's experiment", len(MOTIONS) * len(names)) as done:
         for motion, name in product(MOTIONS, names):
             at_phi = motion == "contact_frame" and name == "euler_zxz"
-            path = classical_path(motion) if name == "classical" else method_path(name, motion, tolerance)
+            path = classical_path(motion) if name == "classical" else method_path(name, motion)
             largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
             heading = "phi" if at_phi else "own"
             rows.append({"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()})
@@ -85,18 +85,18 @@ def steps() -> Array:
     return np.tile(rotations.exp(TURN_RAD), (STEPS, 1))
 
 
-def method_path(name: str, motion: str, tolerance: float) -> Array:
+def method_path(name: str, motion: str) -> Array:
     """Return the contact points (STEPS + 1, 3) m of a rolling method.
 
     In the contact frame, euler_zxz uses the heading phi, since the axes are the ones before the step; the published
     differences belong to this choice. In all other cases a method uses its own heading.
     """
-    method = METHODS[name](tolerance)
+    method = METHODS[name]
     if motion == "world":
         return np.vstack([np.zeros(3), roll_path_timed(method, PLANE, CENTER, NORMAL, steps()).points])
     out = roll(method, PLANE, RADIUS_M, CENTER, NORMAL, rotations.exp(TURN_RAD))
-    turned = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
-    moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * turned)
+    angle = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
+    moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * angle)
     path = np.concatenate([[0.0], np.cumsum(moved)])
     return np.column_stack([path.real, path.imag, out.motion[2] * np.arange(STEPS + 1)])
 
@@ -117,7 +117,7 @@ def time_classical(
     return path, float(np.median(watch.ns)), int(count)
 
 
-def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
+def speed(blocks: int = 50) -> dict[str, Any]:
     """Measure the time of a step of the paper's motion in world axes, ns, of every method and of the classical method.
 
     Each measurement is one compiled loop over the same 100 rotations. The classical method calls ODE45 once per step,
@@ -131,8 +131,8 @@ def speed(tolerance: float, blocks: int = 50) -> dict[str, Any]:
     counts: dict[str, int] = {}
     with progress("timing the methods", ROUNDS) as done:
         for number in range(ROUNDS):
-            for name, make in METHODS.items():
-                times[name].append(roll_path_timed(make(tolerance), PLANE, CENTER, NORMAL, dq, blocks).step_ns)
+            for name, method in METHODS.items():
+                times[name].append(roll_path_timed(method, PLANE, CENTER, NORMAL, dq, blocks).step_ns)
             for name, turns, dt, share in (
                 ("classical", dq, STEP_S, MAX_STEP_SHARE),
                 ("free", dq, STEP_S, 1.0),

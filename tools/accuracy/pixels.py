@@ -74,8 +74,8 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
 def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
     """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
-        thing = table(kind, pitch, Path(folder))
-        smooth, rolls = (Engine(scene_of(thing, sticks)) for sticks in (False, True))
+        obj = table(kind, pitch, Path(folder))
+        smooth, rolls = (Engine(scene_of(obj, sticks)) for sticks in (False, True))
     found, cost_us = [], []
     for path in ways:
         records = visit(smooth, path)

@@ -107,13 +107,13 @@ def center_normal(x: Array, shape: Any, past: Array) -> Array:
     It points away from the nearest point of the solid, or of the axis of the hollow capsule.
     """
     level, end = levels(x, shape)
-    held = np.where(past == 0.0, level, past * end)
+    level_after = np.where(past == 0.0, level, past * end)
     if isinstance(shape, model.Box):
-        nearest = held
+        nearest = level_after
     elif isinstance(shape, model.Capsule):
-        nearest = np.array([0.0, 0.0, held[0]])
+        nearest = np.array([0.0, 0.0, level_after[0]])
     else:
-        nearest = np.array([x[0] * held[0] / level[0], x[1] * held[0] / level[0], held[1]])
+        nearest = np.array([x[0] * level_after[0] / level[0], x[1] * level_after[0] / level[0], level_after[1]])
     away = x - nearest
     return np.asarray(getattr(shape, "side", 1.0) * away / np.linalg.norm(away))
 

@@ -43,14 +43,14 @@ def write_report(result: dict[str, Any], path: Path) -> None:
         file.write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()).encode())
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Any:
-    """Return a table with words in the first `left` columns and numbers in the others; long names are broken at `_`."""
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> Any:
+    """Return a table whose first `text_columns` columns have words, the others numbers; long names break at `_`."""
     from rich import box
     from rich.table import Table
 
     grid = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for number, name in enumerate(columns):
-        grid.add_column(name.replace("_", "\n"), justify="left" if number < left else "right", no_wrap=True)
+        grid.add_column(name.replace("_", "\n"), justify="left" if number < text_columns else "right", no_wrap=True)
     for row in rows:
         grid.add_row(*row)
     return grid

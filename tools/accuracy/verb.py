@@ -19,29 +19,22 @@ import llvmlite.binding as llvm
 from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import reason_unsavable
 from softfinger.tools.accuracy import meshes, pixels
-from softfinger.tools.accuracy.cases import RADIUS_M, Sweep, cases, has_method, longest_step
+from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, cases, has_method
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import fronts, orders, recommendations
 from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
-from softfinger.tools.accuracy.options import DRIFT_STEPS, METHODS, MOTIONS, REPORT, SURFACES
+from softfinger.tools.accuracy.options import DRIFT_STEPS, METHODS, REPORT, SURFACES
 from softfinger.tools.accuracy.paper import experiment, speed
 from softfinger.tools.accuracy.report import print_report, write_report
 from softfinger.tools.measure import show
 from softfinger.tools.sweep import run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
-SWEEP_RATE_HZ: Final = 1000.0
-PASSES: Final = 20
 QUICK_RATES_HZ: Final = (8.0, 64.0, 250.0, 1000.0)
-QUICK_PASSES: Final = 5
 QUICK_DRIFT_STEPS: Final = 20_000
 LIMITS: Final = {
-    "rate": (1.0, 1e5, "Hz"),
-    "turn_rate": (1e-6, 1e6, "rad/s"),
-    "curvature_ratio": (1e-3, 1e3, ""),
-    "spin_ratio": (0.0, 1e6, ""),
+    "rate": (4.0, 1e5, "Hz"),
     "error_below": (1e-15, 1.0, "m"),
-    "tolerance": (1e-13, 1e-2, ""),
     "drift_steps": (DRIFT_BLOCK, 10**10, ""),
 }
 """Smallest and largest value of the numeric options, and their unit."""
@@ -55,17 +48,17 @@ def run(args: argparse.Namespace) -> int:
     sweep, drift_cases = plan(args)
     if args.figures is not None:
         prepare_figures(args.figures)
-    paper, times = experiment(sweep.tolerance), speed(sweep.tolerance)
+    paper, times = experiment(), speed()
     # One thread, so that nothing runs concurrently with the timing.
     where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
     trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)
     drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **where)
-    off = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
-    trade = [row | {"drift_m": off[row["surface"], row["method"]]} for row in trade]
+    drift_by_case = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
+    trade = [row | {"drift_m": drift_by_case[row["surface"], row["method"]]} for row in trade]
     result: dict[str, Any] = {
         "machine": machine(),
         "radius_m": RADIUS_M,
-        "tolerance": sweep.tolerance,
+        "tolerance": TOLERANCE,
         "paper": paper,
         "speed": times,
         "trade": trade,
@@ -100,41 +93,21 @@ def prepare_figures(folder: Path) -> None:
 def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     """Return the sweep for the options; raises ConfigError for a value out of range, or if nothing can be measured."""
     for name, (low, high, unit) in LIMITS.items():
-        given = getattr(args, name)
-        for value in given if isinstance(given, list | tuple) else [given]:
+        option_values = getattr(args, name)
+        for value in option_values if isinstance(option_values, list | tuple) else [option_values]:
             if value is not None and not (isfinite(value) and low <= value <= high):
                 option = f"--{name.replace('_', '-')}"
                 raise ConfigError(f"{option} {value:g}: must be from {low:g} to {high:g} {unit}".rstrip())
     surfaces, methods = args.surface or list(SURFACES), args.method or list(METHODS)
-    rates = tuple(args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ))
-    motions, turn = args.motion or MOTIONS, args.turn_rate[0]
-    longest = longest_step(motions)
-    if turn >= longest * min(rates):
-        raise ConfigError(
-            f"--turn-rate {turn:g} at --rate {min(rates):g}: a step of {turn / min(rates):.3g} rad; with a "
-            f"{' and a '.join(motions)} rate it must be below {longest:.3g}: raise --rate above {turn / longest:.4g}, "
-            "or lower --turn-rate"
-        )
     pairs = [(s, m) for s in surfaces for m in methods if has_method(s, m)]
     if not pairs:
         raise ConfigError(
             f"--method {' '.join(methods)} --surface {' '.join(surfaces)}: rotation_vector is there for shapes with a "
             "closed form, not for ellipsoids and tori: name another method or surface"
         )
-    sweep = Sweep(
-        surfaces=surfaces,
-        methods=methods,
-        motions=motions,
-        rates_hz=rates,
-        turn_rates=args.turn_rate[:1] if args.quick else args.turn_rate,
-        curvature_ratios=() if args.quick else args.curvature_ratio,
-        spin_ratios=args.spin_ratio[:1] if args.quick else args.spin_ratio,
-        tolerance=args.tolerance,
-        passes=QUICK_PASSES if args.quick else PASSES,
-        sweep_rate_hz=SWEEP_RATE_HZ,
-    )
+    sweep = Sweep(surfaces, methods, args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ), args.quick)
     steps = args.drift_steps or (QUICK_DRIFT_STEPS if args.quick else DRIFT_STEPS)
-    return sweep, [DriftCase(surface, method, args.tolerance, steps) for surface, method in pairs]
+    return sweep, [DriftCase(surface, method, steps) for surface, method in pairs]
 
 
 def machine() -> dict[str, Any]:

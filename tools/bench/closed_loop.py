@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.jit.pack import Packed, packed, unpack
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch, thread_cpu_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.closed_loop import Run, close_loop
+from softfinger.server.offline.closed_loop import TickRange, close_loop
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
@@ -79,7 +79,7 @@ def time_ticks(
         cpu_begun = thread_cpu_ns(timespec)
         for part in range(short_ns.shape[1]):
             begun = now_ns(timespec)
-            end = close_loop(tuning, start, memory, plant, state, drive, Run(tick, SHORT, dt), np.inf)
+            end = close_loop(tuning, start, memory, plant, state, drive, TickRange(tick, SHORT, dt), np.inf)
             memory, state = end.memory, end.state
             strongest = max(strongest, end.force)
             tick += SHORT

@@ -55,7 +55,7 @@ damping_ns_per_m = 0.0
 kind = "constant_force"
 force_n = [0.0, 0.0, {PAIRS[0][1]}]
 """
-OTHER: Final = "paper-plane"
+SECOND_SCENE: Final = "paper-plane"
 RIG: Final = f"""
 [device]
 driver = "replay"
@@ -73,7 +73,7 @@ endpoint = "ENDPOINT"
 [commands]
 ramp_s = 0.0
 """
-HELD: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0,0,0\n" for t in (0, 1))
+POSES_CSV: Final = "t,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{0.01 - DEPTH_M!r},1,0,0,0\n" for t in (0, 1))
 
 
 class Listener:
@@ -127,9 +127,9 @@ def run(args: argparse.Namespace) -> int:
         listener.rows()
         quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
         rows, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
-        turned, memory = swapping(listener, control, process.pid, args.swaps)
+        swap_rows, memory = swapping(listener, control, process.pid, args.swaps)
     # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
-    steps = np.diff(np.abs(turned[:, 2]))[(np.diff(turned[:, 0]) == 1.0) & (turned[1:, 1] <= PAUSE_MAX_S)]
+    steps = np.diff(np.abs(swap_rows[:, 2]))[(np.diff(swap_rows[:, 0]) == 1.0) & (swap_rows[1:, 1] <= PAUSE_MAX_S)]
     result = {
         "ticks_without": len(quiet), "missed_without": count_missed(quiet),
         "set_params": len(answers), "ticks": len(rows), "missed": count_missed(rows), "torn": count_torn(rows),
@@ -168,12 +168,12 @@ def table(result: dict[str, Any]) -> list[str]:
 def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
-    (folder / "held.csv").write_text(HELD, "utf-8")
+    (folder / "held.csv").write_text(POSES_CSV, "utf-8")
     (folder / "pressed.toml").write_text(SCENE, "utf-8")
     (folder / "rig.toml").write_text(RIG.replace("ENDPOINT", endpoint), "utf-8")
     words = ["run", "--rig", "rig.toml", "--scene", "pressed.toml", "--commands", commands]
-    said = folder / "log"
-    with said.open("wb") as log, subprocess.Popen(
+    log_path = folder / "log"
+    with log_path.open("wb") as log, subprocess.Popen(
         [sys.executable, "-m", "softfinger.server.cli", *words], cwd=folder, stdout=log, stderr=log
     ) as process:  # fmt: skip
         try:
@@ -218,7 +218,7 @@ def swapping(listener: Listener, control: Control, pid: int, count: int) -> tupl
     memory = []
     with progress("set_scene", count) as done:
         for number in range(count):
-            control.set_scene(pressed if number % 2 else OTHER)
+            control.set_scene(pressed if number % 2 else SECOND_SCENE)
             listener.wait_until_felt()
             memory.append(resident_mb(pid))
             done(number + 1)

@@ -21,8 +21,8 @@ Table = dict[str, Any]
 
 FRICTION: Final[Table] = {"static": 0.6, "kinetic": 0.5}
 TORSION: Final[Table] = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
-STUFF: Final[Table] = {"stiffness_n_per_m": 1000.0}
-GRIP: Final[Table] = STUFF | {"friction": FRICTION, "torsion": TORSION}
+MATERIAL: Final[Table] = {"stiffness_n_per_m": 1000.0}
+GRIP: Final[Table] = MATERIAL | {"friction": FRICTION, "torsion": TORSION}
 ROLLING: Final[Table] = {"rolling": {"method": "euler_zxz"}}
 
 SHAPES: Final[dict[str, Table]] = {
@@ -148,7 +148,7 @@ def all_features() -> list[Feature]:
 
 
 def _scene(
-    shape: str = "plane", material: Mapping[str, Any] = STUFF, others: list[Table] | None = None, **changes: Any
+    shape: str = "plane", material: Mapping[str, Any] = MATERIAL, others: list[Table] | None = None, **changes: Any
 ) -> schema.Scene:
     """Return a scene with an object of that shape.
 
@@ -157,13 +157,13 @@ def _scene(
     own = {key.removeprefix("object_"): value for key, value in changes.items() if key.startswith("object_")}
     tables = {key: value for key, value in changes.items() if not key.startswith("object_")}
     things = [{"name": shape, **SHAPES[shape], **own}, *(others or [])]
-    objects = [{"material": dict(material), **thing} for thing in things]
+    objects = [{"material": dict(material), **shape_table} for shape_table in things]
     return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
 
 
 def _normal() -> Iterator[Feature]:
     for name, keys in NORMALS.items():
-        yield Feature(f"normal force {name}", "bare plane", _scene(), _scene(material=STUFF | keys))
+        yield Feature(f"normal force {name}", "bare plane", _scene(), _scene(material=MATERIAL | keys))
 
 
 def _rolling() -> Iterator[Feature]:
@@ -179,7 +179,7 @@ def _rolling() -> Iterator[Feature]:
 
 
 def _friction() -> Iterator[Feature]:
-    spun = _scene(material=STUFF | {"torsion": TORSION})
+    spun = _scene(material=MATERIAL | {"torsion": TORSION})
     yield Feature("friction static and kinetic", "plane with torsion", spun, _scene(material=GRIP))
     base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
     for name, keys in LAWS.items():
@@ -189,7 +189,7 @@ def _friction() -> Iterator[Feature]:
 
 
 def _torsion() -> Iterator[Feature]:
-    without = _scene(material=STUFF | {"friction": FRICTION}, **ROLLING)
+    without = _scene(material=MATERIAL | {"friction": FRICTION}, **ROLLING)
     for name, keys in TORSIONS.items():
         having = _scene(material=GRIP | {"torsion": TORSION | keys}, **ROLLING)
         yield Feature(f"torsion {name}", "plane with friction, rolling", without, having)
@@ -227,10 +227,10 @@ def _shapes() -> Iterator[Feature]:
 
 
 def _several() -> Iterator[Feature]:
-    apart = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
-    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[apart]))
+    far_plane = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
+    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[far_plane]))
     yield Feature(
-        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[apart])
+        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[far_plane])
     )
     two, three = _scene(others=WALLS[:1]), _scene(others=WALLS)
     yield Feature("second object, touched too", "bare plane", _scene(), two, lambda: (corner_poses(), corner_poses()))

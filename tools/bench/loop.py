@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     name = "replay" if args.geoms is not None else default_rig(args.scene, "replay")
     rig = load_rig(name, {"servo.rate_hz": args.rate, "servo.realtime": args.realtime})
     with tempfile.TemporaryDirectory() as folder:
-        given = args.scene if args.geoms is None else scene_of_geoms(args.geoms, args.rate, Path(folder))
-        runs, settings = measure(rig, load_scene(given), args.seconds, busy=True)
+        scene = args.scene if args.geoms is None else scene_of_geoms(args.geoms, args.rate, Path(folder))
+        runs, settings = measure(rig, load_scene(scene), args.seconds, busy=True)
     result = {"scene": args.scene if args.geoms is None else f"{args.geoms} geoms"} | evaluate(
         {name: np.concatenate(parts) for name, parts in runs.items()}, args.rate
     )

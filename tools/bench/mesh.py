@@ -71,14 +71,14 @@ def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
         import trimesh
     except ImportError as error:
         raise ConfigError(f"bench mesh needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
-    made = trimesh.creation.icosphere(subdivisions=level, radius=1.0)
-    x = np.asarray(made.vertices)
+    sphere = trimesh.creation.icosphere(subdivisions=level, radius=1.0)
+    x = np.asarray(sphere.vertices)
     waves = np.sin(30.0 * x[:, 0]) * np.sin(30.0 * x[:, 1]) * np.cos(20.0 * x[:, 2])
-    made.vertices = x * (RADIUS_M + bumps * waves)[:, None]
+    sphere.vertices = x * (RADIUS_M + bumps * waves)[:, None]
     file = folder / f"{level}-{bumps:g}.ply"
     if not file.exists():
-        made.export(file)
-    return str(file), np.asarray(made.vertices), np.asarray(made.faces)
+        sphere.export(file)
+    return str(file), np.asarray(sphere.vertices), np.asarray(sphere.faces)
 
 
 def scene_of(radius: float, **shape: Any) -> schema.Scene:
@@ -87,10 +87,10 @@ def scene_of(radius: float, **shape: Any) -> schema.Scene:
         "friction": {"static": 0.6, "kinetic": 0.5},
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
     }
-    thing = {"name": "ball", "material": material, **shape}
+    obj = {"name": "ball", "material": material, **shape}
     coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
     tables = {"fingertip": {"radius_m": radius}, "rolling": {"method": "midpoint"}, "coupling": coupling}
-    return build(schema.Scene, {**tables, "object": [thing]}, "bench mesh")
+    return build(schema.Scene, {**tables, "object": [obj]}, "bench mesh")
 
 
 def make_path(ticks: int, radius: float) -> Array:
@@ -130,8 +130,8 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
 
 
 @entry
-def ask(like: Any, values: Array, points: Array, found: Array) -> None:
-    """Store in `found` (n, 3) the results for each of `points` (n, 3) m.
+def ask(like: Any, values: Array, points: Array, visits: Array) -> None:
+    """Store in `visits` (n, 3) the results for each of `points` (n, 3) m.
 
     The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED points,
     the squared distance over all triangles.
@@ -141,10 +141,10 @@ def ask(like: Any, values: Array, points: Array, found: Array) -> None:
     for i in range(len(points)):
         x = (points[i, 0], points[i, 1], points[i, 2])
         near = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
-        found[i, 0], found[i, 1], found[i, 2] = near.square, near.spent, 1e300
+        visits[i, 0], visits[i, 1], visits[i, 2] = near.square, near.spent, 1e300
         if i < CHECKED:
             for k in range(int(triangles.number)):
-                found[i, 2] = min(found[i, 2], foot_on(corners_of(triangles, k), x).square)
+                visits[i, 2] = min(visits[i, 2], foot_on(corners_of(triangles, k), x).square)
 
 
 def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
@@ -154,8 +154,8 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     found = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, found)
     wrong = np.abs(np.sqrt(found[:CHECKED, 0]) - np.sqrt(found[:CHECKED, 2])).max()
-    spent = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
-    return {"asked": dict(zip(("p50", "p99", "max"), spent, strict=True)), "distance_error_m": float(wrong)}
+    percentiles_s = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
+    return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}
 
 
 def table(result: dict[str, Any]) -> Iterator[str]:

@@ -147,14 +147,8 @@ def configure_telemetry(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (default: %(default)s)"
     )
-    parser.add_argument("--transport", choices=["tcp", "ipc"], default="tcp", help="default: %(default)s")
-    parser.add_argument("--busy", action="store_true", help="also measure with a busy Python thread")
     parser.add_argument("--forward", action="store_true", help="also measure through `softfinger forward`")
     parser.add_argument("--keys", action="store_true", help="with --forward: use CURVE keys")
-    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument(
-        "--beside", metavar="PYTHON", help="Python interpreter of another version to compare with in turn"
-    )
     add_output_options(parser)
 
 

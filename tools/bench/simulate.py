@@ -81,8 +81,8 @@ def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
 
 def children_s() -> float:
     """Return the processor time of finished child processes."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def summarize(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:

@@ -109,28 +109,28 @@ def run(args: argparse.Namespace) -> int:
 
 def soak(rig: Rig, seconds: float) -> Soaked:
     """Run everything for `seconds` and sample it once a second."""
-    with tempfile.TemporaryDirectory() as made, ExitStack() as running:
-        folder = Path(made)
+    with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
+        folder = Path(folder_name)
         commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
         words = ["run", "--rig", "simulated", "--realtime", rig.servo.realtime, "--record", recording]
         daemon = [sys.executable, "-m", "softfinger.server.cli", *words, "--endpoint", "ENDPOINT"]
-        shown = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
-        await_messages(shown.endpoint)
-        page, address = running.enter_context(viewer("--endpoint", shown.endpoint, "--commands", commands))
+        publisher = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
+        await_messages(publisher.endpoint)
+        page, address = running.enter_context(viewer("--endpoint", publisher.endpoint, "--commands", commands))
         running.enter_context(helper("--page", address))
-        readers = [running.enter_context(helper(shown.endpoint)) for _ in range(SUBSCRIBERS)]
+        readers = [running.enter_context(helper(publisher.endpoint)) for _ in range(SUBSCRIBERS)]
         running.enter_context(end_after([sys.executable, "-c", BUSY]))
-        client = running.enter_context(Client(shown.endpoint, commands, timeout_s=30.0))
-        beside = running.enter_context(run_c_loop(rig, folder))
-        trees = {"daemon": shown.process.pid, "page": page.pid}
+        client = running.enter_context(Client(publisher.endpoint, commands, timeout_s=30.0))
+        c_loop = running.enter_context(run_c_loop(rig, folder))
+        trees = {"daemon": publisher.process.pid, "page": page.pid}
         trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
-        first = newest(shown.endpoint)
+        first = newest(publisher.endpoint)
         times, processes = watch_processes(trees, lambda number: change(client, number), seconds)
-        last = newest(shown.endpoint)
+        last = newest(publisher.endpoint)
         for reader in readers:
             reader.send_signal(signal.SIGTERM)
-        lost = sum(int(reader.communicate(timeout=30.0)[0]) for reader in readers)
-        return Soaked(times, processes, last[0] - first[0], last[1] - first[1], beside(), lost)
+        lost_ticks = sum(int(reader.communicate(timeout=30.0)[0]) for reader in readers)
+        return Soaked(times, processes, last[0] - first[0], last[1] - first[1], c_loop(), lost_ticks)
 
 
 def watch_processes(
@@ -319,12 +319,12 @@ def stop_on_sigterm() -> threading.Event:
 
 def receive(endpoint: str) -> None:
     """Run a subscriber that counts the ticks it did not receive and prints them on SIGTERM."""
-    stopped, lost = stop_on_sigterm(), 0
+    stopped, lost_ticks = stop_on_sigterm(), 0
     with subscribe(endpoint) as samples:
         while not stopped.is_set():
             if (sample := samples.receive(0.1)) is not None:
-                lost += sample.lost
-    print(lost)
+                lost_ticks += sample.lost
+    print(lost_ticks)
 
 
 def connect_to_page(address: str) -> ClientConnection:

@@ -2,9 +2,7 @@
 
 One process runs the daemon, and each subscriber is a separate process. Further sources run in turn, so that
 disturbances of the machine affect all of them. If there is a compiler, one is a sender in C over libzmq that does
-nothing else. With `--busy`, the daemon has a thread that spins in Python, and the sender has a process that does so.
-With `--forward`, the source is `softfinger forward`, by CURVE with `--keys`. With `--beside`, it is the daemon of
-another version.
+nothing else. With `--forward`, the source is `softfinger forward`, by CURVE with `--keys`.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import StateInfo, Ticks
+from softfinger.server.publishing.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, microseconds, quantiles, show
@@ -44,42 +42,17 @@ SOURCE: Final = Path(__file__).with_name("reference_sender.c")
 _EIGHT_BYTES: Final = 2**50 + 1
 """A tick that is encoded in eight bytes, like those of the C sender; no `state` message is sent with it."""
 
-SPINNING: Final = """
-import sys, threading
-def spin():
-    total = 0
-    while True:
-        for number in range(10_000):
-            total += number * number
-threading.Thread(target=spin, daemon=True).start()
-from softfinger.server.cli import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-BESIDE_SPINNING: Final = """
-import os, sys
-parent = os.getpid()
-if os.fork() == 0:
-    total = 0
-    while os.getppid() == parent:
-        for number in range(10_000):
-            total += number * number
-    os._exit(0)
-os.execv(sys.argv[1], sys.argv[1:])
-"""
-"""The C sender with as much Python spinning on the machine; it shows the delay that is caused by the subscribers."""
-
 FORWARD: Final = "forward"
 
 
-class Turn(NamedTuple):
+class SourceResult(NamedTuple):
     """Data of the subscribers of a source: (n, 2) tick, latency s, of each; and the source's share of a processor."""
 
     seen: list[Array]
     load: float
 
 
-class Source(NamedTuple):
+class PublisherProcess(NamedTuple):
     """Publisher: its process, the endpoint, and the client's key files, empty if no key is needed."""
 
     process: subprocess.Popen[Any]
@@ -91,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     with tempfile.TemporaryDirectory() as folder:
         sources = commands(args, Path(folder))
-        found: dict[str, list[Turn]] = {name: [] for name in sources}
+        found: dict[str, list[SourceResult]] = {name: [] for name in sources}
         for _ in range(turns):
             for name, words in sources.items():
                 found[name].append(measure(name, words, args, args.seconds / turns))
@@ -104,13 +77,13 @@ def run(args: argparse.Namespace) -> int:
             "lost": int(sum((np.diff(each[:, 0]) - 1).sum() for each in seen)),
             "load": float(np.mean([part.load for part in parts])),
         }
-    lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz over {args.transport}, us"]
+    lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz, us"]
     own = result["daemon"]["latency"]["blocks"]
     for name in found:
         latency = result[name]["latency"]["blocks"]
         cells = "  ".join(f"{q} {microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
-        lost = f"lost {result[name]['lost']} of {result[name]['messages']}"
-        lines.append(f"  {name:<10} {cells}   {lost}   processor {100.0 * result[name]['load']:4.1f} %")
+        loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
+        lines.append(f"  {name:<10} {cells}   {loss_text}   processor {100.0 * result[name]['load']:4.1f} %")
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
     show(result, args.json, lines)
     if args.plot:
@@ -120,17 +93,11 @@ def run(args: argparse.Namespace) -> int:
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
     """Return the command line of each source; `ENDPOINT` is replaced by its endpoint."""
-    daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate), "--rig", args.rig]
+    daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate)]
     found = {}
     if (program := compile_reference(folder)) is not None:
         found["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
-        if args.busy:
-            found["c busy"] = [sys.executable, "-c", BESIDE_SPINNING, *found["c"]]
-    interpreters = {"daemon": sys.executable} | ({"beside": args.beside} if args.beside else {})
-    for name, python in interpreters.items():
-        found[name] = [python, "-m", "softfinger.server.cli", *daemon]
-        if args.busy:
-            found[f"{name} busy"] = [python, "-c", SPINNING, *daemon]
+    found["daemon"] = [sys.executable, "-m", "softfinger.server.cli", *daemon]
     if args.forward:
         found[FORWARD] = found["daemon"]
     return found
@@ -156,23 +123,28 @@ def body(folder: Path) -> list[str]:
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, made),) = Messages(Ticks(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)).encode_row(
-        tuple(record)
-    )
-    path.write_bytes(made)
-    return [str(path), *(str(made.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES)))]
+    ((_, message),) = Messages(
+        TickParameters(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)
+    ).encode_row(tuple(record))
+    path.write_bytes(message)
+    return [
+        str(path),
+        *(str(message.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES))),
+    ]
 
 
-def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> Turn:
+def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> SourceResult:
     """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
-    with tempfile.TemporaryDirectory() as made, ExitStack() as running:
-        shown = running.enter_context(source(words, args.transport, Path(made)))
-        await_messages(shown.endpoint)
+    with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
+        publisher = running.enter_context(source(words, "tcp", Path(folder_name)))
+        await_messages(publisher.endpoint)
         if name == FORWARD:
-            shown = running.enter_context(forward(shown.endpoint, args.keys, Path(made)))
-        used, begun = processor_s(shown.process.pid), time.monotonic()
-        seen = subscribe_all(name, shown, args.subscribers, seconds, Path(made))
-        return Turn(seen, (processor_s(shown.process.pid) - used) / (time.monotonic() - begun))
+            publisher = running.enter_context(forward(publisher.endpoint, args.keys, Path(folder_name)))
+        start_cpu_s, begun = processor_s(publisher.process.pid), time.monotonic()
+        ticks_of_subscribers = subscribe_all(name, publisher, args.subscribers, seconds, Path(folder_name))
+        return SourceResult(
+            ticks_of_subscribers, (processor_s(publisher.process.pid) - start_cpu_s) / (time.monotonic() - begun)
+        )
 
 
 def processor_s(pid: int) -> float:
@@ -184,7 +156,7 @@ def processor_s(pid: int) -> float:
 
 
 @contextmanager
-def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
+def source(words: list[str], transport: str, folder: Path) -> Iterator[PublisherProcess]:
     """Run a process that publishes until the block ends."""
     if transport == "ipc":
         endpoint = f"ipc://{folder}/source.sock"
@@ -194,14 +166,14 @@ def source(words: list[str], transport: str, folder: Path) -> Iterator[Source]:
     started = [endpoint if word == "ENDPOINT" else word for word in words]
     with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
         try:
-            yield Source(process, endpoint)
+            yield PublisherProcess(process, endpoint)
         finally:
             process.terminate()
             process.wait(timeout=30.0)
 
 
 @contextmanager
-def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
+def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProcess]:
     """Run a process that forwards from an endpoint; its keys, if any, are in the folder."""
     words = [sys.executable, "-m", "softfinger.server.cli", "forward", "--from", endpoint, "--to", "tcp://127.0.0.1:*"]
     pair: tuple[str, ...] = ()
@@ -215,8 +187,8 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[Source]:
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
-            said = next((line for line in process.stderr if "forwarded on " in line), "")
-            yield Source(process, said.partition("forwarded on ")[2].partition(",")[0], pair)
+            line_with_endpoint = next((line for line in process.stderr if "forwarded on " in line), "")
+            yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
         finally:
             process.terminate()
             process.communicate(timeout=30.0)
@@ -233,11 +205,13 @@ def await_messages(endpoint: str) -> None:
                 raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
 
 
-def subscribe_all(name: str, shown: Source, subscribers: int, seconds: float, folder: Path) -> list[Array]:
+def subscribe_all(
+    name: str, publisher: PublisherProcess, subscribers: int, seconds: float, folder: Path
+) -> list[Array]:
     """Return the messages of every subscriber, (n, 2): tick, latency s."""
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
-    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", shown.endpoint, repr(seconds)]
-    processes = [subprocess.Popen([*words, str(path), *shown.keys]) for path in paths]
+    words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", publisher.endpoint, repr(seconds)]
+    processes = [subprocess.Popen([*words, str(path), *publisher.keys]) for path in paths]
     with progress(f"measuring: {name}", round(seconds)) as done:
         begun = time.monotonic()
         while any(process.poll() is None for process in processes):
@@ -259,21 +233,21 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
             client_keys(*keys).apply_to(socket)
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        seen: list[tuple[float, bytes]] = []
+        arrivals: list[tuple[float, bytes]] = []
         end = time.monotonic() + seconds + 1.0
         while time.monotonic() < end:
             _, body = socket.recv_multipart()
-            seen.append((time.time(), body))
+            arrivals.append((time.time(), body))
     # Messages are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
     # subscribers start.
-    messages = [(at, msgpack.unpackb(body)) for at, body in seen if at > seen[0][0] + 1.0]
+    messages = [(at, msgpack.unpackb(body)) for at, body in arrivals if at > arrivals[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
 
 
-def draw(path: Path, found: dict[str, list[Array]]) -> None:
+def draw(path: Path, results: dict[str, list[Array]]) -> None:
     drawing = figure()
     axes = drawing.add_subplot()
-    for name, parts in found.items():
+    for name, parts in results.items():
         latency = np.sort(np.concatenate([part[:, 1] for part in parts])) * 1e6
         axes.loglog(latency.clip(1.0), 1.0 - np.arange(len(latency)) / len(latency), label=name)
     axes.set_xlabel("tick to subscriber, us")

@@ -57,14 +57,14 @@ COUNT: Final = """() => {
 }"""
 
 
-class Case(NamedTuple):
+class PageCounts(NamedTuple):
     """Number of viewer processes, and number of browser pages that are open at the first of them."""
 
     viewers: int
     pages: int
 
 
-class Turn(NamedTuple):
+class TurnResult(NamedTuple):
     """Results of a turn.
 
     ticks   (n, 3)  lateness s, busy s, deadlines missed so far
@@ -78,18 +78,18 @@ class Turn(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
-    known = cases(args)
+    page_counts = cases(args)
     turns = max(1, round(args.seconds / TURN_S))
-    found: dict[str, list[Turn]] = {name: [] for name in known}
+    found: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
     with tempfile.TemporaryDirectory() as folder:
         commands = f"ipc://{folder}/commands"
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
-        with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as shown:
-            await_messages(shown.endpoint)
-            with progress("measuring", turns * len(known)) as done:
-                for number in range(turns * len(known)):
-                    name = list(known)[number % len(known)]
-                    found[name].append(measure(known[name], shown.endpoint, commands, args.seconds / turns))
+        with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as publisher:
+            await_messages(publisher.endpoint)
+            with progress("measuring", turns * len(page_counts)) as done:
+                for number in range(turns * len(page_counts)):
+                    name = list(page_counts)[number % len(page_counts)]
+                    found[name].append(measure(page_counts[name], publisher.endpoint, commands, args.seconds / turns))
                     done(number + 1)
     result = {name: summary(parts) for name, parts in found.items()}
     show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
@@ -98,23 +98,23 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def cases(args: argparse.Namespace) -> dict[str, Case]:
+def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
     """Return the cases by name; raises ConfigError if browsers are not available."""
     if args.viewers < 1 or args.browsers < 0:
         raise ConfigError(f"--viewers {args.viewers} --browsers {args.browsers}: give at least 1 viewer, 0 browsers")
-    found = {"no viewer": Case(0, 0), "1 viewer": Case(1, 0)}
+    found = {"no viewer": PageCounts(0, 0), "1 viewer": PageCounts(1, 0)}
     if args.viewers > 1:
-        found[f"{args.viewers} viewers"] = Case(args.viewers, 0)
+        found[f"{args.viewers} viewers"] = PageCounts(args.viewers, 0)
     if args.browsers:
         if shutil.which("chromium") is None:
             raise ConfigError("--browsers: chromium is not installed (Debian: apt install chromium)")
-        found["1 page"] = Case(1, 1)
+        found["1 page"] = PageCounts(1, 1)
     if args.browsers > 1:
-        found[f"{args.browsers} pages"] = Case(1, args.browsers)
+        found[f"{args.browsers} pages"] = PageCounts(1, args.browsers)
     return found
 
 
-def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
+def measure(case: PageCounts, endpoint: str, commands: str, seconds: float) -> TurnResult:
     """Return the daemon's ticks with the viewers and pages of a case."""
     with ExitStack() as running:
         words = ["--endpoint", endpoint, "--commands", commands]
@@ -122,19 +122,23 @@ def measure(case: Case, endpoint: str, commands: str, seconds: float) -> Turn:
         pages = running.enter_context(opened(served[0][1], case.pages)) if case.pages else []
         for page in pages:
             page.evaluate(COUNT)
-        used, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
+        start_cpu_s, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
         ticks = receive_ticks(endpoint, seconds)
         frames = [float(page.evaluate("framesPerSecond()")) for page in pages]
-        spent = [processor_s(process.pid) - before for (process, _), before in zip(served, used, strict=True)]
-        return Turn(ticks, float(np.mean(spent)) / (time.monotonic() - begun) if spent else 0.0, frames)
+        processor_seconds = [
+            processor_s(process.pid) - before for (process, _), before in zip(served, start_cpu_s, strict=True)
+        ]
+        return TurnResult(
+            ticks, float(np.mean(processor_seconds)) / (time.monotonic() - begun) if processor_seconds else 0.0, frames
+        )
 
 
 def receive_ticks(endpoint: str, seconds: float) -> Array:
     """Return every tick (n, 3) of some seconds: lateness s, busy s, deadlines missed so far."""
     rows, end = [], time.monotonic() + seconds
     with subscribe(endpoint) as samples:
-        while (left := end - time.monotonic()) > 0.0:
-            if (sample := samples.receive(left)) is not None:
+        while (remaining_s := end - time.monotonic()) > 0.0:
+            if (sample := samples.receive(remaining_s)) is not None:
                 servo = sample.data.servo
                 rows.append((servo.late, servo.busy, servo.missed))
     return np.array(rows).reshape(-1, 3)
@@ -150,12 +154,12 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
         assert process.stderr is not None
         try:
-            said = ""
-            while (found := re.search(r"(?m)^(http\S+)\n", said)) is None:
+            output = ""
+            while (found := re.search(r"(?m)^(http\S+)\n", output)) is None:
                 line = process.stderr.readline()
                 if not line:
-                    raise ConfigError(f"no page was served: {said.strip() or 'it ended without a word'}")
-                said += line
+                    raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
+                output += line
             yield process, found[1]
         finally:
             process.terminate()
@@ -188,7 +192,7 @@ def opened(address: str, count: int) -> Iterator[list[Any]]:
             browser.close()
 
 
-def summary(turns: list[Turn]) -> dict[str, Any]:
+def summary(turns: list[TurnResult]) -> dict[str, Any]:
     """Return the results of a case."""
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
@@ -218,10 +222,10 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
 
 
-def draw(path: Path, found: dict[str, list[Turn]]) -> None:
+def draw(path: Path, results: dict[str, list[TurnResult]]) -> None:
     drawing = figure()
     axes = drawing.add_subplot()
-    for name, turns in found.items():
+    for name, turns in results.items():
         late = np.sort(np.concatenate([turn.ticks[:, 0] for turn in turns])) * 1e6
         axes.loglog(late.clip(1.0), 1.0 - np.arange(len(late)) / len(late), label=name)
     axes.set_xlabel("woken late, us")

@@ -12,7 +12,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system import libusb as system_libusb
 from softfinger.drivers.system.claims import Claim, claims, find_claim, matches
 from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, makers_library
-from softfinger.drivers.system.discovery import Attached
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.tools.doctor.check import STATES, Check, State
 
 OVER_USB: Final = ("falcon", "forcedimension")
@@ -86,7 +86,7 @@ def inverse_service(rig: Rig) -> Check:
     return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
 
 
-def devices(rig: Rig, found: list[Attached]) -> list[Check]:
+def devices(rig: Rig, found: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
     driver, wanted = single_device(rig).driver, "usable"
     seen, own = [], False
@@ -115,7 +115,7 @@ def devices(rig: Rig, found: list[Attached]) -> list[Check]:
     return seen
 
 
-def is_of(rig: Rig, device: Attached) -> bool:
+def is_of(rig: Rig, device: SystemDevice) -> bool:
     """Return whether a device may be the rig's: by its ids or path if the rig gives them, else by its driver."""
     options, claim = single_device(rig).options, find_claim(device)
     if "vendor_id" in options:

@@ -196,17 +196,17 @@ The page on several patches has a figure of the study.
 """
 
 
-OTHERS: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"states": (states.draw, ("",))}
+STATE_FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"states": (states.draw, ("",))}
 """The same for pages that are not of a model."""
 
 
 def draw(name: str, path: Path) -> None:
     """Draw one figure and save it."""
-    drawn, legends = (FIGURES | OTHERS)[name]
+    draw, legends = (FIGURES | STATE_FIGURES)[name]
     count = len(legends)
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(drawing.subplots(1, count))
-    drawn(axes)
+    draw(axes)
     for each, place in zip(axes, legends, strict=True):
         if place:
             each.legend(loc=place, frameon=False, fontsize="small")
@@ -219,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
     folder = parser.parse_args(argv).folder
     for name in FIGURES:
         draw(name, folder / f"model-{name}.svg")
-    for name in OTHERS:
+    for name in STATE_FIGURES:
         draw(name, folder / f"{name}.svg")
     moving.draw(folder / "lift-a-box.svg")
     return 0

@@ -130,11 +130,11 @@ _STARVED: Final = stall_range_s()
 _FAST: Final = default(Guard, "handle_speed_max_m_per_s")
 _FASTER: Final = 1.5 * _FAST
 _CAUGHT: Final = f"{count_ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
-_STILL: Final = f"{default(Guard, 'frozen_s'):g} s by default"
+_FROZEN_TIME: Final = f"{default(Guard, 'frozen_s'):g} s by default"
 _GAPS: Final = (
     f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
 )
-_TRIED: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
+_RETRIES: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
 _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
 _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
 _PROCESS: Final = "tests/server/test_process_faults.py"
@@ -163,7 +163,7 @@ HAZARDS: Final = (
         f"the ramp; {_JUMPS} in a row end the run", ("guard pose_jumped", FAILED), (_INJECTED, _EVERYWHERE), within=0,
     ),
     Hazard(
-        "a pose that does not change under a force", "`frozen_s`", _STILL, "zero", "once it moves, the ramp",
+        "a pose that does not change under a force", "`frozen_s`", _FROZEN_TIME, "zero", "once it moves, the ramp",
         ("guard pose_frozen",), (_INJECTED, _EVERYWHERE), within=_FROZEN,
     ),
     Hazard(
@@ -295,7 +295,7 @@ HAZARDS: Final = (
     Hazard(
         "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
         "none",
-        "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_TRIED}",
+        "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_RETRIES}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
          "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again", _NO_FILES),

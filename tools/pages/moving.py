@@ -1,7 +1,7 @@
 """Animation at the top of README: a box lifted by two fingertips, with torsion and without, side by side.
 
 Both are simulated. The picture shows poses 20 times a second, seen along the line between the fingers. SVG animates it
-without a script (SMIL), in a page and in an image; a program without SMIL shows the frame STILL.
+without a script (SMIL), in a page and in an image; a program without SMIL shows the frame STILL_FRAME.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 RATE_HZ: Final = 1000.0
 BLOCK: Final = 50
 """Ticks per frame."""
-STILL: Final = 50
+STILL_FRAME: Final = 50
 """Frame in which the box is up and held."""
 PIXELS_PER_M: Final = 1400.0
 WIDTH: Final = 360
@@ -104,7 +104,7 @@ def _pixels(places: Array) -> list[str]:
 def _animate(kind: str, values: list[str], seconds: float, shape: str) -> str:
     """Return a shape that moves from value to value in a loop."""
     return (
-        f'<g transform="{kind}({values[STILL]})"><animateTransform attributeName="transform" type="{kind}" '
+        f'<g transform="{kind}({values[STILL_FRAME]})"><animateTransform attributeName="transform" type="{kind}" '
         f'dur="{seconds:g}s" repeatCount="indefinite" values="{";".join(values)}"/>{shape}</g>\n'
     )
 

@@ -26,7 +26,7 @@ from softfinger.tools.pages import states
 from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN, Hazard
 
 WIDTH: Final = 120
-MADE: Final = "<!-- made by `make reference`; change the program, not this file -->"
+GENERATED_NOTE: Final = "<!-- made by `make reference`; change the program, not this file -->"
 
 _KEYS: Final = """\
 Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. A key without
@@ -62,12 +62,12 @@ def drivers() -> str:
 
 Keys of a rig's `[device]` besides `driver`; several devices have a table `[devices.NAME]` each.
 [Devices](../devices/overview.md) shows their use."""
-    parts, seen = [], dict[str, str]()
+    parts, anchors = [], dict[str, str]()
     for name in registry.BUILT_IN:
         parts.append(f"## `{name}`")
         for heading, body in schema.sections(registry.load(name).Options, "[device]"):
-            parts.append(f"### {heading}\n\n{f'As {seen[body]}.' if body in seen else body}")
-            seen.setdefault(body, f"{heading} of `{name}`")
+            parts.append(f"### {heading}\n\n{f'As {anchors[body]}.' if body in anchors else body}")
+            anchors.setdefault(body, f"{heading} of `{name}`")
     return _page(head, *parts)
 
 
@@ -78,14 +78,14 @@ def experiments() -> str:
 
 An experiment file (TOML) describes trials and answers: [run an experiment](../run-an-experiment.md).
 `softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
-    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _KEPT.items()])
+    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _FOLDER_FILES.items()])
     return _page(
         head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.markdown("experiment"),
         "## Files of the folder", "No file of a participant is overwritten.", folder_files,
     )  # fmt: skip
 
 
-_KEPT: Final = {
+_FOLDER_FILES: Final = {
     "experiment.json": "the experiment; the folder refuses another one",
     "files.json": "hashes of the experiment's scenes, rig and images, and of meshes, maps, textures and models of its "
     "scenes; the folder refuses changed files",
@@ -184,9 +184,11 @@ messages. Units are SI. A key in brackets may be left out. `object` and `finger`
         takes = f"- takes {params}. {_describe_type(method.params)}" if params else ""
         gives = f"- gives {result}. {'' if method.result in shared else _describe_type(method.result)}"
         parts += [f"### `{name}`", meaning, "\n".join(filter(None, [takes, gives.strip()]))]
-    several = schema.grid(["keys", "meaning"], [[commands.fields(kind), _describe_type(kind)] for kind in shared])
+    shared_results = schema.grid(
+        ["keys", "meaning"], [[commands.fields(kind), _describe_type(kind)] for kind in shared]
+    )
     errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
-    results_of = ["## Results of several methods", several]
+    results_of = ["## Results of several methods", shared_results]
     return _page(
         head, "## Methods", *parts, *results_of, "## Errors", "The text of an error begins with its name.", errors
     )
@@ -296,9 +298,9 @@ and the models beside what was published; `softfinger materials NAME` prints one
     for name, paper in papers().items():
         by_read.setdefault(paper.read, []).append(name)
     *few, most = sorted(by_read, key=lambda read: len(by_read[read]))
-    said = "; ".join(f"of {', '.join(by_read[read])} {read}" for read in few)
+    readers = "; ".join(f"of {', '.join(by_read[read])} {read}" for read in few)
     sources = [[name, paper.text + (f", doi `{paper.doi}`" if paper.doi else "")] for name, paper in papers().items()]
-    read = f"Of each source the {most} was read, but {said}."
+    read = f"Of each source the {most} was read, but {readers}."
     return _page(head, *parts, "## Sources", read, schema.grid(["name", "source"], sources))
 
 
@@ -349,7 +351,7 @@ def _format_list(verb: str) -> str:
 def _page(head: str, *parts: str) -> str:
     title, _, text = head.partition("\n\n")
     text = textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
-    return "\n\n".join([title, MADE, text, *parts]) + "\n"
+    return "\n\n".join([title, GENERATED_NOTE, text, *parts]) + "\n"
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -85,7 +85,7 @@ class Cell(NamedTuple):
     stiffness: float
 
 
-class Found(NamedTuple):
+class CellResult(NamedTuple):
     """Results of a cell.
 
     depth_m       penetration depth of a finger
@@ -245,8 +245,8 @@ def play(engine: Engine, path: Array) -> Played:
             found.force[tick, at] = records[name]["force"][0]
             found.mode[tick, at] = records[name]["contact.mode"][0]
         found.speed[tick] = speed_of(engine)
-        given = engine.data.xfrc_applied[1, :3]
-        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + given).max()))
+        applied = engine.data.xfrc_applied[1, :3]
+        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + applied).max()))
     return found._replace(unbalanced=unbalanced)
 
 
@@ -255,9 +255,9 @@ def slips(mode: Array) -> int:
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 
-def measure(cell: Cell) -> Found:
+def measure(cell: Cell) -> CellResult:
     """Run a cell twice."""
-    found = Found(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
+    found = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if found.depth_m > 2.0 * RADIUS_M:
         return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
     forward = way_there(cell)
@@ -286,21 +286,21 @@ def measure(cell: Cell) -> Found:
     return judge(found, bool(touching.all()))
 
 
-def judge(found: Found, touching: bool) -> Found:
+def judge(result: CellResult, touching: bool) -> CellResult:
     """Return the results with verdict and reason."""
-    assert found.left is not None and found.grown is not None
+    assert result.left is not None and result.grown is not None
     if not touching:
-        return found._replace(verdict="lost", reason="a finger touches it no more")
-    if found.left <= AT_REST:
-        return found._replace(verdict="rests")
-    if found.grown > GROWS:
-        return found._replace(verdict="unstable", reason=f"grows by {found.grown:.2f} in a quarter of a second")
-    return found._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
+        return result._replace(verdict="lost", reason="a finger touches it no more")
+    if result.left <= AT_REST:
+        return result._replace(verdict="rests")
+    if result.grown > GROWS:
+        return result._replace(verdict="unstable", reason=f"grows by {result.grown:.2f} in a quarter of a second")
+    return result._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
 
 
 def measure_all(
     cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
-) -> list[Found]:
+) -> list[CellResult]:
     """Measure every cell."""
     found, cells = [], [Cell(*each) for each in product(cases, masses, stiffnesses)]
     with progress("bodies", len(cells)) as done:

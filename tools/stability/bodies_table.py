@@ -9,31 +9,31 @@ from typing import Final
 import numpy as np
 
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.stability.bodies import AT_REST, BALANCED, Found
+from softfinger.tools.stability.bodies import AT_REST, BALANCED, CellResult
 
 UNSTABLE: Final = ("unstable", "failed")
 
 
-def wrong(found: Sequence[Found]) -> list[Found]:
+def wrong(results: Sequence[CellResult]) -> list[CellResult]:
     """Return the cells that grow or fail, give energy to the hands, or have unbalanced forces."""
     return [
         row
-        for row in found
+        for row in results
         if row.verdict in UNSTABLE or (row.given_j or 0.0) > 0.0 or (row.unbalanced_n or 0.0) > BALANCED
     ]
 
 
-def mass_text(row: Found) -> str:
+def mass_text(row: CellResult) -> str:
     mass = f"{row.mass_kg:g} kg" if row.mass_kg >= 1.0 else f"{1e3 * row.mass_kg:g} g"
     return mass if row.substeps == 1 else f"{mass}, {row.substeps} substeps"
 
 
-def lines(found: Sequence[Found]) -> list[str]:
+def lines(results: Sequence[CellResult]) -> list[str]:
     """Format one cell per line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
     text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
     text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")
-    for row in found:
+    for row in results:
         numbers = (
             ("-",) * len(heads)
             if row.left is None or row.ripple_n is None or row.given_j is None
@@ -51,42 +51,42 @@ def lines(found: Sequence[Found]) -> list[str]:
     return text
 
 
-def case_table(found: Sequence[Found]) -> str:
+def case_table(results: Sequence[CellResult]) -> str:
     """Return the worst measured values of each case, and the bodies that do not come to rest, with the reason."""
     text = [
         "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
     ]
     text.append("|---|---|---|---|---|---|")
-    for case in dict.fromkeys(row.case for row in found):
-        rows = [row for row in found if row.case == case]
-        ripple, given, unbalanced = (
+    for case in dict.fromkeys(row.case for row in results):
+        rows = [row for row in results if row.case == case]
+        ripple, work, unbalanced = (
             max((value for row in rows if (value := getattr(row, key)) is not None), default=float("nan"))
             for key in ("ripple_n", "given_j", "unbalanced_n")
         )
         slips = sum(row.slips or 0 for row in rows)
         open_ends = [(row.verdict, row.reason) for row in rows if row.verdict != "rests"]
-        said = "; ".join(
+        faults = "; ".join(
             f"{verdict} in {open_ends.count((verdict, reason))} of {len(rows)}: {reason}"
             for verdict, reason in dict.fromkeys(open_ends)
         )
         text.append(
-            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * given:.2g} mJ | {unbalanced:.1g} N | {said or '-'} |"
+            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * work:.2g} mJ | {unbalanced:.1g} N | {faults or '-'} |"
         )
     return "\n".join(text) + "\n"
 
 
-def draw(path: Path, found: Sequence[Found]) -> None:
+def draw(path: Path, results: Sequence[CellResult]) -> None:
     """Draw a panel for each case: remaining speed after a knock against the stiffness, a line for each mass."""
-    cases = list(dict.fromkeys(row.case for row in found))
+    cases = list(dict.fromkeys(row.case for row in results))
     drawing = figure(4.0 * len(cases), 4.0)
     panels = drawing.subplots(1, len(cases), squeeze=False, sharey=True)[0]
     for axes, case in zip(panels, cases, strict=True):
-        for mass in dict.fromkeys(row.mass_kg for row in found):
-            rows = [row for row in found if (row.case, row.mass_kg) == (case, mass)]
+        for mass in dict.fromkeys(row.mass_kg for row in results):
+            rows = [row for row in results if (row.case, row.mass_kg) == (case, mass)]
             left = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
             axes.loglog([row.stiffness_n_per_m for row in rows], left, "o-", label=mass_text(rows[0]))
         axes.axhline(AT_REST, color="0.4", linewidth=0.8)
-        stiffnesses = sorted({row.stiffness_n_per_m for row in found})
+        stiffnesses = sorted({row.stiffness_n_per_m for row in results})
         axes.set_xticks(stiffnesses, [f"{each:g}" for each in stiffnesses])
         axes.set_xticks([], minor=True)
         axes.set(title=case, xlabel="stiffness, N/m")

@@ -37,7 +37,7 @@ SUMMING: Final = 1e-9
 """A force change of 0.04 N at 12 N, as at 50 kHz, is accurate to 1e-13; relative."""
 
 
-class Case(NamedTuple):
+class ExtremeCase(NamedTuple):
     """Extreme input.
 
     name, given   the extreme parameter, and its value
@@ -59,7 +59,7 @@ class Case(NamedTuple):
     period: float = 0.001
 
 
-class Finding(NamedTuple):
+class ExtremeResult(NamedTuple):
     """Result: ticks, largest force (N), modes, names of guard bits, and the fault ("" for none)."""
 
     name: str
@@ -112,11 +112,11 @@ def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Arr
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
 
 
-def press(depth: float, radius: float = R, way: float = 0.0, count: int = TICKS) -> Array:
-    """Return poses (n, 7) of a fingertip that presses `depth` into z = 0, moves `way` along x and y, and leaves."""
+def press(depth: float, radius: float = R, distance: float = 0.0, count: int = TICKS) -> Array:
+    """Return poses (n, 7) that press `depth` into z = 0, move `distance` along x and half of it along y, and leave."""
     t = np.linspace(0.0, 1.0, count)
     down = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
-    along = way * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
+    along = distance * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
     samples = np.zeros((count, 7))
     samples[:, 0], samples[:, 1] = along, 0.5 * along
     samples[:, 2] = radius * 1.2 - down * (0.2 * radius + depth)
@@ -157,102 +157,115 @@ def zero_refused(records: Array) -> str:
 # --- the cases -------------------------------------------------------------------------------------
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     """Yield every extreme; cases of one scene type are consecutive."""
     yield from on_a_plane()
     yield from on_other_objects()
 
 
-def on_a_plane() -> Iterator[Case]:
+def on_a_plane() -> Iterator[ExtremeCase]:
     """Yield motions, parameters, times and damaged poses."""
-    yield Case(
-        "no rotation", "a drag without any turn", scene(), press(0.001, way=0.01), even_steps(TICKS), expects=slides
+    yield ExtremeCase(
+        "no rotation",
+        "a drag without any turn",
+        scene(),
+        press(0.001, distance=0.01),
+        even_steps(TICKS),
+        expects=slides,
     )
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
         poses = press(0.001)
         poses[:, 3:] = turns_about(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
-        yield Case(
+        yield ExtremeCase(
             "rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even_steps(TICKS)
         )
     poses = press(0.001)
     poses[:, 3:] = turns_about(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
-    yield Case("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even_steps(TICKS), expects=never_slides)
+    yield ExtremeCase("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even_steps(TICKS), expects=never_slides)
     poses = press(0.001)
     poses[:, 3:] = turns_about(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
-    yield Case("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even_steps(TICKS))
+    yield ExtremeCase("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even_steps(TICKS))
     for radius in (1e-5, 1e3):
         model = scene(radius=radius)
         poses = press(0.1 * radius, radius, radius)
-        yield Case("fingertip radius", f"r = {radius:g} m", model, poses, even_steps(TICKS), expects=touches_and_leaves)
+        yield ExtremeCase(
+            "fingertip radius", f"r = {radius:g} m", model, poses, even_steps(TICKS), expects=touches_and_leaves
+        )
     for stiffness in (1e-3, 1e6):
         model = scene(stiffness=stiffness)
-        poses = press(0.001, way=0.01)
-        yield Case("stiffness", f"K = {stiffness:g} N/m", model, poses, even_steps(TICKS), expects=touches_and_leaves)
-    poses = press(0.001, way=0.01)
-    yield Case("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even_steps(TICKS), expects=slides)
-    yield Case("friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even_steps(TICKS), expects=never_slides)
+        poses = press(0.001, distance=0.01)
+        yield ExtremeCase(
+            "stiffness", f"K = {stiffness:g} N/m", model, poses, even_steps(TICKS), expects=touches_and_leaves
+        )
+    poses = press(0.001, distance=0.01)
+    yield ExtremeCase("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even_steps(TICKS), expects=slides)
+    yield ExtremeCase(
+        "friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even_steps(TICKS), expects=never_slides
+    )
     for rate in (8000.0, 50.0):
-        yield Case(
+        yield ExtremeCase(
             "period", f"T = 1/{rate:g} s", scene(), poses, even_steps(TICKS, 1.0 / rate), False, slides, 1.0 / rate
         )
     missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
-    yield Case("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
-    yield Case("no time passes", "dt = 0", scene(), poses, even_steps(TICKS, 0.0), expects=touches_and_leaves)
+    yield ExtremeCase("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
+    yield ExtremeCase("no time passes", "dt = 0", scene(), poses, even_steps(TICKS, 0.0), expects=touches_and_leaves)
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
-    yield Case("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
+    yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         broken = press(0.001)
         broken[100:300:7, 1] = value
-        yield Case("broken position", words, scene(), broken, even_steps(TICKS), True, zero_refused)
+        yield ExtremeCase("broken position", words, scene(), broken, even_steps(TICKS), True, zero_refused)
     for norm in (0.0, 1e-3, nan, inf, 1e200):
         broken = press(0.001)
         broken[100:300:7, 3] = norm
-        yield Case("quaternion", f"of norm {norm:g}", scene(), broken, even_steps(TICKS), True, zero_refused)
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", scene(), broken, even_steps(TICKS), True, zero_refused)
     for norm in (0.51, 1.99):
         uneven = press(0.001)
         uneven[::2, 3] = norm
-        yield Case("quaternion", f"of norm {norm:g}", scene(), uneven, even_steps(TICKS), expects=never_slides)
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", scene(), uneven, even_steps(TICKS), expects=never_slides)
     tiny = press(0.001)
     tiny[:, 4:] = 5e-324
-    yield Case("subnormal numbers", "in the quaternion", scene(), tiny, even_steps(TICKS), expects=never_slides)
+    yield ExtremeCase("subnormal numbers", "in the quaternion", scene(), tiny, even_steps(TICKS), expects=never_slides)
     hops = np.random.default_rng(3).uniform(-1.0, 1.0, (TICKS, 3)) * 10.0 ** np.linspace(-3.0, 6.0, TICKS)[:, None]
     poses = press(0.001)
     poses[:, :3] = hops
-    yield Case("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even_steps(TICKS))
+    yield ExtremeCase("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even_steps(TICKS))
     poses = press(1.0)
-    yield Case(
+    yield ExtremeCase(
         "deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even_steps(TICKS), expects=clamp_sample
     )
 
 
-def on_other_objects() -> Iterator[Case]:
+def on_other_objects() -> Iterator[ExtremeCase]:
     """Yield curvature, edges, and several contacts at once."""
     for radius, other in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
         poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))
         words = f"r = {radius:g} m on R = {other:g} m"
-        yield Case("curvature", words, scene(ball, radius=radius), poses, even_steps(TICKS), expects=touches_and_leaves)
+        yield ExtremeCase(
+            "curvature", words, scene(ball, radius=radius), poses, even_steps(TICKS), expects=touches_and_leaves
+        )
     for sign in (1.0, -1.0):
         poses = press(0.001)
         poses[:, 3:] = turns_about(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
-        yield Case(
+        yield ExtremeCase(
             "gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even_steps(TICKS)
         )
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
-        poses = press(0.001, way=0.004)
+        poses = press(0.001, distance=0.004)
         poses[:, :2] += np.asarray(place) - 0.001
         poses[:, 3:] = turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
         words = f"of a box, rolled over its {words}"
-        yield Case("sharp object", words, scene(BLOCK), poses, even_steps(TICKS), expects=touches_and_leaves)
+        yield ExtremeCase("sharp object", words, scene(BLOCK), poses, even_steps(TICKS), expects=touches_and_leaves)
 
     for count in (2, 3):
-        poses = press(0.001, way=0.003)
+        poses = press(0.001, distance=0.003)
         poses[:, : count - 1] += 0.009
         poses[:, count - 1 : 2] += 0.05
         words = f"{count} walls at once, turning"
         poses[:, 3:] = turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
-        yield Case("several contacts", words, scene(*WALLS), poses, even_steps(TICKS))
+        yield ExtremeCase("several contacts", words, scene(*WALLS), poses, even_steps(TICKS))
 
 
 def clamp_sample(records: Array) -> str:
@@ -264,7 +277,7 @@ def tuning_of(mapping: dict[str, Any]) -> Tuning:
     return make_tuning(build(schema.Scene, mapping, "extreme"), GUARD)
 
 
-def run_case(case: Case) -> Array:
+def run_case(case: ExtremeCase) -> Array:
     """Return the records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
@@ -273,7 +286,7 @@ def run_case(case: Case) -> Array:
     return records
 
 
-def judge(case: Case, records: Array) -> Finding:
+def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
     """Return the result of a case, with its fault."""
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     modes = np.unique(records[:, AT.contact_mode])
@@ -285,7 +298,7 @@ def judge(case: Case, records: Array) -> Finding:
     elif case.refused != bool(bits & POSE_REFUSED):
         wrong = "a pose refused" if not case.refused else "a broken pose taken"
     words = " ".join(("free", "rolling", "sliding")[int(mode)] for mode in modes if isfinite(mode))
-    return Finding(
+    return ExtremeResult(
         case.name, case.given, len(records), float(force.max()), words, " ".join(named), wrong or case.expects(records)
     )
 
@@ -310,22 +323,24 @@ def broken_rules(records: Array, period: float) -> int:
         return int(np.count_nonzero(~is_within))
 
 
-def try_extremes() -> list[Finding]:
+def try_extremes() -> list[ExtremeResult]:
     """Run every case, in order, and then the tests of the guard."""
     found, todo = [], list(cases())
     with progress("extremes", len(todo)) as done:
         for number, case in enumerate(todo):
             found.append(judge(case, run_case(case)))
             done(number + 1)
-    found += [Finding("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()]
+    found += [
+        ExtremeResult("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()
+    ]
     return found
 
 
-def table(found: Sequence[Finding]) -> str:
+def table(results: Sequence[ExtremeResult]) -> str:
     """Format the findings as a Markdown table."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
-        for row in found
+        for row in results
     ]
     return "\n".join(lines) + "\n"

@@ -57,7 +57,7 @@ KNOCK_STEPS: Final = 20.0
 """The same in encoder steps, at least, so that their effect is small in comparison."""
 REACH: Final = 30.0
 """A swing that has grown by this factor shows that the wall is unstable."""
-DEAD: Final = 1e-9
+MIN_SWING: Final = 1e-9
 """Fraction of the knock's speed below which the swing is over; rounding is at 1e-13."""
 LIMIT_CYCLE: Final = 1.0
 """The same with encoder steps: a swing of a few steps never ends, and is unstable only if it exceeds the knock."""
@@ -80,7 +80,7 @@ STIFFEST: Final = 1e12
 """A wall of this stiffness in N/m that is stable ends the search: a million times the limit of a scene."""
 
 
-class Case(CaseOptions, frozen=True, kw_only=True):
+class WallCase(CaseOptions, frozen=True, kw_only=True):
     """Wall, device and hand along one axis."""
 
     @property
@@ -114,7 +114,7 @@ class Case(CaseOptions, frozen=True, kw_only=True):
         return make_plant(self.period_s, handle, hand)
 
 
-class Loop(NamedTuple):
+class TrialParameters(NamedTuple):
     """Parameters of a trial in addition to the plant.
 
     damping, velocity_time_constant, passivity_damping  N s/m, s, N s/m
@@ -168,7 +168,9 @@ START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
 
 
 @jit
-def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: float, line: Array) -> tuple[bool, float]:
+def grows(
+    loop: TrialParameters, start: Memory, plant: Plant, stiffness: float, swings: float, line: Array
+) -> tuple[bool, float]:
     """Return whether a knock grows, and the number of ticks until the decision.
 
     The squared velocity is summed over the second and the last third of the trial with a window that is 0 and flat at
@@ -210,7 +212,7 @@ def grows(loop: Loop, start: Memory, plant: Plant, stiffness: float, swings: flo
 
 
 @jit
-def first_limit(loop: Loop, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
+def first_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
     """Return the stiffness, N/m, at which a wall of increasing stiffness first becomes unstable; and trials and ticks.
 
     With `loop.ticks`, run one trial at the first stiffness and return that stiffness if it is stable, else 0.
@@ -250,11 +252,11 @@ def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Ar
     """Store `first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
-        loop = Loop(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
+        loop = TrialParameters(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
         out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
 
 
-def first_stiffness(case: Case) -> float:
+def first_stiffness(case: WallCase) -> float:
     """Return the first stiffness of the search, N/m: an eighth of the passivity bound with all damping, if any."""
     damping = case.damping_ns_per_m + case.wall_damping_ns_per_m + case.hand_damping_ns_per_m
     if damping == 0.0:
@@ -269,17 +271,17 @@ def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
     return out
 
 
-def loop_of(case: Case, first: float, ticks: int = 0) -> Loop:
+def loop_of(case: WallCase, first: float, ticks: int = 0) -> TrialParameters:
     """Return the kernel's row for a case: a search from stiffness `first` (N/m), or one trial (see Loop.ticks)."""
-    over = LIMIT_CYCLE if case.resolution_m > 0.0 else DEAD
-    return Loop(
+    over = LIMIT_CYCLE if case.resolution_m > 0.0 else MIN_SWING
+    return TrialParameters(
         case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,
         case.mass_kg + case.hand_mass_kg, case.hand_stiffness_n_per_m,
         max(KNOCK_M, KNOCK_STEPS * case.resolution_m), over, first, float(ticks),
     )  # fmt: skip
 
 
-def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
+def find_limits(cases: Sequence[WallCase]) -> list[dict[str, Any]]:
     """Return for each case its values, the limit found, the theoretical limits, and the effort of the search.
 
     `limit_n_per_m` is found on the real step, None without limit. `predicted_n_per_m` is the exact limit of the linear
@@ -304,11 +306,11 @@ def find_limits(cases: Sequence[Case]) -> list[dict[str, Any]]:
 def compile_search() -> None:
     """Compile the search, or load it, once, so that the processes of a local cluster find it compiled."""
     with progress("kernels"):
-        plant = Case().plant()
-        run_rows(np.array([loop_of(Case(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
+        plant = WallCase().plant()
+        run_rows(np.array([loop_of(WallCase(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
 
 
-def grows_at(case: Case, stiffness: float) -> bool:
+def grows_at(case: WallCase, stiffness: float) -> bool:
     """Return whether a knock grows on a wall of one stiffness, N/m: a single trial of the search."""
     plant = case.plant()
     return bool(run_rows(np.array([loop_of(case, stiffness, -1)]), flatten(plant).reshape(1, -1), plant)[0, 0] == 0.0)

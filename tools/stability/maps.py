@@ -14,7 +14,7 @@ import numpy as np
 
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import Array
-from softfinger.tools.stability.limit import Case
+from softfinger.tools.stability.limit import WallCase
 from softfinger.tools.stability.options import POINTS
 from softfinger.tools.stability.predicted import linear_limit, passive_limit
 
@@ -51,7 +51,7 @@ of a scene.
 """
 
 
-def damping_limit(case: Case) -> float:
+def damping_limit(case: WallCase) -> float:
     """Return the wall damping, N s/m, above which no wall of the linear loop is stable, to a percent."""
     low, high = 0.0, 1.0
     while linear_limit(vary(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
@@ -65,11 +65,11 @@ def damping_limit(case: Case) -> float:
     return high
 
 
-def vary(case: Case, key: str, value: float) -> Case:
+def vary(case: WallCase, key: str, value: float) -> WallCase:
     return msgspec.structs.replace(case, **{key: value})
 
 
-def axis(name: str, case: Case, points: int) -> Array:
+def axis(name: str, case: WallCase, points: int) -> Array:
     """Return the values along the axis of a map."""
     if name == "zwidth":
         # Start far below the damping of the device, above which no damped wall is passive.
@@ -80,14 +80,14 @@ def axis(name: str, case: Case, points: int) -> Array:
     return np.arange(9.0)
 
 
-def cases_of(name: str, case: Case, points: int = POINTS) -> list[Case]:
+def cases_of(name: str, case: WallCase, points: int = POINTS) -> list[WallCase]:
     """Return the cases of a map."""
     key = MAPS[name].key
     whole = key == "delay_ticks"
     return [vary(case, key, int(value) if whole else value) for value in axis(name, case, points).tolist()]
 
 
-def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: Case) -> None:
+def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: WallCase) -> None:
     """Draw a panel for each map: limits of each variant as marks, theory of the first one as lines."""
     names = list(dict.fromkeys(row["map"] for row in rows))
     variants = list(dict.fromkeys(row["variant"] for row in rows))

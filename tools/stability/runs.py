@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from softfinger.proxy.kernels.jit.pack import flatten
-from softfinger.tools.stability.limit import Case, Loop, compile_search, loop_of, run_rows
+from softfinger.tools.stability.limit import TrialParameters, WallCase, compile_search, loop_of, run_rows
 from softfinger.tools.stability.predicted import passive_limit
 from softfinger.tools.sweep import run_cases
 
@@ -26,7 +26,7 @@ SENSIBLE: Final = (1_000_000, 1000)
 """Runs and ticks of the study for which the time is reported."""
 
 
-class Block(msgspec.Struct, frozen=True):
+class RunBlock(msgspec.Struct, frozen=True):
     """Block of the runs: its number, runs, ticks per run, and the common seed."""
 
     number: int
@@ -35,18 +35,18 @@ class Block(msgspec.Struct, frozen=True):
     seed: int
 
 
-def random_device(random: np.random.Generator) -> Case:
+def random_device(random: np.random.Generator) -> WallCase:
     """Return a desktop device at a random rate, with up to two ticks of delay."""
     mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([1.0, 10.0, 8000.0]))).tolist()
-    return Case(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
+    return WallCase(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
 
 
-def run_blocks(blocks: Sequence[Block]) -> list[dict[str, int]]:
+def run_blocks(blocks: Sequence[RunBlock]) -> list[dict[str, int]]:
     """Return for each block: runs, ticks, swings that grew out of reach, passive walls, and such swings on these."""
     return [_run_block(block) for block in blocks]
 
 
-def _run_block(block: Block) -> dict[str, int]:
+def _run_block(block: RunBlock) -> dict[str, int]:
     random = np.random.default_rng([block.seed, block.number])
     loops, plants, passive = [], [], []
     for first in range(0, block.runs, RUNS_PER_DEVICE):
@@ -57,20 +57,20 @@ def _run_block(block: Block) -> dict[str, int]:
         stiffness = bare * 10.0 ** random.uniform(-1.0, 1.0, runs)
         share = np.maximum(0.0, random.uniform(-1.0, 2.0, runs))
         rows = np.tile(loop_of(device, 0.0, block.ticks), (runs, 1))
-        rows[:, Loop._fields.index("first")] = stiffness
-        rows[:, Loop._fields.index("damping")] = share * device.damping_ns_per_m
+        rows[:, TrialParameters._fields.index("first")] = stiffness
+        rows[:, TrialParameters._fields.index("damping")] = share * device.damping_ns_per_m
         loops.append(rows)
         plants.append(np.tile(flatten(plant), (runs, 1)))
         passive.append(stiffness <= (1.0 - share) * bare)  # B reduces the bound as it reduces b
     out = run_rows(np.concatenate(loops), np.concatenate(plants), plant)
-    left = out[:, 2] < block.ticks
+    has_left = out[:, 2] < block.ticks
     inside = np.concatenate(passive)
     return {
         "runs": block.runs,
         "ticks": int(out[:, 2].sum()),
-        "left": int(left.sum()),
+        "left": int(has_left.sum()),
         "passive": int(inside.sum()),
-        "passive_left": int((left & inside).sum()),
+        "passive_left": int((has_left & inside).sum()),
     }
 
 
@@ -81,7 +81,7 @@ def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Pa
     """
     fresh = results is None or not results.exists()
     blocks = [
-        Block(number, min(RUNS_PER_BLOCK, runs - first), ticks, seed)
+        RunBlock(number, min(RUNS_PER_BLOCK, runs - first), ticks, seed)
         for number, first in enumerate(range(0, runs, RUNS_PER_BLOCK))
     ]
     compile_search()

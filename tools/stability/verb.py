@@ -23,7 +23,7 @@ from softfinger.config.validate import examine
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.measure import show
 from softfinger.tools.stability import bodies, bodies_table, extremes, hostile, runs
-from softfinger.tools.stability.limit import Case, compile_search, find_limits
+from softfinger.tools.stability.limit import WallCase, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, VARIANTS, cases_of, draw_maps
 from softfinger.tools.stability.options import FLAGS
 from softfinger.tools.stability.predicted import spectral_radius
@@ -59,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
 
 def run_extremes(args: argparse.Namespace) -> int:
     """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
-    found, fed = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
-    result = {"extremes": [row._asdict() for row in found], "hostile": fed}
-    show(result, args.json, [extremes.table(found), hostile.hostile_table(fed)])
-    return int(any(row.wrong for row in found) or any(row["broken"] for row in fed))
+    found, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in found], "hostile": hostile_rows}
+    show(result, args.json, [extremes.table(found), hostile.hostile_table(hostile_rows)])
+    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile_rows))
 
 
 def run_bodies(args: argparse.Namespace) -> int:
@@ -77,17 +77,19 @@ def run_bodies(args: argparse.Namespace) -> int:
     return int(bool(bodies_table.wrong(found)))
 
 
-def case_of(args: argparse.Namespace) -> Case:
+def case_of(args: argparse.Namespace) -> WallCase:
     """Return the case of the command line; raises ConfigError with every value that is out of range."""
     values = {key: getattr(args, flag.replace("-", "_")) for flag, key in FLAGS.items()}
-    case, faults = examine(Case, values, "command line", {key: f"command line --{flag}" for flag, key in FLAGS.items()})
+    case, faults = examine(
+        WallCase, values, "command line", {key: f"command line --{flag}" for flag, key in FLAGS.items()}
+    )
     if faults:
         raise FaultyConfig(faults)
-    assert isinstance(case, Case)
+    assert isinstance(case, WallCase)
     return case
 
 
-def measure(case: Case, args: argparse.Namespace) -> list[dict[str, Any]]:
+def measure(case: WallCase, args: argparse.Namespace) -> list[dict[str, Any]]:
     """Return a row for each case: `find_limits` and, for a map, its name and the variant."""
     marks: list[dict[str, str]] = [{}]
     cases = [case]
@@ -134,7 +136,7 @@ def _width(head: str) -> int:
     return max(14, len(head) + 2)
 
 
-def draw_radius(path: Path, case: Case, row: Mapping[str, Any]) -> None:
+def draw_radius(path: Path, case: WallCase, row: Mapping[str, Any]) -> None:
     """Draw the spectral radius of the linear loop against the stiffness, with the limit and the passivity bound."""
     drawing = figure()
     axes = drawing.add_subplot()

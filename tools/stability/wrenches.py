@@ -29,7 +29,7 @@ STEADY: Final = np.tile([0.6, 0.0, 0.8, 0.0, 0.01, 0.0], (TICKS, 1))
 """1 N and 0.01 N m, below every limit."""
 
 
-class Case(NamedTuple):
+class WrenchCase(NamedTuple):
     """Wrenches (n, 6), times (n,) s since the last tick, and a further check that returns a fault or ""."""
 
     given: str
@@ -50,24 +50,24 @@ def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Ar
             out[i, 3 + k] = guarded.torque[k]
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[WrenchCase]:
     even = np.full(TICKS, T)
-    yield Case("1 N from the first tick on", STEADY, even, lambda out, bits: fades_in(out, 0))
+    yield WrenchCase("1 N from the first tick on", STEADY, even, lambda out, bits: fades_in(out, 0))
     step = STEADY.copy()
     step[:RAMP_TICKS] = 0.0
     step[RAMP_TICKS:] *= 10.0
-    yield Case("10 N from one tick to the next", step, even, climbs)
+    yield WrenchCase("10 N from one tick to the next", step, even, climbs)
     for value, component in ((nan, 0), (inf, 1), (-inf, 2), (nan, 3), (inf, 4), (-inf, 5)):
         broken = STEADY.copy()
         broken[BROKEN_AT, component] = value
-        yield Case(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
-    yield Case("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
+        yield WrenchCase(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
+    yield WrenchCase("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
     constant = even.copy()
     constant[RAMP_TICKS] = 0.05
-    yield Case("10 N after a pause of 50 ms", step, constant, climbs)
+    yield WrenchCase("10 N after a pause of 50 ms", step, constant, climbs)
     asleep = even.copy()
     asleep[2 * RAMP_TICKS] = 1.0
-    yield Case("1 N held over a pause of 1 s", STEADY, asleep, lambda out, bits: fades_in(out, 2 * RAMP_TICKS))
+    yield WrenchCase("1 N held over a pause of 1 s", STEADY, asleep, lambda out, bits: fades_in(out, 2 * RAMP_TICKS))
 
 
 def fades_in(out: Array, first: int) -> str:

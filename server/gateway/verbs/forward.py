@@ -14,14 +14,14 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
 from softfinger.server.gateway.addresses import Addresses, find_addresses
-from softfinger.server.gateway.forward import CommandPath, Forward, Source, describe
+from softfinger.server.gateway.forward import CommandPath, Forward, ForwardedServer, describe
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.telemetry_process import TelemetryProcess
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.publishing.allowed import Allowed
 from softfinger.server.publishing.peer_socket import KeyLock
-from softfinger.server.wire.endpoint import Bound, listen
+from softfinger.server.wire.endpoint import BoundSocket, listen
 
 log: Final = logging.getLogger(__name__)
 
@@ -38,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                who = "clients with a key" if part.peers.lock else "every client that reaches it"
-                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, who)
+                audience = "clients with a key" if part.peers.lock else "every client that reaches it"
+                log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, audience)
         telemetry = TelemetryProcess(args, origin) if args.commands_to and (args.to or args.lsl) else None
         if telemetry is not None:
             stack.callback(telemetry.end)
@@ -62,7 +62,7 @@ def _open_commands(
 ) -> Forward:
     lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
     bound = bind(args.commands_to, "--commands-to", stack)
-    return Forward(None, commands=CommandPath(Source(origin.command_endpoint(), upstream), bound, lock))
+    return Forward(None, commands=CommandPath(ForwardedServer(origin.command_endpoint(), upstream), bound, lock))
 
 
 def _open_telemetry(
@@ -73,7 +73,7 @@ def _open_telemetry(
         lock = make_lock(args.to, "--to", args.keys, args.readers)
         readers = (bind(args.to, "--to", stack), lock)
     outlets = Outlets(origin.telemetry) if args.lsl else None
-    return Forward(Source(origin.telemetry, upstream), readers, outlets=outlets)
+    return Forward(ForwardedServer(origin.telemetry, upstream), readers, outlets=outlets)
 
 
 def _end_with_input(stop: threading.Event) -> None:
@@ -98,7 +98,7 @@ def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> 
     return None
 
 
-def bind(endpoint: str, flag: str, stack: ExitStack) -> Bound:
+def bind(endpoint: str, flag: str, stack: ExitStack) -> BoundSocket:
     """Bind the endpoint; `stack` frees it."""
     bound = listen(endpoint, flag, public=True)
     stack.enter_context(bound.files)

@@ -82,11 +82,11 @@ def record_live(job: RecordingJob, path: Path) -> str:
 def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, end_reason: str) -> str:
     if recorded.error:
         raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
-    lost = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
+    loss_text = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
     slow = f", {recorded.dropped} left out since the disk was too slow" if recorded.dropped else ""
     unfinished = "" if recorded.whole else f"; the disk has not taken the last of it within {DISK_TIMEOUT_S:g} s"
     ticks = f"{recorded.ticks} ticks, {batcher.first} to {batcher.last}"
-    return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {lost}{slow}; {end_reason}{unfinished}"
+    return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {loss_text}{slow}; {end_reason}{unfinished}"
 
 
 class TickReceiver(Protocol):

@@ -22,7 +22,7 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.recording.compare import COMPARED, FIELDS, Outcome, Replayed, compare, replay
+from softfinger.server.recording.compare import COMPARED, FIELDS, ReplayComparison, Replayed, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
@@ -151,14 +151,14 @@ def _read_forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
     return reads, {"force": wrenches[:, :3], "torque": wrenches[:, 3:6]}
 
 
-def _to_json(outcome: Outcome) -> dict[str, Any]:
+def _to_json(outcome: ReplayComparison) -> dict[str, Any]:
     plain = outcome._asdict() | {"equal": outcome.first is None and outcome.compared > 0}
     plain["first"] = None if outcome.first is None else outcome.first._asdict()
     plain["left_out"] = [span._asdict() for span in outcome.left_out]
     return plain
 
 
-def _lines(outcome: Outcome, past: Run) -> list[str]:
+def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
     lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
     if past.cut:
         lines.append(f"  the recording is cut short: {past.cut}")

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 
 Array = NDArray[np.float64]
@@ -25,13 +25,13 @@ class Projection(NamedTuple):
     point   (3,) m
     normal  (3,)  unit normal of the surface, upwards
     flat          whether the surface is flat
-    object_index  index of the object in `Bodies.poses`
+    scene_index   index of the object in `Bodies.poses`
     """
 
     point: Array
     normal: Array
     flat: bool
-    object_index: int = -1
+    scene_index: int = -1
 
 
 class PlaneSurface:
@@ -49,7 +49,7 @@ class PlaneSurface:
 class TriangleSurface:
     """Surface of triangles in its frame, m."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: SurfaceMesh) -> None:
         self._corners, self._flat = mesh.vertices[mesh.faces], mesh.flat
         self._pose: Any = None
 

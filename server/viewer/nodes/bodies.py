@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.query.motion import pose_at, pose_in_world
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import PLANE_M, Mesh, surface_mesh
+from softfinger.server.surface_meshes import PLANE_M, SurfaceMesh, surface_mesh
 from softfinger.server.viewer.nodes.below import PlaneSurface, Projection, TriangleSurface
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
@@ -65,28 +65,28 @@ class Bodies:
         self._deform: Callable[[Mapping[str, NDArray[np.float64]]], None] | None = None
         """Function that draws the elastic object, if its body is known."""
         self._objects = (*scene.object, *visual_geoms(scene))
-        for object_index, obj in enumerate(self._objects):
+        for scene_index, obj in enumerate(self._objects):
             initial_pose = (obj.position_m, obj.orientation_wxyz)
             self.poses.append(initial_pose)
-            self._frames.append(api.add_frame(f"/objects/{object_index}", show_axes=False))
-            self._update_frame(object_index)
+            self._frames.append(api.add_frame(f"/objects/{scene_index}", show_axes=False))
+            self._update_frame(scene_index)
             if isinstance(obj.motion, schema.Body):
-                self._body_attachments[object_index] = (obj.motion.body, initial_pose)
+                self._body_attachments[scene_index] = (obj.motion.body, initial_pose)
             elif obj.motion is not None:
-                self._moving[object_index] = (kernel_motion(obj.motion), Pose(*initial_pose))
-            _add_object(api, f"/objects/{object_index}", obj, _colour(object_index, obj))
+                self._moving[scene_index] = (kernel_motion(obj.motion), Pose(*initial_pose))
+            _add_object(api, f"/objects/{scene_index}", obj, _colour(scene_index, obj))
             if obj.shape == "plane":
-                self._surfaces[object_index] = PlaneSurface()
+                self._surfaces[scene_index] = PlaneSurface()
             elif not isinstance(obj, Filed) and (mesh := surface_mesh(obj)) is not None:
-                self._surfaces[object_index] = TriangleSurface(mesh)
+                self._surfaces[scene_index] = TriangleSurface(mesh)
 
-    def draw(self, object_index: int, mesh: Mesh) -> None:
+    def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
         """Draw the triangles of an object that is loaded from a file."""
-        obj = self._scene.object[object_index]
+        obj = self._scene.object[scene_index]
         if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
-            self._surfaces[object_index] = TriangleSurface(mesh)
+            self._surfaces[scene_index] = TriangleSurface(mesh)
             drawn = _add_surface(
-                self._api, f"/objects/{object_index}", obj, mesh._replace(flat=True), _colour(object_index, obj)
+                self._api, f"/objects/{scene_index}", obj, mesh._replace(flat=True), _colour(scene_index, obj)
             )
             if isinstance(obj, schema.Mesh) and obj.elastic is not None:
                 self._deform = _deformation(obj, mesh.vertices, drawn)
@@ -94,10 +94,10 @@ class Bodies:
     def show(self, row: NDArray[np.float64]) -> None:
         """Move the objects with a motion to their poses in a tick (RECORD_SIZE,)."""
         time = self.start.time(row)
-        for object_index, (motion, initial) in self._moving.items():
+        for scene_index, (motion, initial) in self._moving.items():
             pose = pose_at(motion, initial, time)
-            self.poses[object_index] = (pose.position, pose.orientation)
-            self._update_frame(object_index)
+            self.poses[scene_index] = (pose.position, pose.orientation)
+            self._update_frame(scene_index)
 
     def deform(self, rows: Mapping[str, NDArray[np.float64]]) -> None:
         """Draw an elastic object under its contacts in a tick: the record (RECORD_SIZE,) of each finger by name."""
@@ -106,24 +106,24 @@ class Bodies:
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
         """Move the objects on bodies to the poses of these bodies (name, world frame)."""
-        for object_index, (name, (position, orientation)) in self._body_attachments.items():
+        for scene_index, (name, (position, orientation)) in self._body_attachments.items():
             if name in bodies:
                 carried_pose = pose_in_world(Pose(*bodies[name]), position, orientation)
-                self.poses[object_index] = (carried_pose.position, carried_pose.orientation)
-                self._update_frame(object_index)
+                self.poses[scene_index] = (carried_pose.position, carried_pose.orientation)
+                self._update_frame(scene_index)
 
-    def drive(self, object_index: int, position: Any, orientation: Any = None) -> None:
+    def drive(self, scene_index: int, position: Any, orientation: Any = None) -> None:
         """Move a driven object."""
-        pose = (tuple(position), self.poses[object_index][1] if orientation is None else tuple(orientation))
-        self.poses[object_index] = pose
-        if object_index in self._moving:
-            self._moving[object_index] = (self._moving[object_index][0], Pose(*pose))
-        self._update_frame(object_index)
+        pose = (tuple(position), self.poses[scene_index][1] if orientation is None else tuple(orientation))
+        self.poses[scene_index] = pose
+        if scene_index in self._moving:
+            self._moving[scene_index] = (self._moving[scene_index][0], Pose(*pose))
+        self._update_frame(scene_index)
 
-    def _update_frame(self, object_index: int) -> None:
-        (x, y, z), orientation = self.poses[object_index]
-        self._frames[object_index].position = (CM * x, CM * y, CM * z)
-        self._frames[object_index].wxyz = orientation
+    def _update_frame(self, scene_index: int) -> None:
+        (x, y, z), orientation = self.poses[scene_index]
+        self._frames[scene_index].position = (CM * x, CM * y, CM * z)
+        self._frames[scene_index].wxyz = orientation
 
     def drawn_objects(self) -> list[tuple[Any, PoseTuple]]:
         """Return the drawn objects with their poses."""
@@ -132,9 +132,9 @@ class Bodies:
     def below(self, point: NDArray[np.float64]) -> Projection | None:
         """Return the highest point of an object straight below a point (3,) m; None if there is none."""
         projections = [
-            projection._replace(object_index=object_index)
-            for object_index, surface in self._surfaces.items()
-            if (projection := surface.below(point, self.poses[object_index])) is not None
+            projection._replace(scene_index=scene_index)
+            for scene_index, surface in self._surfaces.items()
+            if (projection := surface.below(point, self.poses[scene_index])) is not None
         ]
         return max(projections, key=lambda projection: float(projection.point[2]), default=None)
 
@@ -178,8 +178,8 @@ def _deformation(
     return draw
 
 
-def _colour(object_index: int, obj: Any) -> Colour:
-    return MAP if isinstance(obj, schema.Heightmap) else OBJECTS[object_index % len(OBJECTS)]
+def _colour(scene_index: int, obj: Any) -> Colour:
+    return MAP if isinstance(obj, schema.Heightmap) else OBJECTS[scene_index % len(OBJECTS)]
 
 
 def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> None:
@@ -195,7 +195,7 @@ def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> 
     _add_surface(api, node, obj, mesh, colour)
 
 
-def _add_surface(api: Any, node: str, obj: Any, mesh: Mesh, colour: tuple[int, int, int]) -> Any:
+def _add_surface(api: Any, node: str, obj: Any, mesh: SurfaceMesh, colour: tuple[int, int, int]) -> Any:
     """Add the surface of an object, and return its node; None for a height map."""
     if isinstance(obj, schema.Heightmap):
         add_relief(api, f"{node}/surface", mesh, colour)

@@ -191,9 +191,9 @@ class FingerNodes:
             self._patch.color = COLOURS[self.state]
 
     def _show_cone(self, row: Array, is_shown: bool, newtons_per_cm: float) -> None:
-        object_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
+        scene_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
         objects = self._scene.object
-        friction = objects[object_index].material.friction if 0 <= object_index < len(objects) else None
+        friction = objects[scene_index].material.friction if 0 <= scene_index < len(objects) else None
         self._cone.visible = is_shown and friction is not None and normal_force > MIN_DRAWN_FORCE_N
         if not self._cone.visible or friction is None:
             return
@@ -223,16 +223,16 @@ class FingerNodes:
     def _trace(self, rows: Array, is_shown: bool) -> None:
         has_new_segments = False
         for before, row in zip((rows[0], *rows[:-1]), rows, strict=True):
-            mode, object_index = int(row[AT.contact_mode]), int(row[AT.contact_object])
-            if not 0 <= object_index < len(self._bodies.poses):  # a tick of another scene
+            mode, scene_index = int(row[AT.contact_mode]), int(row[AT.contact_object])
+            if not 0 <= scene_index < len(self._bodies.poses):  # a tick of another scene
                 mode = FREE
-            if mode == FREE or object_index != self._touched_object:
-                self._break_lines(object_index if mode != FREE else -1)
+            if mode == FREE or scene_index != self._touched_object:
+                self._break_lines(scene_index if mode != FREE else -1)
             if mode == FREE:
                 continue
-            trace = self._object_trace(object_index)[0]
+            trace = self._object_trace(scene_index)[0]
             finger_point, up = row[_xyz(AT.contact_finger_point)], row[_xyz(AT.contact_normal)]
-            position, orientation = self._bodies.poses[object_index]
+            position, orientation = self._bodies.poses[scene_index]
             above = row[_xyz(AT.contact_point)] + TRACE_HEIGHT_M * up - position
             length = max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
             finger_point = finger_point * (1.0 + 2.0 * TRACE_HEIGHT_M / length)
@@ -244,18 +244,18 @@ class FingerNodes:
             if has_new_segments:
                 node.points, node.colors = CM * trace.segments, trace.colours
 
-    def _object_trace(self, object_index: int) -> tuple[Trace, Any]:
-        if object_index not in self._object_traces:
+    def _object_trace(self, scene_index: int) -> tuple[Trace, Any]:
+        if scene_index not in self._object_traces:
             trace, name = Trace(STEP_M), self._node.replace("/", "-")
-            node = f"/objects/{object_index}/trace{name}"
-            self._object_traces[object_index] = (trace, self._lines(node, trace.segments, trace.colours, 3.5))
-        return self._object_traces[object_index]
+            node = f"/objects/{scene_index}/trace{name}"
+            self._object_traces[scene_index] = (trace, self._lines(node, trace.segments, trace.colours, 3.5))
+        return self._object_traces[scene_index]
 
     def _traces(self) -> list[tuple[Trace, Any]]:
         return [(self._tip_trace, self._tip_trace_node), *self._object_traces.values()]
 
-    def _break_lines(self, object_index: int) -> None:
-        self._touched_object = object_index
+    def _break_lines(self, scene_index: int) -> None:
+        self._touched_object = scene_index
         for trace, _ in self._traces():
             trace.break_line()
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.server.surface_meshes import Mesh, lathe
+from softfinger.server.surface_meshes import SurfaceMesh, lathe
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, NAIL, SHADOW, SKIN
@@ -65,7 +65,7 @@ def add_shadow(api: Any, node: str, radius: float) -> Any:
     return frame
 
 
-def finger(radii: Array) -> Mesh:
+def finger(radii: Array) -> SurfaceMesh:
     """Return a finger whose tip is the ellipsoid with half axes `radii` (3,) about the origin.
 
     Its axis leaves the lower half of the ellipsoid uncovered, which usually touches. Only the ellipsoid is rendered.
@@ -74,10 +74,10 @@ def finger(radii: Array) -> Mesh:
     tip = np.column_stack([np.cos(angle), np.sin(angle)])
     end = tip[::-1] * (1.0, -1.0) + (0.0, LENGTH)
     shape = lathe(np.concatenate([tip, end]))
-    return Mesh(_tilt(shape.vertices) * radii, shape.faces)
+    return SurfaceMesh(_tilt(shape.vertices) * radii, shape.faces)
 
 
-def nail(radii: Array) -> Mesh:
+def nail(radii: Array) -> SurfaceMesh:
     """Return the nail of `finger(radii)`."""
     grid = np.linspace(-1.0, 1.0, NAIL_CORNERS)
     across, along = (each.ravel() for each in np.meshgrid(grid, np.sin(0.5 * pi * grid)))  # denser at the round ends
@@ -90,10 +90,10 @@ def nail(radii: Array) -> Mesh:
     first = (NAIL_CORNERS * np.arange(NAIL_CORNERS - 1)[:, None] + np.arange(NAIL_CORNERS - 1)).ravel()
     corners = np.column_stack([first, first + 1, first + NAIL_CORNERS + 1, first + NAIL_CORNERS])
     faces = np.concatenate([corners[:, (0, 1, 2)], corners[:, (0, 2, 3)]]).astype(np.uint32)
-    return Mesh(_tilt(vertices) * radii, faces)
+    return SurfaceMesh(_tilt(vertices) * radii, faces)
 
 
-def disc(radius: float) -> Mesh:
+def disc(radius: float) -> SurfaceMesh:
     """Return a horizontal disc about the origin."""
     return lathe(np.array([(radius, 0.0), (0.0, 0.0)]))
 

@@ -16,7 +16,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.nodes.looks import CM, Colour
 
 UNLIT: Final = "KHR_materials_unlit"
@@ -35,7 +35,7 @@ def add_board(api: Any, node: str, edge: float, count: int, colour: Colour, opac
     _add(api, node, Trimesh(corners.reshape(-1, 3), faces, visual=TextureVisuals(material=paint), process=False))
 
 
-def add_relief(api: Any, node: str, mesh: Mesh, colour: Colour) -> None:
+def add_relief(api: Any, node: str, mesh: SurfaceMesh, colour: Colour) -> None:
     """Add the triangles of a height map, in its frame."""
     paint = shade_vertices(mesh, colour)
     _add(api, node, Trimesh(CM * mesh.vertices, mesh.faces, vertex_colors=paint, process=False))
@@ -68,7 +68,7 @@ def squares(edge: float, count: int) -> NDArray[np.float64]:
     return np.stack([np.column_stack([at[column + x], at[row + y], 0.0 * at[row]]) for x, y in around], axis=1)
 
 
-def shade_vertices(mesh: Mesh, colour: Colour) -> NDArray[np.uint8]:
+def shade_vertices(mesh: SurfaceMesh, colour: Colour) -> NDArray[np.uint8]:
     """Return the colours (n, 4) of the vertices."""
     heights = mesh.vertices[:, 2]
     share = (heights - heights.min()) / max(float(np.ptp(heights)), 1e-9)

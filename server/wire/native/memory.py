@@ -66,7 +66,7 @@ _syscall: Any = types.ExternalFunction(
 )
 
 
-class Memory(NamedTuple):
+class RingMemory(NamedTuple):
     """Ring buffer that other programs may read.
 
     broadcast  ring buffer
@@ -83,7 +83,7 @@ class Memory(NamedTuple):
     reading: int
 
 
-def make_memory(capacity: int, width: int) -> Memory:
+def make_memory(capacity: int, width: int) -> RingMemory:
     """Return a ring buffer for other programs of this user; without such memory, for the publisher only."""
     size = PAGE_BYTES + 8 * capacity * width
     try:
@@ -103,7 +103,7 @@ def make_memory(capacity: int, width: int) -> Memory:
         words = _allocate(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
     words[_MAGIC] = MAGIC
-    return Memory(_as_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
+    return RingMemory(_as_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
 
 
 def _allocate(fd: int, size: int) -> NDArray[np.int64]:
@@ -143,7 +143,7 @@ def _as_broadcast(words: NDArray[np.int64]) -> Broadcast:
     return Broadcast(slots, words[HEAD : HEAD + 8])
 
 
-def remove(memory: Memory) -> None:
+def remove(memory: RingMemory) -> None:
     """Notify readers of the end, and remove the name; readers that have mapped the memory can still read it."""
     memory.words[_ENDED] = 1
     wake_readers_from_python(memory.broadcast)

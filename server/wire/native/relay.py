@@ -48,7 +48,7 @@ _CALLS: Final = 0  # number of requests to return to Python
 _TICK: Final = 1  # latest tick passed on
 
 
-class Source(Protocol):
+class RecordSource(Protocol):
     """Source of records: the rings of a servo."""
 
     def feeds(self) -> Iterator[Feed]:
@@ -192,7 +192,7 @@ class Relay:
         self._idle_feed: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), os.eventfd(0))
         """Ring on which the thread sleeps while there is no servo."""
         self._asleep_on = self._idle_feed.wake_fd
-        self._source: Source | None = None
+        self._source: RecordSource | None = None
         self._done, self._failed, self._closing = (threading.Event() for _ in range(3))
         self.tap: Final = Tap(self._state.readers, bell, self._done, self._failed)
         self._compile()
@@ -233,7 +233,7 @@ class Relay:
         """Native id of the thread."""
         return self._thread.native_id
 
-    def attach(self, source: Source) -> None:
+    def attach(self, source: RecordSource) -> None:
         """Pass on the records of a servo from now on, until it ends. Call it once."""
         self._source = source
         self._call()

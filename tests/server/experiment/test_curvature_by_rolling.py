@@ -17,7 +17,7 @@ from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.masses import load_changed_scene
-from softfinger.server.experiment.schema import ONE
+from softfinger.server.experiment.schema import SINGLE_FINGER
 
 pytestmark = pytest.mark.plain
 
@@ -30,7 +30,7 @@ FRICTION = 0.5
 def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     """Return the records and the hand poses (n, 7) from press to lift on a sphere of the given radius."""
     experiment, folder = load("curvature-by-rolling", {})
-    path, turns = experiment.motion[ONE], experiment.turn[ONE]
+    path, turns = experiment.motion[SINGLE_FINGER], experiment.turn[SINGLE_FINGER]
     times = np.arange(0.0, 1.5, 0.005)
     poses = np.array([[*interpolate_path(path, t), *quaternions.exp(interpolate_path(turns, t))] for t in times])
     name = experiment.factor[0].scenes[condition]

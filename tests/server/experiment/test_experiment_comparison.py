@@ -10,7 +10,7 @@ import pytest
 from scipy import optimize, stats
 from test_trial_order import small
 
-from softfinger.server.experiment.analysis import ALL, excluded_participants, fit_groups
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
     chi_squared_tail,
     compare_levels,
@@ -62,7 +62,11 @@ def test_confidence_follows_signal_detection() -> None:
 def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     """The 95 % intervals of the pooled fit contain the simulated thresholds, 0.15 without and 0.3 with damping."""
     experiment, rows = study
-    pooled = {group.condition: group.fit for group in fit_groups(experiment.file, rows) if group.participant == ALL}
+    pooled = {
+        group.condition: group.fit
+        for group in fit_groups(experiment.file, rows)
+        if group.participant == ALL_PARTICIPANTS
+    }
     for condition, threshold in (("0.0", 0.15), ("4.0", 0.3)):
         low, high = pooled[condition].threshold_95
         assert low <= threshold <= high
@@ -134,7 +138,11 @@ def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dic
     groups = fit_groups(experiment.file, rows)
     for found in estimate_population(groups):
         each = np.log(
-            [group.fit.threshold for group in groups if group.condition == found.condition and group.participant != ALL]
+            [
+                group.fit.threshold
+                for group in groups
+                if group.condition == found.condition and group.participant != ALL_PARTICIPANTS
+            ]
         )
         assert found.mean == pytest.approx(np.exp(each.mean()))
         assert found.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, each.mean(), stats.sem(each))))
@@ -149,7 +157,7 @@ def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, 
         condition: [
             np.log(group.fit.threshold)
             for group in groups
-            if group.condition == condition and group.participant not in (ALL, "sub-06")
+            if group.condition == condition and group.participant not in (ALL_PARTICIPANTS, "sub-06")
         ]
         for condition in ("0.0", "4.0")
     }
@@ -190,7 +198,7 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
         for row in each.rehearse(number)
     ]
     assert list(excluded_participants(experiment.file, rows)) == ["sub-03"]
-    pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL]
+    pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL_PARTICIPANTS]
     assert [group.trials for group in pooled] == [24]
 
 

@@ -29,9 +29,9 @@ from softfinger.server.experiment.answers import DryRun
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.files import list_shipped
-from softfinger.server.experiment.folder import Folder, load
+from softfinger.server.experiment.folder import ParticipantFolder, load
 from softfinger.server.experiment.interfaces import NullApparatus
-from softfinger.server.experiment.journal import Journal, Memory, read
+from softfinger.server.experiment.journal import Journal, MemoryJournal, read
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
@@ -50,7 +50,7 @@ def drawn(figure: Path) -> None:
 def test_a_rehearsal_reports_each_trial() -> None:
     """The display of `--dry-run --no-daemon` receives the number of every finished trial, including the last."""
     file, numbers = Experiment("friction-magnitude").file, list[int]()
-    session, journal, observer = Session(file, 1), Memory(), DryRun(file, 1)
+    session, journal, observer = Session(file, 1), MemoryJournal(), DryRun(file, 1)
     session.welcome(journal, observer)
     session.run(journal, NullApparatus(numbers.append), observer)
     assert numbers == list(range(1, len(session.trials) + 1))
@@ -194,7 +194,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     """The table of a trial is complete or missing, and is never overwritten."""
     file = Experiment(small()).file
-    folder = Folder(tmp_path, file, 1, {})
+    folder = ParticipantFolder(tmp_path, file, 1, {})
     Session(file, 1).begin(folder)
     table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
     rows = [{"tick": tick} for tick in range(1000)]

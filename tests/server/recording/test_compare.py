@@ -22,7 +22,7 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import load_finger_poses, simulate, tick_many
-from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, Outcome, compare, replay
+from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, ReplayComparison, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.verbs.options import TOLERANCE
@@ -34,7 +34,7 @@ SETTLE_TICKS = 499
 """The ramp of half a second at 1 kHz ends at its 500th tick; the filter settles much earlier."""
 
 
-def replayed(path: Path, **changes: float) -> Outcome:
+def replayed(path: Path, **changes: float) -> ReplayComparison:
     scene = load_scene("paper-plane")
     past = load_run(path, FIELDS)
     scene = apply_overrides(scene, changes, "test") if changes else scene

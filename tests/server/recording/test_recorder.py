@@ -29,7 +29,7 @@ from softfinger.proxy.record import AT, FIELDS
 from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import picture, schemas
-from softfinger.server.recording.reader import End, Event, Note, Ticks, read_contents
+from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
 from softfinger.server.recording.recorder import PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire.client import subscribe
@@ -51,7 +51,7 @@ def quiet_rig(folder: Path, **changes: Any) -> Any:
 
 def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], End]:
     parts = list(read_contents(path))
-    ticks = [part.records() for part in parts if isinstance(part, Ticks)]
+    ticks = [part.records() for part in parts if isinstance(part, TickBlock)]
     notes = {part.name: part.value for part in parts if isinstance(part, Note)}
     events = [part.event for part in parts if isinstance(part, Event)]
     return np.concatenate(ticks), events, notes, parts[-1]
@@ -159,7 +159,7 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
         channel = mcap.channel("contact", schemas.TICK, data)
         mcap.message(channel, 1, message.SerializeToString())
         mcap.finish()
-    (ticks,) = [part for part in read_contents(path) if isinstance(part, Ticks)]
+    (ticks,) = [part for part in read_contents(path) if isinstance(part, TickBlock)]
     assert ticks.column("force").tolist() == [[1.0, 2.0, 3.0]] and ticks.column("tick").tolist() == [5.0]
     assert ticks.column("novel").tolist() == [9.0] and ticks.column("torque") is None
     with pytest.raises(RecordingError, match="another version"):

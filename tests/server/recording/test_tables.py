@@ -10,7 +10,7 @@ import pytest
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
 from softfinger.server.cli import main
-from softfinger.server.recording.tables import Layout, make_layout, read_table
+from softfinger.server.recording.tables import TableFormat, make_layout, read_table
 
 COUNT = 200
 TIME = np.arange(COUNT) * 1e-3
@@ -45,19 +45,19 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
     with pytest.raises(
         RecordingError, match=r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip N skips a heading"
     ):
-        read_table(file, Layout(("t", "x", "y", "z")))
-    poses = read_table(file, Layout(("t", "x", "y", "z"), skip=1))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
+    poses = read_table(file, TableFormat(("t", "x", "y", "z"), skip=1))
     np.testing.assert_array_equal(poses.position, PLACE)
     file.write_text("\n".join([*lines[:3], lines[3].replace(",", "."), ""]))
     with pytest.raises(RecordingError, match="line 4: has decimal commas and decimal points"):
-        read_table(file, Layout(("t", "x", "y", "z")))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
 
 
 def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
     """Spreadsheets quote decimal commas if commas also separate the cells."""
     file = tmp_path / "theirs.csv"
     file.write_text('"0,0","0,001",0,"0,01","a, b"\n"0,1","0,002",0,"0,02",""\n')
-    poses = read_table(file, Layout(("t", "x", "y", "z", "-")))
+    poses = read_table(file, TableFormat(("t", "x", "y", "z", "-")))
     assert poses.position.tolist() == [[0.001, 0.0, 0.01], [0.002, 0.0, 0.02]]
 
 
@@ -66,11 +66,11 @@ def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf0.0,0,0,0.01,\n0.1,0,0,0.02,\n0.2,0,0,0.03,press\n0.3,,0,0.04,\n")
     with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):
-        read_table(file, Layout(("t", "x", "y", "z", "-")))
+        read_table(file, TableFormat(("t", "x", "y", "z", "-")))
     with pytest.raises(RecordingError, match="line 3: 5 values where --columns has 4: give a name or - for each"):
-        read_table(file, Layout(("t", "x", "y", "z")))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
     file.write_bytes(file.read_bytes().replace(b",,", b",0,"))
-    assert read_table(file, Layout(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
+    assert read_table(file, TableFormat(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
 
 
 DECIMAL_COMMA = ("0,004 0,1 0,2 0,3", "0,005 0,1 0,2 0,3")
@@ -112,7 +112,7 @@ def test_a_row_is_not_read_in_another_dialect(lines: tuple[str, ...], fault: str
     file = tmp_path / "theirs.csv"
     file.write_text("\n".join(lines))
     with pytest.raises(RecordingError, match=fault):
-        read_table(file, Layout(("t", "x", "y", "z")))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
 
 
 def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf# made by hand\n; and here\n0;0;0;0,01\n;0;0;0,02\n")
     with pytest.raises(RecordingError, match="line 4, column 't': the cell is empty"):
-        read_table(file, Layout(("t", "x", "y", "z")))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
 
 
 def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -180,7 +180,7 @@ def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, 
     file = tmp_path / "theirs.txt"
     file.write_bytes(text)
     with pytest.raises(RecordingError, match=fault):
-        read_table(file, Layout(("t", "x", "y", "z")))
+        read_table(file, TableFormat(("t", "x", "y", "z")))
 
 
 def test_a_refused_table_writes_no_file(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import list_shipped
-from softfinger.server.surface_meshes import Mesh
+from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.nodes.bodies import visual_geoms
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.glyphs import rotate
@@ -106,12 +106,14 @@ def test_a_slope_towards_the_light_is_lighter() -> None:
     """A higher level is lighter, and the highest has the map's own colour in linear light."""
     steep = np.array([(x, 0.1 * y, abs(x)) for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)])
     faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.uint32)
-    valley = shade_vertices(Mesh(steep, faces), MAP)[:, :3].astype(int)
+    valley = shade_vertices(SurfaceMesh(steep, faces), MAP)[:, :3].astype(int)
     assert LIGHT[0] < 0.0  # from the left: the right side of a valley faces it
     assert (valley[4] > valley[0]).all() and (valley[5] > valley[1]).all()
     level = np.array(
         [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)]
     )
-    low, high = shade_vertices(Mesh(level, np.array([(0, 1, 2), (3, 4, 5)], np.uint32)), MAP)[[0, 3], :3].astype(int)
+    low, high = shade_vertices(SurfaceMesh(level, np.array([(0, 1, 2), (3, 4, 5)], np.uint32)), MAP)[[0, 3], :3].astype(
+        int
+    )
     assert (high > low).all()
     np.testing.assert_allclose(high, 255.0 * ((np.array(MAP) / 255.0 + 0.055) / 1.055) ** 2.4, atol=1.0)  # rounded down

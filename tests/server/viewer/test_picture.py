@@ -16,7 +16,7 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.surface_meshes import Mesh, cone, surface_mesh
+from softfinger.server.surface_meshes import SurfaceMesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
 from softfinger.server.viewer.nodes.fingertip import finger, nail
@@ -58,7 +58,7 @@ def thing(table: dict[str, Any]) -> Any:
     return build(schema.Scene, mapping, "test scene").object[0]
 
 
-def volume(mesh: Mesh) -> float:
+def volume(mesh: SurfaceMesh) -> float:
     """Return the volume enclosed by the triangles by the divergence theorem, positive if they face outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
