@@ -63,7 +63,12 @@ PARTS: Final = {
     ),
     "serial": Part(
         ("drivers/serial/exchange.py",),
-        ("drivers/test_serial_exchange", "drivers/test_serial_device", "drivers/test_serial_boards"),
+        (
+            "drivers/test_serial_exchange",
+            "drivers/test_serial_queue",
+            "drivers/test_serial_device",
+            "drivers/test_serial_boards",
+        ),
     ),
     "hid": Part(
         ("drivers/hid/exchange.py",),
