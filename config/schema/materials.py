@@ -43,7 +43,7 @@ class Normal(Table, frozen=True, kw_only=True):
     ) = None
 
     def depth_under(self, force_n: float, stiffness_n_per_m: float) -> float:
-        """Return the depth, m, at which a slow press has the force."""
+        """Return the penetration depth, m, at which the static normal force has this value."""
         relative: float = (force_n / (stiffness_n_per_m * self.depth_m)) ** (1.0 / self.exponent)
         return self.depth_m * relative
 
@@ -232,7 +232,7 @@ class Material(Table, frozen=True, kw_only=True):
     torsion: Torsion | None = None
 
     def depth_under(self, force_n: float) -> float:
-        """Return the depth, m, at which a slow press has the force."""
+        """Return the penetration depth, m, at which the static normal force has this value."""
         if self.normal is None:
             return force_n / self.stiffness_n_per_m
         return self.normal.depth_under(force_n, self.stiffness_n_per_m)

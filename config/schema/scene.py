@@ -18,7 +18,7 @@ from softfinger.config.schema.world import World
 
 
 class FingerParts(NamedTuple):
-    """Fingertip as it is modelled, from either table; the one of [fingertip] has no name.
+    """Fingertip of a finger, from [fingertip] or [[finger]]; the one of [fingertip] has an empty name.
 
     radius_m is the radius of a sphere, or the smallest of the radii_m of an ellipsoid.
     """

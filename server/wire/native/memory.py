@@ -84,7 +84,7 @@ class RingMemory(NamedTuple):
 
 
 def make_memory(capacity: int, width: int) -> RingMemory:
-    """Return a ring buffer for other programs of this user; without such memory, for the publisher only."""
+    """Return a ring buffer that other programs of this user can map; without shared memory, only the publisher can."""
     size = PAGE_BYTES + 8 * capacity * width
     try:
         if _FUTEX < 0:
