@@ -1,5 +1,6 @@
 """Progress display of long operations: a line below the log on a terminal, otherwise a line every few seconds.
 
+An operation within another one in the same thread adds its share to the step of the outer one.
 The line also shows that kernels are being compiled or loaded, which any long operation may have to do first.
 """
 
@@ -12,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Final
 
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
@@ -31,7 +32,9 @@ CHUNK: Final = 16384
 """Ticks per progress report of an offline run, which passes on 12 MB of records at a time."""
 
 _display_lock: Final = threading.Lock()
-"""Held by the only display; operations nested in another show nothing."""
+"""Held by the only display; operations of other threads show nothing."""
+_this_thread: Final = threading.local()
+"""`operations`: those that run in this thread, the innermost last."""
 
 
 _quiet: Final = threading.Event()
@@ -63,6 +66,42 @@ def progress(
 
     While `detail` returns a text, that text replaces the share. One thread at a time calls `detail`.
     """
+    operations: list[_Operation] = _this_thread.__dict__.setdefault("operations", [])
+    if operations:
+        advance = operations[-1].advance
+        shown: AbstractContextManager[Callable[[float], None]] = nullcontext(
+            lambda count: advance(count / (total or 1))
+        )
+    else:
+        shown = _shown(what, total, detail)
+    with shown as show:
+        operation = _Operation(show)
+        operations.append(operation)
+        try:
+            yield operation.set_done
+        finally:
+            operations.remove(operation)
+
+
+class _Operation:
+    """Count of an operation that never decreases: a step may contain several operations."""
+
+    def __init__(self, show: Callable[[float], None]) -> None:
+        self._show, self._done, self._largest = show, 0, 0.0
+
+    def set_done(self, number: int) -> None:
+        self._done = number
+        self.advance(0.0)
+
+    def advance(self, share: float) -> None:
+        """Set the share of the current step."""
+        self._largest = max(self._largest, self._done + share)
+        self._show(self._largest)
+
+
+@contextmanager
+def _shown(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+    """Yield the setter of the displayed count; it does nothing if another thread has the display."""
     if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
@@ -74,7 +113,7 @@ def progress(
 
 
 def progress_text(
-    what: str, count: int = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
+    what: str, count: float = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
     if text := detail():
@@ -124,7 +163,7 @@ def counter() -> Iterator[Callable[[str], None] | None]:
 
 
 @contextmanager
-def _bar(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[int], None]]:
+def _bar(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     display = _display(total is not None, detail)
     task = display.add_task(what, total=total)
     timer = threading.Timer(QUIET_S, display.start)
@@ -175,10 +214,10 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
 
 
 @contextmanager
-def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[int], None]]:
-    start_s, finished, count = time.monotonic(), threading.Event(), 0
+def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+    start_s, finished, count = time.monotonic(), threading.Event(), 0.0
 
-    def set_count(number: int) -> None:
+    def set_count(number: float) -> None:
         nonlocal count
         count = number
 

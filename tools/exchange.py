@@ -246,7 +246,7 @@ def make_scratch() -> Scratch:
 
 
 def compile_exchange() -> None:
-    """Compile the loop, so that a device that is opened afterwards does not wait for it."""
+    """Compile the loop, which its thread would otherwise do after it has armed the device."""
     like = (Io(0, 0, 0), Io(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
     with progress("kernels of the exchange"):
@@ -367,7 +367,7 @@ class Exchange:
             raise self.ended.error
 
     def __enter__(self) -> Self:
-        compile_exchange()  # does nothing if it was compiled before the device was opened
+        compile_exchange()
         self._thread.start()
         return self
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, AVERAGED_COLUMNS, Group, PowerLaw, format_fit
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.progress import progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +42,6 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
     participants = list(dict.fromkeys(group.participant for group in groups))
     main_participant = ALL_PARTICIPANTS if ALL_PARTICIPANTS in participants else participants[0]
     plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
-    paths = []
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     for group in groups:
         (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
@@ -54,15 +54,13 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
     plain_ticks(axes)
     axes.legend(fontsize="small", title=name_factors(experiment))
-    paths += save(figure, out / "fit")
+    figures = {"fit": figure}
     shown_groups = [group for group in groups if group.participant == main_participant]
     if any(group.means for group in shown_groups):
-        figure, all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
+        figures["felt"], all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
         for axes, name in zip(all_axes, AVERAGED_COLUMNS, strict=True):
             _draw_means(axes, shown_groups, name)
-        paths += save(figure, out / "felt")
-    plt.close("all")
-    return paths
+    return save(figures, out)
 
 
 def wrap_title(experiment: ExperimentFile, participant: str) -> str:
@@ -144,9 +142,16 @@ def _values(rows: Sequence[Entry], name: str) -> list[float]:
     return [row[name] for row in rows if name in row]
 
 
-def save(figure: Any, name: Path) -> list[Path]:
-    """Write a figure as PNG and SVG; return the files."""
-    paths = [name.with_suffix(f".{suffix}") for suffix in SUFFIXES]
-    for path in paths:
-        figure.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else None)
+def save(figures: Mapping[str, Any], out: Path) -> list[Path]:
+    """Write figures by the name of their file, as PNG and SVG, and close them; return the files."""
+    import matplotlib.pyplot as plt  # after `draw`, which has chosen the backend
+
+    paths = []
+    with progress("drawing", len(SUFFIXES) * len(figures)) as done:
+        for name, figure in figures.items():
+            for suffix in SUFFIXES:
+                paths.append((out / name).with_suffix(f".{suffix}"))
+                figure.savefig(paths[-1], dpi=150, metadata={"Date": None} if suffix == "svg" else None)
+                done(len(paths))
+            plt.close(figure)
     return paths

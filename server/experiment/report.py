@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
 from softfinger.server.experiment.trial_order import list_conditions, plan_trials
+from softfinger.server.progress import progress
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -80,16 +81,24 @@ def write_report(
         Files of figures; the PNG ones are embedded.
     """
     excluded = excluded_participants(experiment, rows)
-    sections = [
-        ("Design", _design(experiment)),
-        ("Participants and exclusions", _exclusions(experiment, rows, excluded, root)),
-        ("Estimates", _estimates(experiment, groups, excluded)),
-        ("Models with and without a factor", _models(experiment, rows, excluded)),
-        ("Surveys", _surveys(*surveys)),
-        ("Figures", "".join(map(_image, (path for path in figures if path.suffix == ".png")))),
-        ("Methods", "".join(map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), surveys[0])))),
-    ]
-    body = "\n".join(f"<h2>{heading}</h2>\n{content}" for heading, content in sections if content)
+    sections: dict[str, Callable[[], str]] = {
+        "Design": lambda: _design(experiment),
+        "Participants and exclusions": lambda: _exclusions(experiment, rows, excluded, root),
+        "Estimates": lambda: _estimates(experiment, groups, excluded),
+        "Models with and without a factor": lambda: _models(experiment, rows, excluded),
+        "Surveys": lambda: _surveys(*surveys),
+        "Figures": lambda: "".join(map(_image, (path for path in figures if path.suffix == ".png"))),
+        "Methods": lambda: "".join(
+            map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), surveys[0]))
+        ),
+    }
+    parts = []
+    with progress("writing the report", len(sections)) as done:
+        for number, (heading, write_section) in enumerate(sections.items(), 1):
+            if content := write_section():
+                parts.append(f"<h2>{heading}</h2>\n{content}")
+            done(number)
+    body = "\n".join(parts)
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
 
 

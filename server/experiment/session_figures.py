@@ -30,16 +30,15 @@ def draw_session(
     """
     import matplotlib.pyplot as plt  # after `figures.draw`, which has chosen the backend
 
-    paths = []
+    figures = {}
     if experiment.procedure.starts:
-        paths += save(_draw_staircases(plt, [row for row in rows if is_counted(row)]), out / "staircases")
+        figures["staircases"] = _draw_staircases(plt, [row for row in rows if is_counted(row)])
     if experiment.confidence is not None:
-        paths += save(_draw_confidence(plt, experiment, groups), out / "confidence")
+        figures["confidence"] = _draw_confidence(plt, experiment, groups)
     ratings = [row for row in table if not np.isnan(row["mean"])]
     if ratings:
-        paths += save(_draw_surveys(plt, experiment, ratings), out / "surveys")
-    plt.close("all")
-    return paths
+        figures["surveys"] = _draw_surveys(plt, experiment, ratings)
+    return save(figures, out)
 
 
 def _draw_staircases(plt: Any, rows: Sequence[Entry]) -> Any:

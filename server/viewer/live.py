@@ -57,6 +57,8 @@ class LivePage:
         self._received_meshes = deque[tuple[int, int, Triangles]]()
         """Received triangles of objects from files: scene number, object index."""
         self._scene: schema.Scene | None = None
+        self._is_outdated = True
+        """Whether the description has to be requested: it is unknown, or the event of a change may be lost."""
         self._first_tick = -1
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()
@@ -87,7 +89,8 @@ class LivePage:
             self._has_new_description.clear()
             self._show_description()
         self._since_request_s += dt
-        if self._scene is None and self._since_request_s > REQUEST_PERIOD_S:
+        self._is_outdated |= received.has_lost
+        if self._is_outdated and self._since_request_s > REQUEST_PERIOD_S:
             self._request_description()
         while self._received_meshes:
             self._draw_mesh(*self._received_meshes.popleft())
@@ -112,13 +115,17 @@ class LivePage:
 
     def _request_description(self) -> None:
         """Request the daemon's description."""
-        self._since_request_s = 0.0
+        self._since_request_s, self._is_outdated = 0.0, False
         self._prompt.request()
-        self._commands.submit("describe", Request("describe", {}, self._store_description))
+        self._commands.submit("describe", Request("describe", {}, self._store_description, self._set_outdated))
 
     def _store_description(self, description: dict[str, Any]) -> None:
-        self._description = description
-        self._has_new_description.set()
+        if description != self._description:
+            self._description = description
+            self._has_new_description.set()
+
+    def _set_outdated(self, error: str) -> None:
+        self._is_outdated = True
 
     def _show_description(self) -> None:
         """Show the described scene."""

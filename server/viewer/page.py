@@ -52,6 +52,9 @@ FADE_S: Final = 6.0
 """Time constant of the largest force: the scale of arrows changes slowly after a push."""
 NOTIFICATION_S: Final = 12.0
 """Duration of a notification: long enough to read three lines twice."""
+PANEL_WIDTH: Final = 384
+"""Width of the docked panel, pixels: that of the theme. Without it, viser 1.1.1 uses its default width if a browser
+happens to draw the panel before it applies the theme."""
 PROMPT_WIDTH: Final = 640
 """Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
@@ -128,6 +131,7 @@ class Page:
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
+        gui.main_panel.set_width(PANEL_WIDTH)
 
     def show_only_prompts(self) -> None:
         """Hide everything that shows the rendering."""

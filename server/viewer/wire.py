@@ -29,12 +29,14 @@ class ReceivedData(NamedTuple):
     ticks      records (n, RECORD_SIZE) by finger
     bodies     poses by name
     preparing  progress of what the daemon prepares
+    has_lost   whether ticks were lost since the last call, and with them perhaps events
     """
 
     ticks: dict[str, NDArray[np.float64]]
     events: list[dict[str, Any]]
     bodies: dict[str, Any]
     preparing: str
+    has_lost: bool
 
 
 class TelemetryReceiver:
@@ -45,7 +47,7 @@ class TelemetryReceiver:
         self._rows: dict[str, deque[list[float]]] = {}
         self._events = deque[dict[str, Any]](maxlen=QUEUE_MAX)
         self._bodies: dict[str, Any] = {}
-        self._preparing = ""
+        self._preparing, self._has_lost = "", False
         self._closing = threading.Event()
         self.problem = ""
         self._thread = threading.Thread(target=self._receive_samples, name="ticks", daemon=True)
@@ -69,11 +71,13 @@ class TelemetryReceiver:
                 self._events.append(sample.data)
             else:
                 self._rows.setdefault(finger, deque(maxlen=QUEUE_MAX)).append(record_of(sample))
+                self._has_lost |= sample.lost > 0
 
     def take(self) -> ReceivedData:
         """Return the data received since the last call."""
         ticks = {finger: np.array(rows) for finger, queue in list(self._rows.items()) if (rows := _drain(queue))}
-        return ReceivedData(ticks, _drain(self._events), self._bodies, self._preparing)
+        has_lost, self._has_lost = self._has_lost, False
+        return ReceivedData(ticks, _drain(self._events), self._bodies, self._preparing, has_lost)
 
     def close(self) -> None:
         self._closing.set()

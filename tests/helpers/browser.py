@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
-from urllib.error import URLError
-from urllib.request import urlopen
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,16 +38,6 @@ def why_none() -> str:
     except ImportError:
         return "no playwright: make setup"
     return ""
-
-
-def answered(address: str) -> int:
-    """Wait until a server answers at the address; return the HTTP status."""
-    while True:
-        try:
-            with urlopen(address, timeout=60.0) as answer:
-                return int(answer.status)
-        except URLError:
-            time.sleep(0.02)
 
 
 def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from helpers.shares import collect_shares
 from helpers.terminal import Screen, on_terminal
 from numba.core import event
 
@@ -141,6 +142,27 @@ def test_long_waits_show_their_share(
     for what in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):
         shares = [int(found[1]) for line in lines if (found := re.fullmatch(rf"{what} (\d+)% \.\.\. \d+ s", line))]
         assert len(set(shares)) > 2 and shares == sorted(shares), what
+
+
+def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share of an operation is added to the current step of the outer one, also over several levels, and never
+    decreases."""
+    shown = collect_shares(monkeypatch)
+    with display.progress("outer", 2) as done:
+        with display.progress("inner", 4) as inner_done:
+            inner_done(1)
+            with display.progress("innermost", 2) as innermost_done:
+                innermost_done(1)
+            inner_done(4)
+        with display.progress("second inner", 2) as inner_done:
+            inner_done(1)
+        done(1)
+        with display.progress("without a share"):
+            pass
+        done(2)
+    with display.progress("next", 4) as done:
+        done(1)
+    assert shown == {"outer": [0.125, 0.1875, 0.5, 0.5, 0.5, 1.0], "next": [0.25]}
 
 
 class Looking(Folder):

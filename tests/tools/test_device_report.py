@@ -22,7 +22,7 @@ import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from test_hid_emulated import WHY_NOT, beside
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
@@ -220,6 +220,14 @@ def test_a_puck_is_not_pushed() -> None:
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
     with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
         report.pushing(rig, puck, 1.0)
+
+
+def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A missing device is an error of a second, not of the minute that the compilation takes."""
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("softfinger.tools.exchange.exchange_loop", None)
+    for words in (["doctor", "--device-report"], ["devices", "--probe"], ["bench", "device"]):
+        assert main([*words, "--rig", "omega-3"]) == DeviceNotFound.exit_code
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:

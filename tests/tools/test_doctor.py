@@ -11,14 +11,17 @@ from typing import Any
 
 import pytest
 import zmq
+from helpers.shares import collect_shares
 
 from softfinger.config.errors import Unfit
-from softfinger.config.load import load_rig
+from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.server.loop import realtime
+from softfinger.server.progress import progress
 from softfinger.tools.doctor import attached, loop, machine
 from softfinger.tools.doctor.check import STATES, Check, grade, lines
+from softfinger.tools.doctor.verb import examine
 
 pytestmark = pytest.mark.real_time
 
@@ -147,6 +150,23 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
     assert "install gcc" in checks[1].seen
     beside = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
     assert "the same loop in C 40 us" in beside[1].seen
+
+
+def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share grows with each step, and within the measurements."""
+
+    def measured(*words: Any) -> Any:
+        with progress("measuring", 2) as done:
+            done(1)
+        return check
+
+    check, shares = Check("a", "good", "", ""), collect_shares(monkeypatch)
+    monkeypatch.setattr(loop, "cache", measured)
+    monkeypatch.setattr(loop, "step", measured)
+    monkeypatch.setattr(loop, "lateness", lambda *words: ([measured()], {"rate_hz": 1000.0}))
+    result = examine(load_rig("replay"), load_scene("paper-plane"), "replay", "paper-plane", 1.0, None)
+    assert result["states"]["good"] >= 3 and result["loop"] == {"rate_hz": 1000.0}
+    assert shares["checking the machine"] == [n / 14 for n in (2, 4, 5, 6, 7, 8, 9, 10, 12, 14)]
 
 
 def test_another_machine_is_read(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from softfinger.tools.exchange import (
     WRITE,
     Exchange,
     check_seconds,
-    compile_exchange,
     disarmed_guard,
 )
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
@@ -32,7 +31,6 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
-    compile_exchange()
     with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed_guard(rig)) as exchange:
         rows = exchange.record(args.seconds)
         burst = exchange.burst()

@@ -28,7 +28,7 @@ from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.report_text import lines
 from softfinger.tools.doctor.session import FORCE_MIN_S, Session
-from softfinger.tools.exchange import Exchange, compile_exchange, disarmed_guard
+from softfinger.tools.exchange import Exchange, disarmed_guard
 from softfinger.tools.measure import show
 
 FORMAT: Final = 1
@@ -186,7 +186,6 @@ def record(
 
     Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.
     """
-    compile_exchange()  # before the device is open, since it would wait for its first exchange
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()

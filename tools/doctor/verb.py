@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
+from softfinger.server.progress import progress
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.check import STATES, Check, lines
 from softfinger.tools.exchange import check_seconds
@@ -41,9 +43,27 @@ def examine(
 
     Both names are for messages.
     """
-    checks = machine.checks() + loop.settings(rig) + [loop.cache(rig, scene_name, scene)]
-    late, figures = loop.lateness(rig, scene, seconds, plot)
-    checks += [*late, loop.step(rig, scene_name, scene), loop.endpoint(rig), *attached.checks(rig)]
+    figures: dict[str, Any] = {}
+
+    def lateness() -> list[Check]:
+        late, measured = loop.lateness(rig, scene, seconds, plot)
+        figures.update(measured)
+        return late
+
+    steps: tuple[Callable[[], list[Check]], ...] = (
+        machine.checks,
+        lambda: loop.settings(rig),
+        lambda: [loop.cache(rig, scene_name, scene)],
+        lateness,
+        lambda: [loop.step(rig, scene_name, scene)],
+        lambda: [loop.endpoint(rig)],
+        lambda: attached.checks(rig),
+    )
+    checks = []
+    with progress("checking the machine", len(steps)) as done:
+        for number, step in enumerate(steps, 1):
+            checks += step()
+            done(number)
     counted = Counter(check.state for check in checks)
     return {
         "rig": rig_name,

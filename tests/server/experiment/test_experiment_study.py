@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from helpers.shares import collect_shares
 from PIL import Image
 from test_experiment_session import drawn
 from test_trial_order import file, small
@@ -134,8 +135,9 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
         assert set(first.values()) == ({2} if repetitions == 4 else {2, 3})
 
 
-def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
-    """Two participants give tables, figures, and a single report page in which texts are escaped."""
+def test_a_study_goes_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two participants give tables, figures, and a single report page in which texts are escaped; the share of the
+    drawing that is done is shown for each file and section."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
     for number in ("1", "2"):
         words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]
@@ -154,7 +156,9 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path) -> None:
         assert {"staircase", "catch", "confidence"} <= set(next(csv.DictReader(table)))
     (out / "sub-03").mkdir()
     (out / "sub-03" / "sub-03_journal.jsonl").write_text('{"kind": "consent", "agreed": false}\n')
+    shares = collect_shares(monkeypatch)
     assert cli.main(["figure", str(out), "--report"]) == 0
+    assert len(set(shares["drawing"])) > 12 and shares["drawing"][-1] == 1.0
     figures = {path.name for path in (out / "figures").iterdir()}
     for name in ("staircases", "confidence", "surveys"):
         drawn(out / "figures" / name)

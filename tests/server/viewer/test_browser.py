@@ -60,10 +60,9 @@ def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
     assert eventually(lambda: (screen.picture().std(axis=(0, 1)) > 5.0).all())
 
 
-@pytest.mark.exhaustive  # the canvas sometimes keeps its width after the first change of the window's; cause unknown
 def test_the_layout_fits_the_window(screen: Screen) -> None:
     """At 1280 x 800 the plots need no scroll and labels have one line, also after the window was narrow as a phone."""
-    page, plots = screen.page, screen.page.locator(".uplot")
+    page, plots = screen.page, screen.page.locator(".uplot:visible")  # plots of a tab remain after it was opened
 
     def canvas_width() -> float:
         return float(page.locator("canvas").first.bounding_box()["width"])

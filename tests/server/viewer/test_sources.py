@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,6 +30,7 @@ from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
+from softfinger.server.wire.client_requests import NoAnswer
 
 pytestmark = pytest.mark.real_time
 
@@ -127,6 +129,34 @@ def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> No
         assert fed(live, lambda: "no program leads the hand on replay" in page.refusal)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
         assert fed(live, lambda: knob.value == 1000.0)
+    finally:
+        live.close()
+
+
+def test_a_page_catches_up_after_lost_messages(
+    page: Page, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It requests the description again after a gap in the ticks, because the event of a change may be lost with them,
+    and after a request without an answer."""
+    live = LivePage(page, Addresses(*endpoints))
+    try:
+        assert fed(live, lambda: page.fingers)
+        knob, samples = live._tuning._knobs["stiffness"].slider, live._telemetry._samples
+        assert fed(live, lambda: knob.value == 1000.0 and samples._ticks)
+        monkeypatch.setattr(live._telemetry, "_events", deque(maxlen=0))
+        failures, ask = ["describe"], live._commands._control.ask
+
+        def ask_or_fail(method: str, params: dict[str, Any]) -> Any:
+            if method in failures:
+                failures.remove(method)
+                raise NoAnswer("too late")
+            return ask(method, params)
+
+        monkeypatch.setattr(live._commands._control, "ask", ask_or_fail)
+        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+        samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
+        assert fed(live, lambda: knob.value == 640.0) and not failures
+        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
     finally:
         live.close()
 
