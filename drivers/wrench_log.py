@@ -164,10 +164,7 @@ class WrenchLog:
         read, wrench = self.read_log()
         if self.overwritten_count:
             log.warning(
-                "%s has the last %d wrenches; %d earlier ones were overwritten",
-                path,
-                len(read),
-                self.overwritten_count,
+                "%s has the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.overwritten_count
             )
         try:
             with new_file(path) as file:

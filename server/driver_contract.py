@@ -94,12 +94,7 @@ class Bench(ABC):
 PULL: Final = {
     "fingertip": {"radius_m": 0.01},
     "object": [
-        {
-            "name": "floor",
-            "shape": "plane",
-            "motion": {"kind": "driven"},
-            "material": {"stiffness_n_per_m": 1000.0},
-        }
+        {"name": "floor", "shape": "plane", "motion": {"kind": "driven"}, "material": {"stiffness_n_per_m": 1000.0}}
     ],
     "effect": [{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}],
 }

@@ -202,10 +202,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
             return Text() if detail() else super().render(task)
 
     text = Column(no_wrap=True, overflow="ellipsis")
-    columns: list[ProgressColumn] = [
-        TimeElapsedColumn(),
-        _TaskText("", table_column=text),
-    ]
+    columns: list[ProgressColumn] = [TimeElapsedColumn(), _TaskText("", table_column=text)]
     if bar:
         columns += [BarColumn(), _TaskShare()]
     # The terminal wraps long log lines. Redirected output does not go to the terminal.

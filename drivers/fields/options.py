@@ -46,8 +46,7 @@ class InputField(Table, frozen=True, kw_only=True):
     bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
     button_above: (
         Annotated[
-            float,
-            within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0),
+            float, within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0)
         ]
         | None
     ) = None

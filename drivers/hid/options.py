@@ -14,14 +14,7 @@ from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.materials import Library, LibraryEntry
 from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
-from softfinger.drivers.fields.options import (
-    BYTES,
-    FIELDS,
-    InputField,
-    OutputField,
-    layout_faults,
-    repeated_meanings,
-)
+from softfinger.drivers.fields.options import BYTES, FIELDS, InputField, OutputField, layout_faults, repeated_meanings
 from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.system.descriptor import ReportLengths

@@ -15,16 +15,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import (
-    END,
-    OK,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    SAMPLE_TIME,
-    Device,
-    DeviceInfo,
-    DeviceIO,
-)
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample

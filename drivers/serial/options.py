@@ -51,13 +51,7 @@ class Checksum(Table, frozen=True, kw_only=True):
     crc16-ccitt (polynomial 0x1021), crc16-modbus (0x8005 reflected).
     """
 
-    kind: Annotated[
-        Check,
-        doc(
-            "computation",
-            "crc8",
-        ),
-    ]
+    kind: Annotated[Check, doc("computation", "crc8")]
     offset: Annotated[
         int, Meta(ge=1, le=int(FRAME_BYTES.high)), doc("its first byte; it covers the bytes from first up to it", 6)
     ]

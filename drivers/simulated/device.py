@@ -15,16 +15,7 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import (
-    END,
-    OK,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    SAMPLE_TIME,
-    Device,
-    DeviceInfo,
-    DeviceIO,
-)
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, Device, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation

@@ -40,13 +40,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
-from softfinger.drivers.system.libc import (
-    EAGAIN,
-    IO_SIGNATURE,
-    TIMESPEC_WORDS,
-    monotonic_ns,
-    read_now,
-)
+from softfinger.drivers.system.libc import EAGAIN, IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
 from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at

@@ -12,14 +12,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
-from softfinger.config.schema import (
-    Guard,
-    Mesh,
-    Object,
-    Rig,
-    Scene,
-    Servo,
-)
+from softfinger.config.schema import Guard, Mesh, Object, Rig, Scene, Servo
 from softfinger.config.sources import EXPERIMENTS, find, find_in, list_shipped, names_in, read_toml
 from softfinger.config.words import format_value, near
 from softfinger.server.offline.part_faults import part_faults

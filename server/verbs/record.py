@@ -26,13 +26,7 @@ from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
 from softfinger.server.recording.verbs.live import RecordingJob, record_live
-from softfinger.server.wire.client import (
-    NoTelemetry,
-    Sample,
-    Subscription,
-    explain_no_telemetry,
-    subscribe,
-)
+from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
 
 log: Final = logging.getLogger(__name__)

@@ -300,11 +300,7 @@ class Window(Closeable):
     """
 
     def __init__(
-        self,
-        endpoint: str = DEFAULT_ENDPOINT,
-        samples: int = 1000,
-        finger: str = "",
-        keys: ClientKeys | None = None,
+        self, endpoint: str = DEFAULT_ENDPOINT, samples: int = 1000, finger: str = "", keys: ClientKeys | None = None
     ) -> None:
         if samples < 1:
             raise ConfigError(f"a window of {samples} samples is too short: must be 1 or more")

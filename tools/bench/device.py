@@ -13,15 +13,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.exchange import (
-    EMPTY_READ,
-    EMPTY_WRITE,
-    READ,
-    WRITE,
-    Exchange,
-    check_seconds,
-    disarmed_guard,
-)
+from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, disarmed_guard
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, show
 

@@ -82,11 +82,7 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
 
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
     poses = corner_poses() if name == CORNER else touching_poses(scene)
-    parts = [
-        ("whole", scene),
-        *((f"without {n}", s) for n, s in without_parts(scene)),
-        ("bare", keep_contact(scene)),
-    ]
+    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", keep_contact(scene))]
     units, costs = measure_in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):

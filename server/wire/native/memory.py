@@ -61,8 +61,7 @@ _WAIT: Final = 0
 _WAKE: Final = 1
 _ALL: Final = 0x7FFFFFFF
 _syscall: Any = types.ExternalFunction(
-    "syscall",
-    types.int64(types.int64, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64),
+    "syscall", types.int64(types.int64, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64)
 )
 
 
