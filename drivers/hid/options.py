@@ -14,7 +14,14 @@ from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.materials import Library, LibraryEntry
 from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
-from softfinger.drivers.fields.options import BYTES, FIELDS, InputField, OutputField, layout_faults, repeated_meanings
+from softfinger.drivers.fields.options import (
+    BYTES,
+    FIELDS,
+    InputField,
+    OutputField,
+    find_repeated_meanings,
+    layout_faults,
+)
 from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.system.descriptor import ReportLengths
@@ -41,7 +48,7 @@ class InputReport(Table, frozen=True, kw_only=True):
         if not is_usable(self.bytes, self.field):
             return
         yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
-        yield from repeated_meanings(self.field)
+        yield from find_repeated_meanings(self.field)
 
 
 class OutputReport(Table, frozen=True, kw_only=True):

@@ -100,7 +100,7 @@ def profile_of_spheroid(shape: Ellipsoid, v: float) -> Profile:
     return a * cos(v), -a * sin(v), -a * cos(v), b * sin(v), b * cos(v), -b * sin(v)
 
 
-def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
+def rotate_profile(shape: Any, u: float, v: float) -> SurfacePoint:
     """Return the chart of a profile rotated about the z axis; from inside, v is reversed so that z points inwards."""
     side = shape.side
     out, d_out, dd_out, up, d_up, dd_up = profile(shape, side * v)
@@ -116,7 +116,7 @@ def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
 
 
 for _shape in (Sphere, Cylinder, Torus, Ellipsoid):
-    chart.of(_shape)(turned_profile)
+    chart.of(_shape)(rotate_profile)
 
 
 @jit
