@@ -27,10 +27,10 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
+from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
-from softfinger.server.closing import Closeable
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
