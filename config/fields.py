@@ -108,8 +108,7 @@ Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION
 
 
 Resolved = Annotated[
-    bool | None,
-    doc("true, as in recordings and telemetry: all values are given here, and the library is not used"),
+    bool | None, doc("true, as in recordings and telemetry: all values are given here, and the library is not used")
 ]
 """Field of a table that may name an entry of a library; without it, a recording would change with the library."""
 

@@ -19,12 +19,7 @@ from typing import IO, Final
 from softfinger.config.errors import ConfigError
 
 LINKS_MAX: Final = 40
-_KINDS: Final = {
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a disk",
-}
+_KINDS: Final = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a disk"}
 
 
 def home_folder() -> Path | None:

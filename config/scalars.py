@@ -44,7 +44,7 @@ class FaultCollector:
         return UNSET
 
 
-def checked_number(
+def check_number(
     kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: FaultCollector
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
@@ -67,7 +67,7 @@ def checked_number(
     return report.add(key, expected + reason)
 
 
-def checked_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:
+def check_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:
     """Return a text of the length and pattern of `kind`."""
     if not isinstance(value, str):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
@@ -80,7 +80,7 @@ def checked_text(kind: inspect.StrType, value: object, key: str, report: FaultCo
     return value
 
 
-def checked_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
+def check_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
     """Return one of the values of `kind`."""
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value

@@ -15,7 +15,7 @@ from typing import Any, Final
 from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
-from softfinger.config.scalars import Fault, FaultCollector, checked_literal, checked_number, checked_text
+from softfinger.config.scalars import Fault, FaultCollector, check_literal, check_number, check_text
 from softfinger.config.typeinfo import describe_struct, options, unwrap
 from softfinger.config.untagged import Untagged, read_untagged
 from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
@@ -44,13 +44,13 @@ def _value(info: inspect.Type, value: object, key: str, report: FaultCollector) 
         case inspect.StructType():
             return _struct(kind, value, key, report)
         case inspect.FloatType() | inspect.IntType():
-            return checked_number(kind, extra, value, key, report)
+            return check_number(kind, extra, value, key, report)
         case inspect.TupleType() | inspect.VarTupleType() | inspect.ListType():
             return _list(kind, value, key, report)
         case inspect.StrType():
-            return checked_text(kind, value, key, report)
+            return check_text(kind, value, key, report)
         case inspect.LiteralType():
-            return checked_literal(kind, value, key, report)
+            return check_literal(kind, value, key, report)
         case inspect.BoolType():
             usable = isinstance(value, bool)
         case inspect.DictType():

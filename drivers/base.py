@@ -13,12 +13,12 @@ only the driver converts from and to the axes of the vendor.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Final, NamedTuple, Protocol, Self
+from typing import Final, NamedTuple, Protocol
 
+from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 OK: Final = 0
@@ -127,7 +127,7 @@ class LastWord(NamedTuple):
     zero: bytes
 
 
-class Device(ABC):
+class Device(Closeable):
     """Open device. The constructor opens it; leaving the context stops and closes it."""
 
     info: DeviceInfo
@@ -136,7 +136,7 @@ class Device(ABC):
     def io(self) -> DeviceIO:
         """Return the addresses for the servo loop, valid until `close`."""
 
-    def arm(self) -> None:  # noqa: B027  (a device that has nothing to switch on does nothing)
+    def arm(self) -> None:
         """Switch on the force and its safeguards (a watchdog, a session that times out).
 
         The servo thread calls it once, right before the first tick, after everything slow is done. A device with
@@ -183,11 +183,3 @@ class Device(ABC):
         While the servo runs, each is a momentary value.
         """
         return {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

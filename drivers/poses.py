@@ -113,7 +113,7 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
         raise RecordingError(f"{path}: does not fit in memory, or its header is damaged") from error
 
 
-def shipped_names() -> list[str]:
+def list_shipped_recordings() -> list[str]:
     """Return the names of the shipped recordings."""
     return sorted(path.stem for path in SHIPPED.glob("*.csv"))
 
@@ -126,7 +126,7 @@ def find_recording(recording: str | Path) -> Path:
             return path
     except (ValueError, OSError) as error:  # too long, or contains a NUL
         raise RecordingError(f"recording {str(recording)[:80]!r} is not a usable file name: {error}") from error
-    names = shipped_names()
+    names = list_shipped_recordings()
     name = str(recording).removesuffix(".csv")
     if name in names:
         return SHIPPED / f"{name}.csv"

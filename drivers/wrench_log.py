@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file
 from softfinger.drivers.base import OK, WITHHELD
-from softfinger.drivers.block import Block, address, counter, lay_out, word
+from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_out, word
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.decorators import PLAIN, c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -145,10 +145,6 @@ class WrenchLog:
         """Number of wrenches overwritten because the run was longer than the log."""
         return max(0, int(self._block.word[LOG.writes]) - len(self._rows))
 
-    def counts(self) -> dict[str, int]:
-        """Return the counters of the block: reads, wrenches, and counters of the driver."""
-        return self._block.counts()
-
     def read_log(self) -> LoggedWrenches:
         """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
         before = int(self._block.word[LOG.writes])
@@ -164,10 +160,7 @@ class WrenchLog:
         read, wrench = self.read_log()
         if self.overwritten_count:
             log.warning(
-                "%s has the last %d wrenches; %d earlier ones were overwritten",
-                path,
-                len(read),
-                self.overwritten_count,
+                "%s has the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.overwritten_count
             )
         try:
             with new_file(path) as file:
@@ -179,6 +172,22 @@ class WrenchLog:
                     np.savez(file, read=read, force=wrench[:, :3], torque=wrench[:, 3:])
         except OSError as error:
             raise RecordingError(f"{path}: the forces cannot be saved: {error.strerror or error}") from error
+
+
+class LoggedDevice(BlockDevice):
+    """Device that logs the written wrenches."""
+
+    _log: WrenchLog
+
+    def stop(self) -> None:
+        self._log.stop()
+
+    def close(self) -> None:
+        self._log.close()
+
+    def read_log(self) -> LoggedWrenches:
+        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
+        return self._log.read_log()
 
 
 def _forces_path(name: str) -> Path:

@@ -94,12 +94,7 @@ class Bench(ABC):
 PULL: Final = {
     "fingertip": {"radius_m": 0.01},
     "object": [
-        {
-            "name": "floor",
-            "shape": "plane",
-            "motion": {"kind": "driven"},
-            "material": {"stiffness_n_per_m": 1000.0},
-        }
+        {"name": "floor", "shape": "plane", "motion": {"kind": "driven"}, "material": {"stiffness_n_per_m": 1000.0}}
     ],
     "effect": [{"kind": "constant_force", "force_n": [0.6, 0.0, 0.8]}],
 }
@@ -107,7 +102,7 @@ PULL: Final = {
 this package share the compiled loop with those of commands."""
 
 
-def pulling() -> Tuning:
+def make_pulling_tuning() -> Tuning:
     """Return the tuning of the scene `PULL`, with a guard that ramps in within 10 ms."""
     return make_tuning(load_scene(PULL), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
 
@@ -194,7 +189,7 @@ class DriverContract:
                 return lambda: None
 
             monkeypatch.setattr(device, "arm", noted)
-            servo = Loop([device], pulling(), RATE_HZ, 100, slow)
+            servo = Loop([device], make_pulling_tuning(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
             ended = servo.join(30.0)
@@ -259,7 +254,11 @@ class DriverContract:
         """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
-                [device], pulling(), RATE_HZ, 100 if way == "last_tick" else None, failing if way == "crash" else None
+                [device],
+                make_pulling_tuning(),
+                RATE_HZ,
+                100 if way == "last_tick" else None,
+                failing if way == "crash" else None,
             )
             servo.compile()
             if way == "crash":  # without a tick of the loop, apply a force first
@@ -311,7 +310,7 @@ class DriverContract:
         """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
-                servo = Loop([device], pulling(), RATE_HZ)
+                servo = Loop([device], make_pulling_tuning(), RATE_HZ)
                 servo.compile()
                 servo.start()
                 run_for(servo, 100)

@@ -73,7 +73,7 @@ def progress(
             lambda count: advance(count / (total or 1))
         )
     else:
-        shown = _shown(what, total, detail)
+        shown = _open_display(what, total, detail)
     with shown as show:
         operation = _Operation(show)
         operations.append(operation)
@@ -100,7 +100,7 @@ class _Operation:
 
 
 @contextmanager
-def _shown(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _open_display(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     """Yield the setter of the displayed count; it does nothing if another thread has the display."""
     if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
@@ -202,10 +202,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
             return Text() if detail() else super().render(task)
 
     text = Column(no_wrap=True, overflow="ellipsis")
-    columns: list[ProgressColumn] = [
-        TimeElapsedColumn(),
-        _TaskText("", table_column=text),
-    ]
+    columns: list[ProgressColumn] = [TimeElapsedColumn(), _TaskText("", table_column=text)]
     if bar:
         columns += [BarColumn(), _TaskShare()]
     # The terminal wraps long log lines. Redirected output does not go to the terminal.

@@ -46,7 +46,7 @@ PARTS: Final = {
     "guard": Part(("server/loop/guard.py",), ("server/test_guard",)),
     "limits": Part(("server/loop/limits.py", "server/loop/output.py"), ("server/test_limits",)),
     "shutdown": Part(
-        ("server/closing.py", "drivers/open_devices.py", "server/loop/shutdown.py"),
+        ("drivers/closing.py", "drivers/open_devices.py", "server/loop/shutdown.py"),
         ("server/test_shutdown", "server/test_supervisor"),
     ),
     "supervisor": Part(("server/services/supervisor.py",), ("server/test_supervisor",)),

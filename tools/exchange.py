@@ -387,7 +387,7 @@ def check_seconds(seconds: float) -> None:
         raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
-def disarmed_guard(rig: Rig) -> Guard:
+def make_disarmed_guard(rig: Rig) -> Guard:
     """Return a guard that passes no force."""
     guard = rig.guard
     return Guard(0.0, 0.0, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 0.0)

@@ -109,7 +109,7 @@ def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
             if isinstance(part, TickBlock):
                 recording.ticks(part.records(), part.finger)
             elif isinstance(part, Event):
-                recording.event(cleaned_event(part.event, cleaner))
+                recording.event(clean_event(part.event, cleaner))
         for line in log_lines(path, cleaner):
             recording.log(*line)
         recording.close()
@@ -117,7 +117,7 @@ def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
         return file.read()
 
 
-def cleaned_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
+def clean_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
     """Return an event with cleaned texts and a shortened serial number of the device."""
     clean: dict[str, Any] = cleaner.clean(event)
     return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})

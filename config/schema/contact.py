@@ -48,16 +48,11 @@ class Form(Table, frozen=True, kw_only=True):
     ) = None
     resolved: Resolved = None
     radius_m: (
-        Annotated[
-            float,
-            within(limits.LENGTH_M, "radius of a sphere; required without pad or radii_m", 0.01),
-        ]
-        | None
+        Annotated[float, within(limits.LENGTH_M, "radius of a sphere; required without pad or radii_m", 0.01)] | None
     ) = None
     radii_m: (
         Annotated[
-            tuple[Length, Length, Length],
-            doc("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012]),
+            tuple[Length, Length, Length], doc("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012])
         ]
         | None
     ) = None
@@ -148,10 +143,7 @@ class Rolling(Table, frozen=True, kw_only=True):
     ) = None
     state_machine: Annotated[
         StateMachine,
-        doc(
-            "rule between rolling and sliding; paper: the published rule verbatim, for study only",
-            "default",
-        ),
+        doc("rule between rolling and sliding; paper: the published rule verbatim, for study only", "default"),
     ] = "default"
 
     def faults(self) -> Iterator[Complaint]:
@@ -180,12 +172,7 @@ class Probe(Table, frozen=True, kw_only=True):
     """Filtering of the measured pose."""
 
     velocity_time_constant_s: Annotated[
-        float,
-        within(
-            limits.TIME_CONSTANT_S,
-            "low-pass filter on the probe velocity; 0: difference quotient",
-            0.002,
-        ),
+        float, within(limits.TIME_CONSTANT_S, "low-pass filter on the probe velocity; 0: difference quotient", 0.002)
     ] = 0.002
     position_resolution_m: Annotated[
         float, within(limits.RESOLUTION_M, "resolution of the device: smaller motions count as noise", 1e-5)
@@ -206,14 +193,10 @@ class Passivity(Table, frozen=True, kw_only=True):
     """Passivity observer and controller; without this table energy is not monitored."""
 
     mode: Annotated[
-        PassivityMode,
-        doc("observe: energy in telemetry; control: also dissipate generated energy", "control"),
+        PassivityMode, doc("observe: energy in telemetry; control: also dissipate generated energy", "control")
     ]
     damping_max_ns_per_m: (
-        Annotated[
-            float,
-            within(limits.DAMPING_NS_PER_M, "control only: largest damping added; default: 20", 20.0),
-        ]
+        Annotated[float, within(limits.DAMPING_NS_PER_M, "control only: largest damping added; default: 20", 20.0)]
         | None
     ) = None
 

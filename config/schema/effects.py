@@ -47,8 +47,7 @@ class Region(Table, frozen=True, kw_only=True):
     size_m: Edges | None = None
     radius_m: BallRadius | None = None
     edge_m: Annotated[
-        float,
-        within(limits.EDGE_M, "border over which the effect rises linearly from zero; 0: a step", 0.005),
+        float, within(limits.EDGE_M, "border over which the effect rises linearly from zero; 0: a step", 0.005)
     ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:

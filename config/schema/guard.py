@@ -67,12 +67,7 @@ class Guard(Table, frozen=True, kw_only=True):
         float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
     ] = 100.0
     frozen_s: Annotated[
-        float,
-        within(
-            limits.FROZEN_S,
-            "a pose that repeats bit for bit for this long gets no force; 0: never",
-            5.0,
-        ),
+        float, within(limits.FROZEN_S, "a pose that repeats bit for bit for this long gets no force; 0: never", 5.0)
     ] = 5.0
     handle_speed_max_m_per_s: Annotated[
         float, within(limits.HANDLE_SPEED_MAX_M_PER_S, "a faster handle, over 10 ms, gets no force", 2.0)

@@ -19,16 +19,10 @@ class Normal(Table, frozen=True, kw_only=True):
     """Law of the normal force; without this table the force is proportional to the depth."""
 
     exponent: Annotated[
-        float,
-        within(limits.NORMAL_EXPONENT, "exponent (p): 1 linear, 1.5 Hertz, above 1.5 soft fingertips", 1.5),
+        float, within(limits.NORMAL_EXPONENT, "exponent (p): 1 linear, 1.5 Hertz, above 1.5 soft fingertips", 1.5)
     ] = 1.0
     depth_m: Annotated[
-        float,
-        within(
-            limits.NORMAL_DEPTH_M,
-            "reference depth (d): f_N = stiffness_n_per_m d (depth / d)^p",
-            0.001,
-        ),
+        float, within(limits.NORMAL_DEPTH_M, "reference depth (d): f_N = stiffness_n_per_m d (depth / d)^p", 0.001)
     ] = 0.001
     damping_s_per_m: (
         Annotated[
@@ -43,7 +37,7 @@ class Normal(Table, frozen=True, kw_only=True):
     ) = None
 
     def depth_under(self, force_n: float, stiffness_n_per_m: float) -> float:
-        """Return the depth, m, at which a slow press has the force."""
+        """Return the penetration depth, m, at which the static normal force has this value."""
         relative: float = (force_n / (stiffness_n_per_m * self.depth_m)) ** (1.0 / self.exponent)
         return self.depth_m * relative
 
@@ -123,11 +117,7 @@ class Torsion(Table, frozen=True, kw_only=True):
     stiffness_nm_per_rad: (
         Annotated[
             float,
-            within(
-                limits.TORSION_NM_PER_RAD,
-                "torsional stiffness (k_z); required without [fingertip.patch]",
-                0.05,
-            ),
+            within(limits.TORSION_NM_PER_RAD, "torsional stiffness (k_z); required without [fingertip.patch]", 0.05),
         ]
         | None
     ) = None
@@ -218,12 +208,7 @@ class Material(Table, frozen=True, kw_only=True):
     ] = 0.0
     shear_modulus_pa: (
         Annotated[
-            float,
-            within(
-                limits.SHEAR_MODULUS_PA,
-                "shear modulus, used with [fingertip.patch]; default: rigid",
-                600e3,
-            ),
+            float, within(limits.SHEAR_MODULUS_PA, "shear modulus, used with [fingertip.patch]; default: rigid", 600e3)
         ]
         | None
     ) = None
@@ -232,7 +217,7 @@ class Material(Table, frozen=True, kw_only=True):
     torsion: Torsion | None = None
 
     def depth_under(self, force_n: float) -> float:
-        """Return the depth, m, at which a slow press has the force."""
+        """Return the penetration depth, m, at which the static normal force has this value."""
         if self.normal is None:
             return force_n / self.stiffness_n_per_m
         return self.normal.depth_under(force_n, self.stiffness_n_per_m)

@@ -6,20 +6,10 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from softfinger.config import limits
-from softfinger.config.fields import (
-    Complaint,
-    Component,
-    Coordinate,
-    Table,
-    direction_faults,
-    doc,
-    sized,
-    within,
-)
+from softfinger.config.fields import Complaint, Component, Coordinate, Table, direction_faults, doc, sized, within
 
 Axis = Annotated[
-    tuple[Component, Component, Component],
-    doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0]),
+    tuple[Component, Component, Component], doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0])
 ]
 
 
@@ -47,8 +37,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
     rate_rad_per_s: Annotated[float, within(limits.TURN_RATE_RAD_PER_S, "angular velocity, right-handed", 1.0)]
     axis: Axis = (0.0, 0.0, 1.0)
     pivot_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate],
-        doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0]),
+        tuple[Coordinate, Coordinate, Coordinate], doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0])
     ] = (0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:

@@ -13,8 +13,7 @@ class Patch(Table, frozen=True, kw_only=True):
     """Contact patch of a soft fingertip; it determines the torsional stiffness and limit in place of the material."""
 
     shear_modulus_pa: Annotated[
-        float,
-        within(limits.SHEAR_MODULUS_PA, "shear modulus of the incompressible pad (G)", 45e3),
+        float, within(limits.SHEAR_MODULUS_PA, "shear modulus of the incompressible pad (G)", 45e3)
     ]
     radius_m: (
         Annotated[

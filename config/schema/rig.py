@@ -130,9 +130,7 @@ class Recording(Table, frozen=True, kw_only=True):
     directory: Annotated[
         str,
         sized(
-            limits.FILE_NAME_LENGTH,
-            "folder below which record_start writes, from the working directory of run",
-            ".",
+            limits.FILE_NAME_LENGTH, "folder below which record_start writes, from the working directory of run", "."
         ),
     ] = "."
 
@@ -145,16 +143,12 @@ class Security(Table, frozen=True, kw_only=True):
     ]
     readers: (
         Annotated[
-            str,
-            sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may read telemetry", "keys/readers"),
+            str, sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may read telemetry", "keys/readers")
         ]
         | None
     ) = None
     commanders: (
-        Annotated[
-            str,
-            sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may command", "keys/commanders"),
-        ]
+        Annotated[str, sized(limits.FILE_NAME_LENGTH, "folder of the public keys that may command", "keys/commanders")]
         | None
     ) = None
 
@@ -166,9 +160,7 @@ class Metrics(Table, frozen=True, kw_only=True):
         Annotated[
             str,
             sized(
-                limits.ENDPOINT_LENGTH,
-                "loopback address and port to serve metrics on; default: off",
-                "127.0.0.1:9464",
+                limits.ENDPOINT_LENGTH, "loopback address and port to serve metrics on; default: off", "127.0.0.1:9464"
             ),
         ]
         | None

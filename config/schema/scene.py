@@ -18,7 +18,7 @@ from softfinger.config.schema.world import World
 
 
 class FingerParts(NamedTuple):
-    """Fingertip as it is modelled, from either table; the one of [fingertip] has no name.
+    """Fingertip of a finger, from [fingertip] or [[finger]]; the one of [fingertip] has an empty name.
 
     radius_m is the radius of a sphere, or the smallest of the radii_m of an ellipsoid.
     """
@@ -113,11 +113,7 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
             name = item.name if key == "name" else item.device or item.name
             for other, earlier in first.items():
                 if key == "device" and name == other and name != item.name:
-                    yield (
-                        f"finger[{index}].device",
-                        name,
-                        f"moves finger[{earlier}] already: name another",
-                    )
+                    yield (f"finger[{index}].device", name, f"moves finger[{earlier}] already: name another")
                 elif key == "name" and (name.startswith(other) or other.startswith(name)):
                     yield (
                         f"finger[{index}].name",

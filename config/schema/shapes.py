@@ -269,14 +269,7 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
     endings: ClassVar[tuple[str, ...]] = (".ply", ".stl", ".obj", ".glb")
     volumes: ClassVar[tuple[str, ...]] = (".msh", ".vtu")
     """Files of tetrahedra, for elastic bodies."""
-    file: Annotated[
-        str,
-        sized(
-            limits.FILE_NAME_LENGTH,
-            ".ply, .stl, .obj or .glb; or a MuJoCo model",
-            "part.ply",
-        ),
-    ]
+    file: Annotated[str, sized(limits.FILE_NAME_LENGTH, ".ply, .stl, .obj or .glb; or a MuJoCo model", "part.ply")]
     mesh: (
         Annotated[str, sized(limits.NAME_LENGTH, "mesh of a MuJoCo model, in its frame of inertia, m", "handle")] | None
     ) = None

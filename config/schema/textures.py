@@ -17,14 +17,7 @@ Border = Literal["period", "clamp"]
 class Texture(Table, frozen=True, kw_only=True):
     """Height and friction of a plane, cylinder or box from an array; its smallest value maps to 0, its largest to 1."""
 
-    file: Annotated[
-        str,
-        sized(
-            limits.FILE_NAME_LENGTH,
-            "array (.npy, .npz, .csv) or grey picture (.pgm)",
-            "ribs.csv",
-        ),
-    ]
+    file: Annotated[str, sized(limits.FILE_NAME_LENGTH, "array (.npy, .npz, .csv) or grey picture (.pgm)", "ribs.csv")]
     size_m: Annotated[tuple[Length, Length], doc("size on the surface, along columns and rows", [0.02, 0.02])]
     border: Annotated[
         Border, doc("period: repeats; clamp: the border value continues; around a cylinder period only")

@@ -33,10 +33,7 @@ BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.B
 class World(Table, frozen=True, kw_only=True):
     """Bodies of a MuJoCo model. MuJoCo moves them, and fingers touch their geoms. Needs softfinger[world]."""
 
-    model: Annotated[
-        str,
-        sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file", "box.xml"),
-    ]
+    model: Annotated[str, sized(limits.FILE_NAME_LENGTH, "MJCF or URDF file", "box.xml")]
     root: (
         Annotated[
             str,
@@ -59,10 +56,7 @@ class World(Table, frozen=True, kw_only=True):
         int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
     ] = 1
     budget_us: (
-        Annotated[
-            float,
-            within(limits.STEP_BUDGET_US, "time that a step of the bodies may take; default: any", 300.0),
-        ]
+        Annotated[float, within(limits.STEP_BUDGET_US, "time that a step of the bodies may take; default: any", 300.0)]
         | None
     ) = None
     mass_kg: Annotated[

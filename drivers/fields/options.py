@@ -46,8 +46,7 @@ class InputField(Table, frozen=True, kw_only=True):
     bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
     button_above: (
         Annotated[
-            float,
-            within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0),
+            float, within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0)
         ]
         | None
     ) = None
@@ -87,7 +86,7 @@ def layout_faults(
                 break
 
 
-def repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
+def find_repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
     meanings_seen = set()
     for index, field in enumerate(fields):
@@ -104,7 +103,7 @@ def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
     return {field.meaning for field in fields if is_usable(field.meaning)}
 
 
-def missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
+def find_missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
     """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
     missing = ", ".join(sorted(required - present))
     if missing:

@@ -18,10 +18,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from softfinger.config.errors import (
-    DeviceError,
-    DeviceTimeout,
-)
+from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers.base import DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection

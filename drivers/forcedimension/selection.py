@@ -6,13 +6,7 @@ import ctypes
 import logging
 from typing import Final, NoReturn
 
-from softfinger.config.errors import (
-    DeviceBusy,
-    DeviceError,
-    DeviceNotFound,
-    DevicePermission,
-    DeviceTimeout,
-)
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.drivers.forcedimension import library, usb
 from softfinger.drivers.forcedimension.models import Model, find_model
 from softfinger.drivers.forcedimension.options import Options

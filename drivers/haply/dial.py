@@ -27,7 +27,7 @@ The default queues about 26 000 bytes. The size of the service's receive buffer 
 _LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
 
 
-def remaining(until: float) -> float:
+def check_remaining_time(until: float) -> float:
     """Return the time (s) until `until` (monotonic clock); raises DeviceTimeout if it has passed."""
     remaining_s = until - time.monotonic()
     if remaining_s <= 0.0:
@@ -38,7 +38,7 @@ def remaining(until: float) -> float:
 def connect(port: int, until: float) -> socket.socket:
     """Connect to the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
     try:
-        connection = socket.create_connection((HOST, port), timeout=remaining(until))
+        connection = socket.create_connection((HOST, port), timeout=check_remaining_time(until))
     except ConnectionRefusedError:
         raise DeviceNotFound(
             f"no Inverse Service on port {port} of this machine{_old_service_note(port)}: {START}"
@@ -64,7 +64,7 @@ def request(port: int, method: str, path: str, body: Any, until: float) -> tuple
         with connect(port, until) as connection:
             connection.sendall(head.encode() + content)
             while not _is_complete(received):
-                connection.settimeout(remaining(until))
+                connection.settimeout(check_remaining_time(until))
                 part = connection.recv(CHUNK)
                 if not part:
                     break

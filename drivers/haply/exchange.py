@@ -69,8 +69,7 @@ class Fields(NamedTuple):
     states: Annotated[int, counter("states received")]
     messages: Annotated[int, counter("messages sent")]
     dropped: Annotated[
-        int,
-        counter("forces dropped by the thread: no newer wrench, device disarmed, or service does not read"),
+        int, counter("forces dropped by the thread: no newer wrench, device disarmed, or service does not read")
     ]
     unasked: Annotated[int, counter("states that answered no message")]
     written: Annotated[int, counter("wrenches of the loop")]

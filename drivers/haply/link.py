@@ -16,7 +16,7 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, connect, remaining
+from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, check_remaining_time, connect
 from softfinger.drivers.haply.messages import Malformed, excerpt
 
 CLOSE_TIMEOUT_S: Final = 0.2
@@ -72,7 +72,7 @@ class WebSocketLink:
     def next(self, until: float) -> bytes:
         """Wait for the next message and return it."""
         while not (found := self.receive()):
-            select.select([self._end], [], [], remaining(until))
+            select.select([self._end], [], [], check_remaining_time(until))
         self._queued_messages = found[1:]
         return found[0]
 
@@ -133,7 +133,7 @@ class WebSocketLink:
                 return found
 
     def receive_handshake(self, until: float) -> list[bytes]:
-        select.select([self._end], [], [], remaining(until))
+        select.select([self._end], [], [], check_remaining_time(until))
         try:
             data = self._end.recv(CHUNK)
         except BlockingIOError:

@@ -67,7 +67,7 @@ def find(options: Options) -> Connection:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
     library()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
-    version = _checked_version(options, until)
+    version = _choose_version(options, until)
     with ExitStack() as opened:
         link = WebSocketLink(options.port, until)
         opened.callback(link.close)
@@ -166,7 +166,7 @@ def _version(port: int, until: float) -> str:
     )
 
 
-def _checked_version(options: Options, until: float) -> tuple[int, int]:
+def _choose_version(options: Options, until: float) -> tuple[int, int]:
     """Return the version that the rig names, or else the service's.
 
     Raises DeviceError if they have different keys of forces.

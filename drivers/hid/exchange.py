@@ -9,27 +9,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, NamedTuple
 
-from softfinger.drivers.base import (
-    HELD,
-    LOST,
-    OK,
-    PROTOCOL,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    STALE,
-    TIMEOUT,
-)
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_BUTTONS, SAMPLE_GRIPPER, STALE, TIMEOUT
 from softfinger.drivers.block import address, counter, lay_out, numbers, word
 from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
-from softfinger.drivers.fields.table import (
-    BUTTONS,
-    COMMANDED_SIZE,
-    CONSTANT,
-    GRIPPER,
-    SENSED_SIZE,
-    decode,
-    encode,
-)
+from softfinger.drivers.fields.table import BUTTONS, COMMANDED_SIZE, CONSTANT, GRIPPER, SENSED_SIZE, decode, encode
 from softfinger.drivers.kinematics.mechanism import (
     FULL,
     INVALID,

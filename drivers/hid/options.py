@@ -19,8 +19,8 @@ from softfinger.drivers.fields.options import (
     FIELDS,
     InputField,
     OutputField,
+    find_repeated_meanings,
     layout_faults,
-    repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
@@ -48,7 +48,7 @@ class InputReport(Table, frozen=True, kw_only=True):
         if not is_usable(self.bytes, self.field):
             return
         yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
-        yield from repeated_meanings(self.field)
+        yield from find_repeated_meanings(self.field)
 
 
 class OutputReport(Table, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
-from softfinger.drivers.fields.options import InputField, OutputField, meanings, missing_meanings
+from softfinger.drivers.fields.options import InputField, OutputField, find_missing_meanings, meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
@@ -143,10 +143,10 @@ def field_faults(
     if sensed is None or commanded is None:
         return
     kind = str(kinematics.__struct_config__.tag)
-    yield from missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
-    yield from missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
+    yield from find_missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
+    yield from find_missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
     if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
-        yield from missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
+        yield from find_missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
     sensed_quaternion = sorted(sensed & QUATERNION)
     if sensed_quaternion and (not isinstance(kinematics, Cartesian) or len(sensed_quaternion) < len(QUATERNION)):
         yield f"{key}.input.field", sensed_quaternion, "a cartesian device senses all of qw to qz or none"

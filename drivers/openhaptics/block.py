@@ -63,8 +63,7 @@ class Fields(NamedTuple):
     internal: Annotated[int, word("the device's own code of that")]
     errors: Annotated[int, counter("errors that the library reported in frames")]
     lapses: Annotated[
-        int,
-        counter("forces that the library's thread withheld: old, late frame, not armed, stylus docked, fault"),
+        int, counter("forces that the library's thread withheld: old, late frame, not armed, stylus docked, fault")
     ]
     wrench_seen: Annotated[int, word("sequence of the wrench that it has")]
     # written by the servo

@@ -15,13 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Final, NoReturn
 
-from softfinger.config.errors import (
-    DeviceBusy,
-    DeviceError,
-    DeviceNotFound,
-    DevicePermission,
-    DeviceTimeout,
-)
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.drivers.base import DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb

@@ -33,8 +33,7 @@ class Options(Table, frozen=True, kw_only=True):
     ) = None  # fmt: skip
     inkwell: Annotated[bool, doc("no force while the stylus is in the inkwell; false: ignore the switch")] = True
     reset_encoders: Annotated[
-        bool,
-        doc("a device without its zeros uses its position DURING OPENING as its reset position"),
+        bool, doc("a device without its zeros uses its position DURING OPENING as its reset position")
     ] = False
     calibration_wait_s: Annotated[
         float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)

@@ -15,21 +15,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import (
-    END,
-    OK,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    SAMPLE_TIME,
-    Device,
-    DeviceInfo,
-    DeviceIO,
-)
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import Array, close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
+from softfinger.drivers.wrench_log import LOG, LoggedDevice, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
@@ -85,7 +76,7 @@ def _read(handle: int, sample: Any) -> int:
     return status
 
 
-class Replay(Device):
+class Replay(LoggedDevice):
     """Recording at the servo's rate; `logged` returns the logged wrenches.
 
     Without `loop` the log contains the wrenches of the full pass; with it, at least the last pass and the last 10 s.
@@ -120,15 +111,6 @@ class Replay(Device):
     def io(self) -> DeviceIO:
         return DeviceIO(_read.address, wrench_log.write.address, self._block.handle)
 
-    def stop(self) -> None:
-        self._log.stop()
-
-    def close(self) -> None:
-        self._log.close()
-
-    def counts(self) -> dict[str, int]:
-        return self._log.counts()
-
     @property
     def reads(self) -> int:
         """Number of reads."""
@@ -138,10 +120,6 @@ class Replay(Device):
     def overwritten_count(self) -> int:
         """Number of wrenches overwritten because a loop ran longer than the log."""
         return self._log.overwritten_count
-
-    def read_log(self) -> LoggedWrenches:
-        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.read_log()
 
     def forces(self) -> Array:
         """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""

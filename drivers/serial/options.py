@@ -16,8 +16,8 @@ from softfinger.drivers.fields.options import (
     TYPE_BYTES,
     InputField,
     OutputField,
+    find_repeated_meanings,
     layout_faults,
-    repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
@@ -51,13 +51,7 @@ class Checksum(Table, frozen=True, kw_only=True):
     crc16-ccitt (polynomial 0x1021), crc16-modbus (0x8005 reflected).
     """
 
-    kind: Annotated[
-        Check,
-        doc(
-            "computation",
-            "crc8",
-        ),
-    ]
+    kind: Annotated[Check, doc("computation", "crc8")]
     offset: Annotated[
         int, Meta(ge=1, le=int(FRAME_BYTES.high)), doc("its first byte; it covers the bytes from first up to it", 6)
     ]
@@ -78,7 +72,7 @@ class Frame(Table, frozen=True, kw_only=True):
         """Return True if frames can be found in a stream of bytes."""
         return self.check is not None or bool(self.start and self.end)
 
-    def reserved_bytes(self) -> Iterator[tuple[int, str]]:
+    def find_reserved_bytes(self) -> Iterator[tuple[int, str]]:
         """Yield bytes used by marks or checksum, with the name of the use."""
         yield from ((k, "start") for k in range(len(self.start)))
         yield from ((k, "end") for k in range(self.bytes - len(self.end), self.bytes))
@@ -97,7 +91,7 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
         if frame.check.first >= frame.check.offset:
             yield "check.first", frame.check.first, f"must be below offset = {frame.check.offset}: it covers nothing"
     uses = dict[int, str]()
-    for byte, name in frame.reserved_bytes():
+    for byte, name in frame.find_reserved_bytes():
         if not 0 <= byte < frame.bytes or byte in uses:
             yield name, byte, f"byte {byte} is {uses.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
             return
@@ -118,7 +112,7 @@ class InputFrame(Frame, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         yield from frame_faults(self, self.field)
         if is_usable(self.field):
-            yield from repeated_meanings(self.field)
+            yield from find_repeated_meanings(self.field)
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):

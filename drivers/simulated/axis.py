@@ -223,12 +223,7 @@ def integrate_series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h
         x += share * dx
         v += share * dv
         a += share * da
-        dx, dz, dv, da = (
-            dv,
-            dv,
-            axis.mobility * da - axis.damping * dv - axis.stiffness * dz,
-            -axis.lag_rate * da,
-        )
+        dx, dz, dv, da = (dv, dv, axis.mobility * da - axis.damping * dv - axis.stiffness * dz, -axis.lag_rate * da)
         share *= h / n
     return x, v, a
 

@@ -15,16 +15,7 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import (
-    END,
-    OK,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    SAMPLE_TIME,
-    Device,
-    DeviceInfo,
-    DeviceIO,
-)
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo, DeviceIO
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation
@@ -43,7 +34,7 @@ from softfinger.drivers.simulated.plant import (
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import Puck, button_mask, fingertip_pose, read_setup, update_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedWrenches, WrenchLog
+from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
@@ -151,7 +142,7 @@ def _read_led_by_puck(handle: int, sample: Any) -> int:
     return OK
 
 
-class SimulatedDevice(Device):
+class SimulatedDevice(LoggedDevice):
     """Plant as a device; written wrenches act on the handle, and are logged.
 
     After `stop` it remains disarmed: only delayed forces still act, and the hand continues to move.
@@ -198,9 +189,6 @@ class SimulatedDevice(Device):
         read = _read if self._puck is None else _read_led_by_puck
         return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
 
-    def stop(self) -> None:
-        self._log.stop()
-
     def close(self) -> None:
         try:
             self._log.close()
@@ -215,11 +203,7 @@ class SimulatedDevice(Device):
         return self._hand if self._puck is None else None
 
     def counts(self) -> dict[str, int]:
-        return self._block.counts() | (self._puck_block.counts(spacemouse.AT) if self._puck is not None else {})
-
-    def read_log(self) -> LoggedWrenches:
-        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.read_log()
+        return super().counts() | (self._puck_block.counts(spacemouse.AT) if self._puck is not None else {})
 
 
 def open_device(options: Options, rate_hz: float) -> SimulatedDevice:

@@ -274,11 +274,7 @@ def clamp_command(plant: Plant, command: Vec3) -> Vec3:
 def flush_small(v: Vec3) -> Vec3:
     """Return a vector with components below `FLUSH_MAX` set to 0: a decaying one would become denormal and slow."""
     x, y, z = v
-    return (
-        x if abs(x) >= FLUSH_MAX else 0.0,
-        y if abs(y) >= FLUSH_MAX else 0.0,
-        z if abs(z) >= FLUSH_MAX else 0.0,
-    )
+    return (x if abs(x) >= FLUSH_MAX else 0.0, y if abs(y) >= FLUSH_MAX else 0.0, z if abs(z) >= FLUSH_MAX else 0.0)
 
 
 @jit

@@ -25,7 +25,7 @@ from softfinger.drivers.base import (
     DeviceInfo,
     DeviceIO,
 )
-from softfinger.drivers.block import Block, BlockDevice, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
@@ -40,14 +40,8 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
-from softfinger.drivers.system.libc import (
-    EAGAIN,
-    IO_SIGNATURE,
-    TIMESPEC_WORDS,
-    monotonic_ns,
-    read_now,
-)
-from softfinger.drivers.wrench_log import LOG, LoggedWrenches, WrenchLog
+from softfinger.drivers.system.libc import EAGAIN, IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
+from softfinger.drivers.wrench_log import LOG, LoggedDevice, WrenchLog
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
@@ -217,7 +211,7 @@ class Puck:
                 os.write(int(self._word[AT.fd]), report)
 
 
-class SpaceMouse(BlockDevice):
+class SpaceMouse(LoggedDevice):
     """Fingertip of the puck as a device. Written wrenches are only logged."""
 
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
@@ -242,16 +236,9 @@ class SpaceMouse(BlockDevice):
     def io(self) -> DeviceIO:
         return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
 
-    def stop(self) -> None:
-        self._log.stop()
-
     def close(self) -> None:
-        self._log.close()
+        super().close()
         self._puck.close()
-
-    def read_log(self) -> LoggedWrenches:
-        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.read_log()
 
 
 def open_puck(options: Options) -> tuple[int, str]:

@@ -102,7 +102,7 @@ def read_device(name: str, root: Path = ROOT) -> SystemDevice | None:
 def hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
-    for name in _sorted_by_number(_list_names(folder)):
+    for name in _sort_by_number(_list_names(folder)):
         if (found := _hidraw_node(folder / name)) is not None:
             yield found
 
@@ -110,7 +110,7 @@ def hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
 def serial_ports(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
-    for name in _sorted_by_number(filter(_is_port, _list_names(folder))):
+    for name in _sort_by_number(filter(_is_port, _list_names(folder))):
         if (found := _serial_port(folder / name)) is not None:
             yield found
 
@@ -171,7 +171,7 @@ def group_with_access(node: str) -> str | None:
         return None
 
 
-def _sorted_by_number(names: Iterable[str]) -> list[str]:
+def _sort_by_number(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda text: (len(text), text))
 
 

@@ -76,7 +76,7 @@ class Touch(LedHands):
     reward       negative mean distance (N) of the normal force from `goal_n` over the ticks of the step
     info         "records": Records (step_ticks, RECORD_SIZE), every tick of the step
 
-    Never terminated; truncated after `episode_steps`. For another task override `reward` and `terminated`.
+    Never terminated; truncated after `episode_steps`. For another task override `reward` and `is_terminated`.
 
     >>> env = Touch("paper-plane", home_m=(0.0, 0.0, 0.0105))
     >>> first, _ = env.reset(seed=1)

@@ -73,7 +73,7 @@ class Lift(LedHands):
     info         "records": Records by finger, every tick of the step
 
     Terminated when the body is lost; truncated after `episode_steps`. Raises SafetyStop if MuJoCo cannot simulate the
-    bodies. For another task override `reward` and `terminated`.
+    bodies. For another task override `reward` and `is_terminated`.
     """
 
     setup: LiftSetup

@@ -141,8 +141,7 @@ class RerunSink:
         """Yield Rerun's pose and archetype for a primitive of Foxglove."""
         rr, at = self._rr, primitive["pose"]
         yield rr.Transform3D(
-            translation=list(at["position"].values()),
-            quaternion=[at["orientation"][axis] for axis in "xyzw"],
+            translation=list(at["position"].values()), quaternion=[at["orientation"][axis] for axis in "xyzw"]
         )
         color = [[round(255 * primitive["color"][part]) for part in "rgba"]]
         size = list(primitive.get("size", {}).values())

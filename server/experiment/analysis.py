@@ -58,7 +58,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     there are no answers.
     """
     counted = [row for row in rows if is_counted(row)]
-    excluded = excluded_participants(experiment, rows)
+    excluded = find_excluded_participants(experiment, rows)
     if not counted:
         raise ConfigError("no trial beyond practice has been answered: nothing to draw yet")
     participants = sorted({row["participant"] for row in counted})
@@ -99,7 +99,7 @@ def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
     return shares
 
 
-def excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]) -> dict[str, str]:
+def find_excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]) -> dict[str, str]:
     """Return the reason for each participant whose catch trials are below the limit of the file."""
     if experiment.catch is None:
         return {}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import excluded_participants, fit_groups, format_fit, table
+from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, table
 from softfinger.server.experiment.figures import draw
 from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, write_csv
 from softfinger.server.experiment.report import write_report
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
     journals = sorted(root.glob(JOURNAL))
-    answers, excluded = read_surveys(journals), excluded_participants(experiment, rows)
+    answers, excluded = read_surveys(journals), find_excluded_participants(experiment, rows)
     surveys = survey_table(experiment, answers, excluded)
     with progress("drawing", 2 + args.report) as done:
         paths = draw(experiment, groups, out)

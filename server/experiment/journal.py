@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.closing import Closeable
+from softfinger.drivers.closing import Closeable
 
 Entry = dict[str, Any]
 _DECODER: Final = msgspec.json.Decoder(dict)

@@ -13,7 +13,7 @@ import msgspec
 from softfinger.server.experiment.analysis import (
     Group,
     catch_shares,
-    excluded_participants,
+    find_excluded_participants,
     format_fit,
     format_interval,
     is_counted,
@@ -80,7 +80,7 @@ def write_report(
     figures
         Files of figures; the PNG ones are embedded.
     """
-    excluded = excluded_participants(experiment, rows)
+    excluded = find_excluded_participants(experiment, rows)
     sections: dict[str, Callable[[], str]] = {
         "Design": lambda: _design(experiment),
         "Participants and exclusions": lambda: _exclusions(experiment, rows, excluded, root),

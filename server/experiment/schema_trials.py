@@ -36,8 +36,7 @@ class Task(Table, frozen=True, kw_only=True):
         ),
     ]
     also: Annotated[
-        dict[str, float],
-        doc("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8}),
+        dict[str, float], doc("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8})
     ] = msgspec.field(default_factory=dict)
     reference: Annotated[Positive | None, doc("compare: value of the reference", 500.0)] = None
     more: Annotated[

@@ -110,7 +110,7 @@ def follow_surface(scene: Any, values: Array, points: Array, height: float) -> N
         points[i, 0], points[i, 1], points[i, 2] = at
 
 
-def touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
+def make_touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
     """Return periodic poses (count, 7) of a fingertip that presses 1 N into the first object, rolls, spins and drags.
 
     With several fingertips it is the one with the smallest radius.

@@ -72,7 +72,7 @@ def value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
     return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
 
 
-def measured_text(each: Measured) -> str:
+def format_measured(each: Measured) -> str:
     """Format a published value: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
     if each.youngs_modulus_pa is not None:
         low, high = (1e-3 * value for value in each.youngs_modulus_pa)
@@ -97,7 +97,7 @@ def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
     ]
 
 
-def cited_papers(entry: LibraryEntry) -> set[str]:
+def list_cited_papers(entry: LibraryEntry) -> set[str]:
     """Return the names of the papers cited for an entry's values, measurements and range."""
     return {
         *entry.papers,

@@ -36,13 +36,7 @@ Array = NDArray[np.float64]
 
 @entry
 def tick_many(
-    tuning_packed: Packed,
-    memory_packed: Packed,
-    poses: Array,
-    dts: Array,
-    period: float,
-    first: int,
-    records: Array,
+    tuning_packed: Packed, memory_packed: Packed, poses: Array, dts: Array, period: float, first: int, records: Array
 ) -> None:
     """Run a tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the previous one, and write `records`.
 

@@ -147,7 +147,7 @@ def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int]
     poses[_has_bit(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
     free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
     recorded_guards = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
-    devices, settling_ticks = _device_infos(run), _settling_ticks(scene, run.rate_hz)
+    devices, settling_ticks = _device_infos(run), _find_settling_ticks(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     bodies = np.full_like(run.bodies.poses, np.nan)
     comparable, left_out = np.zeros(len(ticks), dtype=bool), list[SkippedTicks]()
@@ -259,7 +259,7 @@ def _device_infos(run: Run) -> list[DeviceInfo]:
         return []
 
 
-def _settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
+def _find_settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
     """Return the ticks after which the history has no influence; None if an effect never forgets it."""
     effects = [*scene.effect, *(effect for obj in scene.object for effect in obj.effect)]
     if any(isinstance(effect, schema.StickSlip) for effect in effects):

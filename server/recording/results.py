@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import follow_links, new_file, open_input, open_output
+from softfinger.drivers.closing import Closeable
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
-from softfinger.server.closing import Closeable
 from softfinger.server.progress import progress
 from softfinger.server.recording.reader import End, TickBlock, read_contents
 from softfinger.server.recording.writer import RecordingFile

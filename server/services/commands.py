@@ -310,12 +310,7 @@ class CommandService:
         self._change_scene(lambda: scene, self._scene_name, client, request, wire.Applied)
 
     def _change_scene(
-        self,
-        read: Callable[[], schema.Scene],
-        name: str,
-        client: bytes,
-        request: Request,
-        result: Callable[[int], Any],
+        self, read: Callable[[], schema.Scene], name: str, client: bytes, request: Request, result: Callable[[int], Any]
     ) -> None:
         """Read, compile and render a scene from zero force, and answer with the `result` of its first tick."""
 

@@ -47,12 +47,7 @@ class RecordService(Worker):
     """
 
     def __init__(
-        self,
-        servo: Servo,
-        tap: Tap,
-        sinks: list[Sink],
-        fail: Callable[[HapticError], None],
-        event: Callable[..., Any],
+        self, servo: Servo, tap: Tap, sinks: list[Sink], fail: Callable[[HapticError], None], event: Callable[..., Any]
     ) -> None:
         super().__init__("records")
         self._servo, self._tap, self._sinks, self._fail, self._event = servo, tap, list(sinks), fail, event

@@ -39,7 +39,7 @@ class Swapping(Worker):
 
     def check(self) -> None:
         """Report memory in swap, unless it has been reported."""
-        kilobytes = swapped_kb(self._status.read_text())
+        kilobytes = parse_swapped_kb(self._status.read_text())
         if kilobytes and not self._reported:
             message = f"{kilobytes} kB of the daemon are in swap: {ADVICE}"
             log.warning("%s", message)
@@ -51,7 +51,7 @@ class Swapping(Worker):
         self._event("fault", NAME, message=f"memory in swap is no longer reported: {error}")
 
 
-def swapped_kb(status: str) -> int:
+def parse_swapped_kb(status: str) -> int:
     """Return the memory of a process in swap, kB; 0 if the system does not report it."""
     found = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
     return int(found[1]) if found else 0

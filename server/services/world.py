@@ -85,12 +85,6 @@ class WorldState(Worker):
 def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
     """Return the bodies of a message, from the array that `query.bodies.publish_motion` writes."""
     return [
-        {
-            "name": name,
-            "position": row[:3],
-            "orientation": row[3:7],
-            "velocity": row[7:10],
-            "rate": row[10:13],
-        }
+        {"name": name, "position": row[:3], "orientation": row[3:7], "velocity": row[7:10], "rate": row[10:13]}
         for name, row in zip(names, values[1:].reshape(-1, MOTION_SIZE).tolist(), strict=True)
     ]

@@ -12,14 +12,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
-from softfinger.config.schema import (
-    Guard,
-    Mesh,
-    Object,
-    Rig,
-    Scene,
-    Servo,
-)
+from softfinger.config.schema import Guard, Mesh, Object, Rig, Scene, Servo
 from softfinger.config.sources import EXPERIMENTS, find, find_in, list_shipped, names_in, read_toml
 from softfinger.config.words import format_value, near
 from softfinger.server.offline.part_faults import part_faults
@@ -142,13 +135,13 @@ def with_costs(finding: FileReport) -> FileReport:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import keep_contact, measure, touching_poses, without_parts
+    from softfinger.server.offline.cost import keep_contact, make_touching_poses, measure, without_parts
     from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
     parts = list(without_parts(scene))
     with progress(f"measuring {finding.file}", len(parts) + 2) as done:
-        poses = touching_poses(scene)
+        poses = make_touching_poses(scene)
         whole = measure(scene, poses).median_ns
         rows = [("cost of a tick", f"{whole:.0f} ns, back to back, pressed into the first object")]
         done(1)

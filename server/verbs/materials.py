@@ -12,10 +12,10 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.materials import LibraryEntry
 from softfinger.server.offline.feel_figure import draw
 from softfinger.server.offline.library_texts import (
-    cited_papers,
     entries,
     find_entry,
-    measured_text,
+    format_measured,
+    list_cited_papers,
     paper_rows,
     value_rows,
 )
@@ -40,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.name}: {kind}. {entry.about}")
     rows = [("holds", entry.holds)]
     rows += [("friction of", entry.friction_of)] if entry.friction_of else []
-    rows += [*value_rows(entry), *(("measured", measured_text(each)) for each in entry.measured)]
-    rows += paper_rows(cited_papers(entry))
+    rows += [*value_rows(entry), *(("measured", format_measured(each)) for each in entry.measured)]
+    rows += paper_rows(list_cited_papers(entry))
     width = max(len(name) for name, _ in rows)
     for name, text in rows:
         print(f"  {name:{width}}  {text}")
@@ -52,7 +52,13 @@ def as_json(name: str, kind: str, entry: LibraryEntry) -> dict[str, Any]:
     """Return an entry as plain values, with the papers as a mapping from name to text."""
     plain = msgspec.to_builtins(entry)
     measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
-    return {"name": name, "kind": kind, **plain, "measured": measured, "papers": dict(paper_rows(cited_papers(entry)))}
+    return {
+        "name": name,
+        "kind": kind,
+        **plain,
+        "measured": measured,
+        "papers": dict(paper_rows(list_cited_papers(entry))),
+    }
 
 
 def _list(is_json: bool) -> None:

@@ -139,7 +139,7 @@ class Board:
 
 
 def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
-    """Receive messages and show the board every `period_s`, until `--once` or `--duration` is satisfied."""
+    """Receive messages and redraw the dashboard every `period_s`, until `--once` or `--duration` ends it."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     first = math.inf  # time of the first message: the daemon may start later

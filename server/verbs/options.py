@@ -229,9 +229,7 @@ def configure_check(parser: argparse.ArgumentParser) -> None:
         "files", nargs="+", metavar="FILE", help="scene, rig or experiment: a file or the name of a shipped one"
     )
     parser.add_argument(
-        "--explain",
-        action="store_true",
-        help="compile each scene and measure the cost of a tick and of its parts",
+        "--explain", action="store_true", help="compile each scene and measure the cost of a tick and of its parts"
     )
     parser.add_argument(
         "--plot",

@@ -14,11 +14,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import is_same_file
+from softfinger.drivers.closing import Closeable
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_from_period
 from softfinger.server import keys, signals
 from softfinger.server.arguments import files_by_finger
@@ -26,13 +26,7 @@ from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.progress import counter
 from softfinger.server.recording.poses_file import PosesFile, poses_file
 from softfinger.server.recording.verbs.live import RecordingJob, record_live
-from softfinger.server.wire.client import (
-    NoTelemetry,
-    Sample,
-    Subscription,
-    explain_no_telemetry,
-    subscribe,
-)
+from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
 
 log: Final = logging.getLogger(__name__)
@@ -201,7 +195,7 @@ def _receive_first(samples: Subscription, files: Mapping[str, Path], timeout_s: 
     raise NoTelemetry(explain_no_telemetry(samples.endpoint, timeout_s))
 
 
-class PoseWriter:
+class PoseWriter(Closeable):
     """Assigns a time to each pose and writes it to the file.
 
     The time of a row is an integer number of loop periods: the periods in the `dt` of each tick, and one for each lost
@@ -246,12 +240,7 @@ class PoseWriter:
         if self._period or len(self._buffer) >= BUFFERED_POSES:
             self.flush()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         try:
             self.flush()
         finally:

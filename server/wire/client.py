@@ -24,9 +24,9 @@ import zmq
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError, HapticError
+from softfinger.drivers.closing import Closeable
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.protocol import (
@@ -300,11 +300,7 @@ class Window(Closeable):
     """
 
     def __init__(
-        self,
-        endpoint: str = DEFAULT_ENDPOINT,
-        samples: int = 1000,
-        finger: str = "",
-        keys: ClientKeys | None = None,
+        self, endpoint: str = DEFAULT_ENDPOINT, samples: int = 1000, finger: str = "", keys: ClientKeys | None = None
     ) -> None:
         if samples < 1:
             raise ConfigError(f"a window of {samples} samples is too short: must be 1 or more")

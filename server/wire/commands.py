@@ -209,8 +209,7 @@ class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
     text_length: Annotated[int, Meta(ge=0, le=TEXT_ANSWER_MAX)] = 0
     colour: Annotated[str, Meta(pattern=r"^(#[0-9a-fA-F]{6})?$")] = ""
     image: Annotated[
-        str,
-        Meta(max_length=150_000, pattern=r"^(data:image/(png|jpeg|webp);base64,[A-Za-z0-9+/=]+)?$"),
+        str, Meta(max_length=150_000, pattern=r"^(data:image/(png|jpeg|webp);base64,[A-Za-z0-9+/=]+)?$")
     ] = ""
     masking_noise: Annotated[str, Meta(pattern="^(none|white|pink)$")] = "none"
     volume: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2

@@ -23,7 +23,7 @@ import zmq
 import zmq.asyncio
 
 from softfinger.config.errors import CommandRefused
-from softfinger.server.closing import Closeable
+from softfinger.drivers.closing import Closeable
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client_requests import (
     RESEND_S,

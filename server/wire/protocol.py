@@ -172,13 +172,7 @@ HEALTH_KEYS: Final = (
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),
     Key("subscribers", "int", "1", "", "connections that subscribe to something"),
-    Key(
-        "lost",
-        "int",
-        "1",
-        "",
-        "messages that subscribers were too slow to take, at least, since the server started",
-    ),
+    Key("lost", "int", "1", "", "messages that subscribers were too slow to take, at least, since the server started"),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
     Key(
         "restarts",

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import commands_beside
+from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, columns
-from softfinger.server.closing import Closeable
 from softfinger.server.publishing.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
 from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import HealthSummary, combine

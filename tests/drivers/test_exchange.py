@@ -36,8 +36,8 @@ from softfinger.tools.exchange import (
     Exchange,
     Push,
     compile_exchange,
-    disarmed_guard,
     exchange_loop,
+    make_disarmed_guard,
 )
 from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
 
@@ -54,7 +54,7 @@ def recording(**options: object) -> replay.Replay:
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
     """With a disarmed guard every wrench written is zero, even during a push; each tick has its row."""
-    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
     logged = device.read_log().wrench
@@ -65,7 +65,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 def test_rows_contain_every_sample_in_order() -> None:
     """Rows have successive poses of the recording, device time advances by one period, and ticks do not overlap."""
-    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
         want = device.samples[(first + np.arange(200)) % len(device.samples)]
@@ -120,7 +120,7 @@ def test_an_exception_during_a_push_ends_with_zero() -> None:
 
 def test_a_burst_is_bounded() -> None:
     """A burst ends at its maximum number of rows or its maximum time, and a later record continues the recording."""
-    with recording() as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
     assert 100 < len(rows) <= BURST_ROWS
@@ -131,7 +131,7 @@ def test_a_burst_is_bounded() -> None:
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
     """A recording that is not looped ends the record early, without a failure."""
-    with recording(loop=False) as device, Exchange(device, RIG, disarmed_guard(RIG)) as exchange:
+    with recording(loop=False) as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
         assert len(exchange.record(0.1)) == 0

@@ -34,7 +34,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, pulling, run_for
+from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, make_pulling_tuning, run_for
 from softfinger.server.loop.servo_thread import Servo as Loop
 from softfinger.server.verbs import devices
 
@@ -381,7 +381,7 @@ def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -
     """Motors and telemetry have zero, and a warning names the cause; the force returns with frames in time."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
-        servo = Loop([device], pulling(), RATE_HZ)
+        servo = Loop([device], make_pulling_tuning(), RATE_HZ)
         servo.compile()
         servo.start()
         run_for(servo, 400)

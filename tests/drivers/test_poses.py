@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, check_poses, load_poses, shipped_names
+from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, check_poses, list_shipped_recordings, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
 from softfinger.server.recording.results import write_results
@@ -100,10 +100,10 @@ def test_shipped_recordings_load() -> None:
     pairs = [f"{name}-{finger}" for name in ("lift", "pinch", "squeeze", "stack") for finger in ("index", "thumb")]
     bodies = ["open-a-door", "open-a-drawer", "press-a-button", "push-a-ball", "roll-a-pencil", "turn-a-knob"]
     elastic = ["bend-a-strip", "press-a-pad"]
-    assert shipped_names() == sorted(
+    assert list_shipped_recordings() == sorted(
         [*pairs, *bodies, *elastic, "plates", "press-roll-spin-drag", "roll-follow", "tap"]
     )
-    for name in shipped_names():
+    for name in list_shipped_recordings():
         assert load_poses(name).t.tolist() == load_poses(name + ".csv").t.tolist()
 
 

@@ -13,7 +13,7 @@ import pytest
 from references.laws import column
 
 from softfinger.config.load import load_scene
-from softfinger.drivers.poses import SHIPPED, load_poses, shipped_names
+from softfinger.drivers.poses import SHIPPED, list_shipped_recordings, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
@@ -51,7 +51,7 @@ def causes(records: np.ndarray) -> list[str]:
 def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
     """The generator reproduces the shipped files byte for byte, and they are small."""
     written = recordings.write(tmp_path)
-    assert sorted(path.stem for path in written) == shipped_names()
+    assert sorted(path.stem for path in written) == list_shipped_recordings()
     for path in written:
         assert path.read_bytes() == (SHIPPED / path.name).read_bytes()
         assert path.stat().st_size <= 160_000
@@ -189,5 +189,5 @@ def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> Non
 def test_every_recording_has_a_description() -> None:
     """motions.toml describes exactly the shipped recordings."""
     descriptions = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
-    assert sorted(descriptions) == shipped_names()
+    assert sorted(descriptions) == list_shipped_recordings()
     assert all(set(each) == {"motion", "course"} for each in descriptions.values())

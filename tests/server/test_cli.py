@@ -330,8 +330,8 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     from softfinger.tools.bench import step
 
     monkeypatch.setattr(step, "ROUNDS", 2)
-    poses = step.touching_poses
-    monkeypatch.setattr(step, "touching_poses", lambda scene: poses(scene, 50))
+    poses = step.make_touching_poses
+    monkeypatch.setattr(step, "make_touching_poses", lambda scene: poses(scene, 50))
     monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
     done = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")

@@ -19,7 +19,7 @@ import pytest
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
-from softfinger.server.closing import Closeable
+from softfinger.drivers.closing import Closeable
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
 from softfinger.server.watcher import zero_force

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from softfinger.server.services.swapping import NAME, STATUS, Swapping, swapped_kb
+from softfinger.server.services.swapping import NAME, STATUS, Swapping, parse_swapped_kb
 
 pytestmark = pytest.mark.plain
 
@@ -44,4 +44,4 @@ def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) ->
 def test_this_system_reports_swapped_memory() -> None:
     """A status without the line counts as no swap."""
     assert "VmSwap:" in STATUS.read_text()
-    assert swapped_kb("Name:\tpython3\n") == 0
+    assert parse_swapped_kb("Name:\tpython3\n") == 0

@@ -69,9 +69,9 @@ PERIOD = 0.001
 def test_judge_sees_every_broken_rule(at, value):
     """A last tick that breaks one rule is counted; without it none is."""
     records = sound_records()
-    assert extremes.broken_rules(records, PERIOD) == 0
+    assert extremes.count_violations(records, PERIOD) == 0
     records[-1, at] = value
-    assert extremes.broken_rules(records, PERIOD) == 1
+    assert extremes.count_violations(records, PERIOD) == 1
 
 
 def test_judge_knows_what_was_to_be_refused():

@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.proxy.scene import build_scene
 from softfinger.tools.bench.geoms import KINDS, scene_of_geoms
-from softfinger.tools.bench.loop import evaluate, missed_by_c
+from softfinger.tools.bench.loop import count_missed_by_c, evaluate
 from softfinger.tools.measure import quantiles
 
 pytestmark = pytest.mark.plain
@@ -46,7 +46,7 @@ def test_deadlines_missed_before_a_measurement_do_not_count() -> None:
 def test_deadlines_that_the_c_loop_missed_are_counted_as_those_of_the_servo() -> None:
     """Ticks of 1 ms that end 0.5 ms, 1.2 ms and 3.5 ms after they were due: one deadline passed, and three."""
     rows = np.array([[1e-4, 1e-5, 4e-4], [1e-4, 1e-5, 1.1e-3], [3.4e-3, 1e-5, 1e-4]])
-    assert missed_by_c(rows, 1e-3) == 4
+    assert count_missed_by_c(rows, 1e-3) == 4
 
 
 def test_a_scene_of_more_geoms_has_the_same_code(tmp_path: Path) -> None:

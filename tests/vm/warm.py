@@ -10,7 +10,7 @@ from softfinger.drivers.serial import device as serial  # noqa: F401
 from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compiled
-from softfinger.server.driver_contract import RATE_HZ, pulling
+from softfinger.server.driver_contract import RATE_HZ, make_pulling_tuning
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs.warmup import prune
@@ -23,7 +23,10 @@ def main() -> None:
     prune()
     rig = load_rig("replay")
     with open_device(rig.device, RATE_HZ) as device:
-        for tuning in (*(make_tuning(load_scene(name), rig.guard, [device.info]) for name in SCENES), pulling()):
+        for tuning in (
+            *(make_tuning(load_scene(name), rig.guard, [device.info]) for name in SCENES),
+            make_pulling_tuning(),
+        ):
             servo = Servo([device], tuning, RATE_HZ)
             servo.compile()
             servo.close()

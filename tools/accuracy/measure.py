@@ -38,14 +38,7 @@ DRIFT_BLOCK: Final = 1000
 
 @entry
 def roll_turns(
-    method: Any,
-    shape: Any,
-    radius: float,
-    start: OffsetPoint,
-    turns: Array,
-    passes: int,
-    path: Array,
-    watch: Stopwatch,
+    method: Any, shape: Any, radius: float, start: OffsetPoint, turns: Array, passes: int, path: Array, watch: Stopwatch
 ) -> None:
     """Roll through `turns` (n, 4) from one contact, `passes` times for each block of `watch`.
 

@@ -3,8 +3,8 @@
 The rolling methods use the same kinematics without coordinates (`rolling`), so that they have no poles and no charts.
 This module has the published form, to check them and to show its cost.
 
-    chart(shape, u, v)  ->  Chart        Gauss frame, metric M, curvature K and torsion T
-    rates(...)          ->  Coordinates  d/dt of (u_f, v_f, u_o, v_o, psi)
+    chart(shape, u, v)  ->  SurfacePoint Gauss frame, metric M, curvature K and torsion T
+    rolling_rates(...)  ->  Coordinates  d/dt of (u_f, v_f, u_o, v_o, psi)
 
 A chart f(u, v) is orthogonal and right-handed, with x along f_u, y along f_v and z = x x y the outward normal. Then
 K = (x, y)^T (z_u / |f_u|, z_v / |f_v|) and T = y^T (x_u / |f_u|, x_v / |f_v|). The surfaces here are planes and
@@ -14,12 +14,12 @@ axes, the first two. The charts of sphere and ellipsoid have poles at v = +-pi/2
 Source: Montana (1988), The Kinematics of Contact and Grasp; Murray, Li, Sastry (1994), section 5.6.
 """
 
-from math import atan2, cos, hypot, sin
+from math import cos, hypot, sin
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, Plane, Quaternion, Sphere, Torus, Vec3
+from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, Plane, Sphere, Torus, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 
 Pair = tuple[float, float]
@@ -62,12 +62,7 @@ class Coordinates(NamedTuple):
 
 @by_type
 def chart(shape: Any, u: float, v: float) -> Any:
-    """Return the Chart at the coordinates (u, v)."""
-
-
-@by_type
-def locate(shape: Any, point: Vec3) -> Any:
-    """Return the coordinates (u, v) of a point of the surface."""
+    """Return the surface at the coordinates (u, v)."""
 
 
 @by_type
@@ -80,12 +75,6 @@ def chart_of_plane(shape: Plane, u: float, v: float) -> SurfacePoint:
     x, y = rotations.tangent_frame(shape.normal)
     point = vec3.add_scaled(vec3.add_scaled(vec3.scale(shape.offset, shape.normal), u, x), v, y)
     return SurfacePoint(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
-
-
-@locate.of(Plane)
-def locate_on_plane(shape: Plane, point: Vec3) -> Pair:
-    x, y = rotations.tangent_frame(shape.normal)
-    return vec3.dot(point, x), vec3.dot(point, y)
 
 
 @profile.of(Sphere)
@@ -111,7 +100,7 @@ def profile_of_spheroid(shape: Ellipsoid, v: float) -> Profile:
     return a * cos(v), -a * sin(v), -a * cos(v), b * sin(v), b * cos(v), -b * sin(v)
 
 
-def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
+def rotate_profile(shape: Any, u: float, v: float) -> SurfacePoint:
     """Return the chart of a profile rotated about the z axis; from inside, v is reversed so that z points inwards."""
     side = shape.side
     out, d_out, dd_out, up, d_up, dd_up = profile(shape, side * v)
@@ -127,28 +116,7 @@ def turned_profile(shape: Any, u: float, v: float) -> SurfacePoint:
 
 
 for _shape in (Sphere, Cylinder, Torus, Ellipsoid):
-    chart.of(_shape)(turned_profile)
-
-
-@locate.of(Sphere)
-def locate_on_sphere(shape: Sphere, point: Vec3) -> Pair:
-    return atan2(point[1], point[0]), shape.side * atan2(point[2], hypot(point[0], point[1]))
-
-
-@locate.of(Cylinder)
-def locate_on_cylinder(shape: Cylinder, point: Vec3) -> Pair:
-    return atan2(point[1], point[0]), shape.side * point[2]
-
-
-@locate.of(Torus)
-def locate_on_torus(shape: Torus, point: Vec3) -> Pair:
-    return atan2(point[1], point[0]), shape.side * atan2(point[2], hypot(point[0], point[1]) - shape.major)
-
-
-@locate.of(Ellipsoid)
-def locate_on_spheroid(shape: Ellipsoid, point: Vec3) -> Pair:
-    a, b = shape.semi_axes[0], shape.semi_axes[2]
-    return atan2(point[1], point[0]), shape.side * atan2(point[2] / b, hypot(point[0], point[1]) / a)
+    chart.of(_shape)(rotate_profile)
 
 
 @jit
@@ -210,35 +178,3 @@ def advance(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
     return Coordinates(
         at.u_f + h * by.u_f, at.v_f + h * by.v_f, at.u_o + h * by.u_o, at.v_o + h * by.v_o, at.psi + h * by.psi
     )
-
-
-@jit
-def roll_coordinates(radius: float, shape: Any, at: Coordinates, w: Vec3, steps: int) -> Coordinates:
-    """Return the coordinates after rolling by the rotation vector `w` (3,) rad, in `steps` steps of fourth order.
-
-    A path near a pole of a chart needs many steps; a path through the pole is impossible.
-    """
-    h = 1.0 / steps
-    for _ in range(steps):
-        total, slope, ahead = at, at, at
-        for stage in range(4):
-            slope = rolling_rates(radius, shape, ahead, w)
-            total = advance(total, h / 6.0 if stage == 0 or stage == 3 else h / 3.0, slope)
-            ahead = advance(at, h if stage == 2 else 0.5 * h, slope)
-        at = total
-    return at
-
-
-@jit
-def coordinates(shape: Any, point: Vec3, orientation: Quaternion) -> Coordinates:
-    """Return the coordinates of a contact.
-
-    point        (3,)  m  on the object
-    orientation  (4,)     of the fingertip
-    """
-    u_o, v_o = locate(shape, point)
-    surface = chart(shape, u_o, v_o)
-    spot = vec3.scale(-1.0, rotations.rotate(rotations.conjugate(orientation), surface.z))
-    u_f, v_f = locate(Sphere(1.0, 1.0), spot)
-    x = rotations.rotate(orientation, chart(Sphere(1.0, 1.0), u_f, v_f).x)
-    return Coordinates(u_f, v_f, u_o, v_o, atan2(-vec3.dot(x, surface.y), vec3.dot(x, surface.x)))

@@ -66,9 +66,4 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="four servo rates, no other sweep, short drift test")
     add_sweep_options(parser)
     add_output_options(parser)
-    parser.add_argument(
-        "--figures",
-        type=Path,
-        metavar="DIR",
-        help=f"folder for accuracy-*.svg and {REPORT}",
-    )
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"folder for accuracy-*.svg and {REPORT}")

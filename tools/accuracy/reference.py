@@ -162,7 +162,7 @@ def roll_path(
     """
     n, c = np.asarray(normal, float), np.asarray(center, float)
     if type(shape) not in GRADIENTS:
-        return Path(shape, radius, edged_pieces(shape, radius, c, rate, duration, steps))
+        return Path(shape, radius, split_at_edges(shape, radius, c, rate, duration, steps))
 
     def derivative(t: float, state: Array) -> Array:
         w = np.asarray(rate(t), float)
@@ -173,7 +173,7 @@ def roll_path(
     return Path(shape, radius, [(duration, whole.sol)])
 
 
-def edged_pieces(
+def split_at_edges(
     shape: Any, radius: float, center: Array, rate: Callable[[float], ArrayLike], duration: float, steps: int
 ) -> list[tuple[float, Callable[[Array], Array]]]:
     """Return the path of the centre in pieces: over each face, edge or corner as if it continued, until its end."""
@@ -185,7 +185,7 @@ def edged_pieces(
             w, n = np.asarray(rate(t), float), center_normal(y[:3], shape, past)
             return np.append(radius * np.cross(w, n), w @ n)
 
-        leaving = [leaving_event(shape, past, i) for i in range(len(past))]
+        leaving = [make_leaving_event(shape, past, i) for i in range(len(past))]
         piece = integrate(derivative, begun, duration, state, duration / steps, leaving)
         begun, state, past = float(piece.t[-1]), piece.y[:, -1], past.copy()
         pieces.append((begun, piece.sol))
@@ -195,7 +195,7 @@ def edged_pieces(
     return pieces
 
 
-def leaving_event(shape: Any, past: Array, i: int) -> Callable[[float, Array], float]:
+def make_leaving_event(shape: Any, past: Array, i: int) -> Callable[[float, Array], float]:
     """Return the event, for scipy, that the centre leaves the feature `past` along the i-th of `levels`."""
 
     def beyond(_: float, state: Array) -> float:

@@ -32,11 +32,7 @@ from softfinger.tools.sweep import run_cases
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 QUICK_RATES_HZ: Final = (8.0, 64.0, 250.0, 1000.0)
 QUICK_DRIFT_STEPS: Final = 20_000
-LIMITS: Final = {
-    "rate": (4.0, 1e5, "Hz"),
-    "error_below": (1e-15, 1.0, "m"),
-    "drift_steps": (DRIFT_BLOCK, 10**10, ""),
-}
+LIMITS: Final = {"rate": (4.0, 1e5, "Hz"), "error_below": (1e-15, 1.0, "m"), "drift_steps": (DRIFT_BLOCK, 10**10, "")}
 """Smallest and largest value of the numeric options, and their unit."""
 
 

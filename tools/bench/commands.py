@@ -125,9 +125,9 @@ def run(args: argparse.Namespace) -> int:
         listener = Listener(subscription)
         listener.wait_until_felt()
         listener.rows()
-        quiet, _ = asking(listener, lambda: None, args.rate, args.seconds, "without commands")
-        rows, answers = asking(listener, setting(control), args.rate, args.seconds, "set_params")
-        swap_rows, memory = swapping(listener, control, process.pid, args.swaps)
+        quiet, _ = call_at_rate(listener, lambda: None, args.rate, args.seconds, "without commands")
+        rows, answers = call_at_rate(listener, make_setter(control), args.rate, args.seconds, "set_params")
+        swap_rows, memory = alternate_scenes(listener, control, process.pid, args.swaps)
     # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
     steps = np.diff(np.abs(swap_rows[:, 2]))[(np.diff(swap_rows[:, 0]) == 1.0) & (swap_rows[1:, 1] <= PAUSE_MAX_S)]
     result = {
@@ -184,7 +184,7 @@ def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
             process.wait(timeout=30.0)
 
 
-def setting(control: Control) -> Callable[[], None]:
+def make_setter(control: Control) -> Callable[[], None]:
     """Return a function that sets the next pair."""
     pairs = cycle(PAIRS[1:] + PAIRS[:1])
 
@@ -195,7 +195,7 @@ def setting(control: Control) -> Callable[[], None]:
     return ask
 
 
-def asking(
+def call_at_rate(
     listener: Listener, ask: Callable[[], None], rate_hz: float, seconds: float, what: str
 ) -> tuple[Array, Array]:
     """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
@@ -212,7 +212,7 @@ def asking(
     return listener.rows(), durations
 
 
-def swapping(listener: Listener, control: Control, pid: int, count: int) -> tuple[Array, list[float]]:
+def alternate_scenes(listener: Listener, control: Control, pid: int, count: int) -> tuple[Array, list[float]]:
     """Alternate set_scene; return the ticks in that time, (n, 6), and the resident memory after each call, MB."""
     pressed = control.describe()["scene"]
     memory = []

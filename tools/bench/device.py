@@ -13,15 +13,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.exchange import (
-    EMPTY_READ,
-    EMPTY_WRITE,
-    READ,
-    WRITE,
-    Exchange,
-    check_seconds,
-    disarmed_guard,
-)
+from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
 from softfinger.tools.measure import Array, show
 
@@ -31,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
-    with open_device(single_device(rig), rate) as device, Exchange(device, rig, disarmed_guard(rig)) as exchange:
+    with open_device(single_device(rig), rate) as device, Exchange(device, rig, make_disarmed_guard(rig)) as exchange:
         rows = exchange.record(args.seconds)
         burst = exchange.burst()
         failure = exchange.failure()

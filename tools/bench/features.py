@@ -15,7 +15,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.config.sources import FOLDERS
-from softfinger.server.offline.cost import BLOCK, Array, touching_poses
+from softfinger.server.offline.cost import BLOCK, Array, make_touching_poses
 
 Table = dict[str, Any]
 
@@ -121,7 +121,7 @@ def corner_poses(count: int = BLOCK) -> Array:
 
 def _carry_poses(first: schema.Scene, second: schema.Scene) -> tuple[Array, Array]:
     """Return poses (n, 7) that touch the object of `first`, and the same poses relative to that object in `second`."""
-    poses = touching_poses(first)
+    poses = make_touching_poses(first)
     w, *v = second.object[0].orientation_wxyz
     position, scalar, vector = poses[:, :3], poses[:, 3:4], poses[:, 4:]
     across = np.cross(v, position)

@@ -60,10 +60,6 @@ def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     return {
         "finger": [{"name": name, "radius_m": 0.01} for name in ("thumb", "index")],
         "rolling": {"method": "midpoint"},
-        "coupling": {
-            "stiffness_n_per_m": 1000.0,
-            "damping_ns_per_m": 1.0,
-            "torsional_damping_nms_per_rad": 0.0015,
-        },
+        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0, "torsional_damping_nms_per_rad": 0.0015},
         "world": {"model": str(model), "geom": [{"group": 0, "material": material}]},
     }

@@ -129,7 +129,7 @@ def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
 
 
 @contextmanager
-def spinning_python() -> Iterator[None]:
+def spin_python() -> Iterator[None]:
     """Run another thread of this process that keeps the interpreter busy."""
     stop = threading.Event()
 
@@ -149,7 +149,7 @@ def spinning_python() -> Iterator[None]:
 
 
 def run_busy(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
-    with spinning_python():
+    with spin_python():
         return run_servo(rig, scene, ticks, settings)
 
 
@@ -180,7 +180,9 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
         late, execution = quantiles(values[:, 0], block), quantiles(values[:, 1], block)
         busy = quantiles(values[:, 2], block)
         result[name] = {"ticks": len(values), "late": late, "exec": execution, "busy": busy}
-        result[name]["missed"] = missed_by_c(values, 1.0 / rate_hz) if name == "c" else missed_by_servo(values)
+        result[name]["missed"] = (
+            count_missed_by_c(values, 1.0 / rate_hz) if name == "c" else count_missed_by_servo(values)
+        )
 
     def ratio(above: str, below: str) -> dict[str, float]:
         top, bottom = result[above]["late"]["blocks"], result[below]["late"]["blocks"]
@@ -193,12 +195,12 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
     return result
 
 
-def missed_by_servo(values: Array) -> int:
+def count_missed_by_servo(values: Array) -> int:
     """Return the deadlines missed in turns of the servo, which counts them; values (n, 4) of `run_servo`."""
     return int(np.maximum(np.diff(values[:, 3], prepend=values[0, 3]), 0).sum())
 
 
-def missed_by_c(values: Array, period_s: float) -> int:
+def count_missed_by_c(values: Array, period_s: float) -> int:
     """Return the deadlines that passed before the C loop slept again, which it skips as the servo does.
 
     values  (n, 3) of `run_reference`

@@ -86,7 +86,7 @@ def children_s() -> float:
 
 
 def summarize(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
-    """Return the fastest turn, since other programs share the machine, and the median."""
+    """Return the fastest run and the median. Compare the fastest: other programs share the machine."""
     walls, cpus = zip(*turns, strict=True)
     return {
         "seconds": min(walls),

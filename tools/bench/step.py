@@ -15,7 +15,7 @@ from softfinger.config.schema import Scene
 from softfinger.config.sources import list_shipped
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
-from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, measure, touching_poses, without_parts
+from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, make_touching_poses, measure, without_parts
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
@@ -81,12 +81,8 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
 
 
 def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
-    poses = corner_poses() if name == CORNER else touching_poses(scene)
-    parts = [
-        ("whole", scene),
-        *((f"without {n}", s) for n, s in without_parts(scene)),
-        ("bare", keep_contact(scene)),
-    ]
+    poses = corner_poses() if name == CORNER else make_touching_poses(scene)
+    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", keep_contact(scene))]
     units, costs = measure_in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):
@@ -137,9 +133,9 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
     if feature.poses is not None:
         poses = feature.poses()
     elif keep_contact(feature.without).object[0] == keep_contact(feature.having).object[0]:
-        poses = (touching_poses(feature.without),) * 2
+        poses = (make_touching_poses(feature.without),) * 2
     else:
-        poses = touching_poses(feature.without), touching_poses(feature.having)
+        poses = make_touching_poses(feature.without), make_touching_poses(feature.having)
     units, (without, having) = measure_in_turns(list(zip(scenes, poses, strict=True)), blocks)
     before, after = np.array([cost.median_ns for cost in without]), np.array([cost.median_ns for cost in having])
     return {

@@ -119,7 +119,7 @@ def measure(case: PageCounts, endpoint: str, commands: str, seconds: float) -> T
     with ExitStack() as running:
         words = ["--endpoint", endpoint, "--commands", commands]
         served = [running.enter_context(viewer(*words)) for _ in range(case.viewers)]
-        pages = running.enter_context(opened(served[0][1], case.pages)) if case.pages else []
+        pages = running.enter_context(open_pages(served[0][1], case.pages)) if case.pages else []
         for page in pages:
             page.evaluate(COUNT)
         start_cpu_s, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
@@ -167,7 +167,7 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @contextmanager
-def opened(address: str, count: int) -> Iterator[list[Any]]:
+def open_pages(address: str, count: int) -> Iterator[list[Any]]:
     """Open pages in a Chromium without a screen and wait until they are drawn.
 
     Raises ConfigError without playwright.

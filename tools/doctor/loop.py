@@ -18,8 +18,8 @@ from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.cost import make_touching_poses
 from softfinger.server.offline.cost import measure as step_cost
-from softfinger.server.offline.cost import touching_poses
 from softfinger.server.progress import progress, report_compilation
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
@@ -129,7 +129,7 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
 def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Measure the cost of a contact step, in contact, relative to the period."""
     with progress("measuring the contact step", STEP_BLOCKS) as done:
-        cost = step_cost(scene, touching_poses(scene), STEP_BLOCKS, done)
+        cost = step_cost(scene, make_touching_poses(scene), STEP_BLOCKS, done)
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
     return Check(
         "contact step",

@@ -25,7 +25,7 @@ from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, write_report
 from softfinger.tools.doctor.session import TRANSLATIONS, Session
-from softfinger.tools.exchange import START, Exchange, disarmed_guard
+from softfinger.tools.exchange import START, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 from softfinger.tools.options import PUSH_N
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     report, serials = begun(rig, guided)
 
     def guard_of(device: Device) -> Guard:
-        return pushing(rig, device, PUSH_N, "--push") if args.push else disarmed_guard(rig)
+        return pushing(rig, device, PUSH_N, "--push") if args.push else make_disarmed_guard(rig)
 
     def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
         return Probe(exchange, info, report, PART_S, guided, freedom)

@@ -28,7 +28,7 @@ from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.report_text import lines
 from softfinger.tools.doctor.session import FORCE_MIN_S, Session
-from softfinger.tools.exchange import Exchange, disarmed_guard
+from softfinger.tools.exchange import Exchange, make_disarmed_guard
 from softfinger.tools.measure import show
 
 FORMAT: Final = 1
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         def guard_of(device: Device) -> Guard:
-            return disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
+            return make_disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
 
         def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
             return Session(exchange, info, report, args.seconds, guided, freedom)

@@ -51,7 +51,7 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     # A hand yields by as much as the contact: half of the depth in the recording.
     for poses in hands.values():
         touch = HALF_M + RADIUS_M
-        poses[:, 0] = np.sign(poses[:, 0]) * (touch + _given_way(np.abs(poses[:, 0]) - touch))
+        poses[:, 0] = np.sign(poses[:, 0]) * (touch + _scale_gap(np.abs(poses[:, 0]) - touch))
     boxes, fingers = [engine.data.qpos.copy()], [hands["thumb"][0, 1:3]]
     for first in range(0, len(hands["thumb"]) - BLOCK, BLOCK):
         engine.run({name: poses[first : first + BLOCK] for name, poses in hands.items()})
@@ -62,7 +62,7 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     return states[:, 1:3], turn, np.array(fingers)
 
 
-def _given_way(gap: Array) -> Array:
+def _scale_gap(gap: Array) -> Array:
     return np.where(gap < 0.0, 0.5 * gap, gap)
 
 

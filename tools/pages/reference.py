@@ -234,10 +234,10 @@ Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tic
 emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
 them. Then the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
-    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _seen_rows(results)))
+    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _injected_rows(results)))
 
 
-def _seen_rows(results: list[dict[str, Any]]) -> list[list[str]]:
+def _injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each injected fault, with all its drivers."""
     faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for each in results:
@@ -287,7 +287,7 @@ and the models beside what was published; `softfinger materials NAME` prints one
                 f"{entry.about} {'Friction: ' + entry.friction_of + '.' if entry.friction_of else ''}".strip(),
                 "<br>".join(f"`{key}` {value:g}" for key, value in flat(entry.values)),
                 entry.holds,
-                "<br>".join(map(library_texts.measured_text, entry.measured)),
+                "<br>".join(map(library_texts.format_measured, entry.measured)),
                 ", ".join(entry.papers),
             ]
             for name, (each, entry) in listed.items()

@@ -293,7 +293,7 @@ def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
     bits = int(np.bitwise_or.reduce(records[:, AT.servo_guard].astype(np.int64)))
     named = [name for n, name in enumerate(GUARD_NAMES) if bits >> n & 1]
     wrong = ""
-    if broken := broken_rules(records, case.period):
+    if broken := count_violations(records, case.period):
         wrong = f"{broken} ticks with a number not finite, a wrench past the guard, a jump or no mode"
     elif case.refused != bool(bits & POSE_REFUSED):
         wrong = "a pose refused" if not case.refused else "a broken pose taken"
@@ -303,7 +303,7 @@ def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
     )
 
 
-def broken_rules(records: Array, period: float) -> int:
+def count_violations(records: Array, period: float) -> int:
     """Count the records (n, RECORD_SIZE) of ticks of `period` (s) that violate a rule for every tick."""
     with np.errstate(invalid="ignore", over="ignore"):
         force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)

@@ -14,23 +14,9 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.offline.simulate import tick_many
 from softfinger.server.progress import progress
-from softfinger.tools.stability.extremes import (
-    BALL,
-    BLOCK,
-    WALLS,
-    Array,
-    R,
-    broken_rules,
-    scene,
-    tuning_of,
-)
+from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, Array, R, count_violations, scene, tuning_of
 
-HOSTILE_SCENES: Final = {
-    "plane": scene(),
-    "sphere": scene(BALL),
-    "box": scene(BLOCK),
-    "three walls": scene(*WALLS),
-}
+HOSTILE_SCENES: Final = {"plane": scene(), "sphere": scene(BALL), "box": scene(BLOCK), "three walls": scene(*WALLS)}
 HOSTILE_BLOCK: Final = 20_000
 WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
 """Values that no device should send; numbers of any size are used, too."""
@@ -64,7 +50,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
                 samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
                 part = records[: len(samples)]
                 tick_many(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
-                broken += broken_rules(part, 0.001)
+                broken += count_violations(part, 0.001)
                 refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
                 strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
                 done(number * ticks + first + len(samples))

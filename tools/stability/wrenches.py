@@ -96,7 +96,7 @@ def refuse(out: Array, bits: NDArray[np.int64]) -> str:
     return fades_in(out, at + 1)
 
 
-def broken_rules(out: Array) -> str:
+def find_violation(out: Array) -> str:
     """Return the rule that the output violates: it is not finite, above a clamp, or jumps other than to zero."""
     if not np.isfinite(out).all():
         return "a wrench that is not finite was commanded"
@@ -118,4 +118,4 @@ def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
         every = int(np.bitwise_or.reduce(bits))
         named = " ".join(name for n, name in enumerate(GUARD_NAMES) if every >> n & 1)
         force = float(np.linalg.norm(out[:, :3], axis=1).max())
-        yield case.given, TICKS, force, named, broken_rules(out) or case.expects(out, bits)
+        yield case.given, TICKS, force, named, find_violation(out) or case.expects(out, bits)

@@ -39,9 +39,7 @@ def configure_forward(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--server-key", metavar="FILE", help="public key of the daemon, if its endpoints require keys")
     parser.add_argument(
-        "--until-eof",
-        action="store_true",
-        help="exit when standard input is closed, for use by a parent program",
+        "--until-eof", action="store_true", help="exit when standard input is closed, for use by a parent program"
     )
     parser.add_argument("--json", action="store_true", help="print counts of forwarded messages as JSON")
 

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"{path}: poses contain neither scene nor forces: add --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
     replayed = replay(past, scene, rig)
-    against = _recorded_values(past) if args.against is None else _from_file(args.against, past)
+    against = _select_recorded(past) if args.against is None else _from_file(args.against, past)
     outcome = compare(past, replayed, against, args.tolerance)
     if args.plot is not None:
         draw(past, replayed, against, args.plot)
@@ -94,7 +94,7 @@ def _run_from_poses(name: str, rate_hz: float) -> Run:
     return Run({"": fields}, {"rate_hz": rate_hz}, [], "")
 
 
-def _recorded_values(past: Run) -> Against:
+def _select_recorded(past: Run) -> Against:
     return {finger: {key: fields[key] for key in COMPARED} for finger, fields in past.fingers.items()}
 
 

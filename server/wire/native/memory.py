@@ -27,10 +27,10 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
+from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
-from softfinger.server.closing import Closeable
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
@@ -61,8 +61,7 @@ _WAIT: Final = 0
 _WAKE: Final = 1
 _ALL: Final = 0x7FFFFFFF
 _syscall: Any = types.ExternalFunction(
-    "syscall",
-    types.int64(types.int64, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64),
+    "syscall", types.int64(types.int64, types.int64, types.int64, types.int64, types.int64, types.int64, types.int64)
 )
 
 
@@ -84,7 +83,7 @@ class RingMemory(NamedTuple):
 
 
 def make_memory(capacity: int, width: int) -> RingMemory:
-    """Return a ring buffer for other programs of this user; without such memory, for the publisher only."""
+    """Return a ring buffer that other programs of this user can map; without shared memory, only the publisher can."""
     size = PAGE_BYTES + 8 * capacity * width
     try:
         if _FUTEX < 0:

@@ -10,7 +10,7 @@ import pytest
 from scipy import optimize, stats
 from test_trial_order import small
 
-from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, excluded_participants, fit_groups
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, find_excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
     chi_squared_tail,
     compare_levels,
@@ -197,7 +197,7 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
         for number, each in enumerate((experiment, experiment, guessing), 1)
         for row in each.rehearse(number)
     ]
-    assert list(excluded_participants(experiment.file, rows)) == ["sub-03"]
+    assert list(find_excluded_participants(experiment.file, rows)) == ["sub-03"]
     pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL_PARTICIPANTS]
     assert [group.trials for group in pooled] == [24]
 

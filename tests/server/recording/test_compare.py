@@ -26,7 +26,7 @@ from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, ReplayCom
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.verbs.options import TOLERANCE
-from softfinger.server.recording.verbs.replay import FIELDS, _recorded_values
+from softfinger.server.recording.verbs.replay import FIELDS, _select_recorded
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
@@ -38,7 +38,7 @@ def replayed(path: Path, **changes: float) -> ReplayComparison:
     scene = load_scene("paper-plane")
     past = load_run(path, FIELDS)
     scene = apply_overrides(scene, changes, "test") if changes else scene
-    return compare(past, replay(past, scene, load_rig("replay")), _recorded_values(past), TOLERANCE)
+    return compare(past, replay(past, scene, load_rig("replay")), _select_recorded(past), TOLERANCE)
 
 
 def touches() -> list[int]:
@@ -75,7 +75,7 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
 def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
     """A NaN differs infinitely in its own tick, but equals another NaN."""
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
-    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _recorded_values(past)
+    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
     row = touches()[0]
     force = then[""]["force"].copy()
     force[row, 1] = np.nan
@@ -201,9 +201,9 @@ def test_several_fingers(tmp_path: Path) -> None:
         recording.close()
     past = load_run(path, FIELDS)
     again = replay(past, scene, load_rig("replay"))
-    outcome = compare(past, again, _recorded_values(past), TOLERANCE)
+    outcome = compare(past, again, _select_recorded(past), TOLERANCE)
     assert (outcome.compared, outcome.first) == (1500, None)
-    other = _recorded_values(past)
+    other = _select_recorded(past)
     other["index"]["force"] = other["index"]["force"] + [0.0, 0.1, 0.0]
     first = compare(past, again, other, TOLERANCE).first
     assert first is not None and (first.finger, first.key, first.tick) == ("index", "force[1]", 0)
