@@ -9,6 +9,7 @@ typed pointers are ctypes pointers, so that a debugger can step through the pack
 import ctypes
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.cgutils import get_item_pointer, raw_memcpy
@@ -91,7 +92,7 @@ def _put_big_endian(typing_context: Any, array: Any, index: Any, value: Any) -> 
 address_of: Any = intrinsic(_address_of)
 """address_of(array, index) -> address of that element, int64; the array is one-dimensional."""
 
-copy_numbers: Any = intrinsic(_copy_numbers)
+copy_numbers: Any = np.copyto if PLAIN else intrinsic(_copy_numbers)
 """copy_numbers(target, source): copy the elements of `target` from `source`, contiguous arrays (n,) of one type.
 
 A loop of assignments takes four times as many instructions: the light optimisation of kernels (`numba_internals.py`)
