@@ -25,7 +25,7 @@ from helpers.compiled_code import called_in, functions
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
 from helpers.waits import fresh
 
-from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
+from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
@@ -393,6 +393,14 @@ def test_two_devices_of_one_service_run_at_once() -> None:
             servo.write(0.0, 0.0, force, 0.0, 0.0, 0.0)
             settle(device)
         assert (both.force(ID)[2], both.force("0A11")[2]) == (0.5, 1.0)
+
+
+def test_the_lock_is_for_one_service() -> None:
+    """Devices of two services may have the same id: both open, each only once."""
+    with Service() as one, Service() as other, opened(one), opened(other):
+        for service in (one, other):
+            with pytest.raises(DeviceBusy, match=f"on port {service.port} is in use by this program"):
+                opened(service)
 
 
 def test_an_old_wrench_becomes_zero(service: Service) -> None:

@@ -469,6 +469,17 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
             assert kept.force_n == 0.0 and control.describe()["armed"] is False
 
 
+def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
+    """The force remains off if a request arrives after the heartbeat was missed, but before the periodic check."""
+    monkeypatch.setattr(Commands, "_check_periodically", lambda self: None)
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept):
+        assert eventually(lambda: control.heartbeat() and kept.force_n > 1.9)
+        assert eventually(lambda: kept.force_n == 0.0)
+        assert control.describe()["armed"] is False
+        assert daemon.rendering.force.is_inhibited_by(SILENT)
+        assert control.heartbeat() and daemon.rendering.force.is_requested
+
+
 def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
     """After disarm and a missed heartbeat, a heartbeat clears only its cause; `arm` clears both."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:

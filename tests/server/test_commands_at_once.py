@@ -22,11 +22,13 @@ from helpers.waits import eventually
 
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
-from softfinger.server.publishing.brake import SHORT, takes_force_off
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
+from softfinger.server.publishing.brake import SHORT, Brake, takes_force_off
 from softfinger.server.publishing.clients import BURST
 from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
+from softfinger.server.wire.native.switch import SharedSwitch
 
 WAIT_S = 120.0
 REPLACED_S = 60.0
@@ -233,6 +235,18 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             assert control.describe()["armed"] is False
             control.arm()
             assert eventually(lambda: forced(device))
+
+
+@pytest.mark.plain
+def test_a_new_process_of_commands_starts_with_equal_counts():
+    """If a process exits before it has passed on a `disarm`, unequal counts would keep the force off until the end of
+    the run."""
+    switch = SharedSwitch()
+    Brake(os.dup(switch.file)).count(1)
+    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (1, 0)
+    switch.restart()
+    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (1, 1)
+    switch.close()
 
 
 @pytest.mark.plain

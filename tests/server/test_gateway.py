@@ -26,9 +26,12 @@ from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
+from softfinger.server.gateway.requests import CLIENTS_MAX, Commanders
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
+from softfinger.server.publishing.peer_socket import SocketContext
 from softfinger.server.publishing.readers import SUBSCRIPTIONS_PER_S
 from softfinger.server.wire.control import Control
+from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -253,6 +256,38 @@ def test_invalid_forwarding_options_are_refused(
     monkeypatch.chdir(ring.folder)
     done = called("forward", *words)
     assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
+    """With CLIENTS_MAX clients, another one ends the connection of the client with the oldest last request, not of the
+    one that connected first."""
+    with contextlib.ExitStack() as stack:
+        context = stack.enter_context(zmq.Context())
+        stack.callback(context.destroy, 0)
+        server = context.socket(zmq.ROUTER)
+        server.bind("inproc://server")
+        bound = listen("tcp://127.0.0.1:*", "--commands")
+        stack.callback(bound.files.close)
+        gateway = Commanders(SocketContext(context, None), "inproc://server", None, bound, None)
+        stack.callback(gateway.close)
+        clients = [context.socket(zmq.DEALER) for _ in range(CLIENTS_MAX + 1)]
+
+        def ask(client: int) -> bytes:
+            """Send a request; return the name of the connection on which it reaches the server."""
+            clients[client].send(b"%d" % client)
+            assert eventually(lambda: gateway.take() or server.poll(0)) and server.poll(1000.0 * WAIT_S)
+            name, body = server.recv_multipart()
+            assert body == b"%d" % client
+            return bytes(name)
+
+        for client in clients:
+            client.connect(gateway.peers.endpoint)
+        names = [ask(client) for client in range(CLIENTS_MAX)]
+        assert ask(0) == names[0]
+        names.append(ask(CLIENTS_MAX))
+        assert len(set(names)) == CLIENTS_MAX + 1 and len(gateway.sockets) == CLIENTS_MAX
+        assert [ask(client) for client in (0, CLIENTS_MAX, 2)] == [names[client] for client in (0, CLIENTS_MAX, 2)]
+        assert ask(1) != names[1]
 
 
 def test_a_key_that_floods_is_barred(ring: Ring) -> None:

@@ -72,6 +72,14 @@ def test_clamp_goes_by_the_norm():
     np.testing.assert_allclose(after.force, np.array([1.0, -1.0, 1.0]) * 12.0 / math.sqrt(3.0), rtol=1e-14)
 
 
+@pytest.mark.parametrize("excess", [1e-9, 1e-3])
+def test_a_force_just_above_the_limit_is_clamped(excess):
+    """The limit has no tolerance: an excess of one part in 1e9 is removed."""
+    after, bits = compiled(OPEN, ENGAGED, (0.0, 7.2 * (1.0 + excess), 9.6 * (1.0 + excess)), (0.0, 0.0, 0.0), DT)
+    assert bits == g.FORCE_CLAMPED
+    np.testing.assert_allclose(after.force, (0.0, 7.2, 9.6), rtol=1e-14)
+
+
 def test_clamp_survives_forces_whose_square_overflows():
     """A force of 1e300 N is clamped to the limit."""
     after, _ = compiled(OPEN, ENGAGED, (1e300, 1e300, 0.0), (0.0, 0.0, 0.0), DT)

@@ -6,12 +6,36 @@ import contextlib
 import os
 import select
 import sys
+import threading
+import time
 
 import pytest
 
 from softfinger.server.standard_error import write_line
 
 pytestmark = pytest.mark.plain
+
+
+def test_the_last_line_waits_for_its_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that resumes while a line waits gets that line."""
+    reader, writer = os.pipe()
+    for end in (reader, writer):
+        os.set_blocking(end, False)
+    with open(reader, "rb", buffering=0) as log_file, open(writer, "w") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, bytes(select.PIPE_BUF))
+
+        def resume() -> None:
+            time.sleep(0.1)  # the line is waiting by then, usually
+            log_file.read(16 * select.PIPE_BUF)
+
+        resuming = threading.Thread(target=resume)
+        resuming.start()
+        write_line("last", wait_s=20.0)
+        resuming.join()
+        assert (log_file.read(32 * select.PIPE_BUF) or b"").endswith(b"last\n")
 
 
 def test_lines_that_nobody_reads_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:

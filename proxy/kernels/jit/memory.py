@@ -9,9 +9,10 @@ typed pointers are ctypes pointers, so that a debugger can step through the pack
 import ctypes
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import get_item_pointer
+from numba.core.cgutils import get_item_pointer, raw_memcpy
 from numba.extending import intrinsic
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -61,6 +62,21 @@ def _address_of(typing_context: Any, array: Any, index: Any) -> Any:
     return types.int64(array, types.intp), build
 
 
+def _copy_numbers(typing_context: Any, target: Any, source: Any) -> Any:
+    if not all(isinstance(each, types.Array) and (each.ndim, each.layout) == (1, "C") for each in (target, source)):
+        return None
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to, of = (
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args, arguments, strict=True)
+        )
+        raw_memcpy(builder, to.data, of.data, to.nitems, signature.args[0].dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(target, source), build
+
+
 def _put_big_endian(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
     kind = types.float64 if isinstance(value, types.Float) else types.int64
 
@@ -75,6 +91,12 @@ def _put_big_endian(typing_context: Any, array: Any, index: Any, value: Any) -> 
 
 address_of: Any = intrinsic(_address_of)
 """address_of(array, index) -> address of that element, int64; the array is one-dimensional."""
+
+copy_numbers: Any = np.copyto if PLAIN else intrinsic(_copy_numbers)
+"""copy_numbers(target, source): copy the elements of `target` from `source`, contiguous arrays (n,) of one type.
+
+A loop of assignments takes four times as many instructions: the light optimisation of kernels (`numba_internals.py`)
+unrolls it, and then LLVM does not vectorise it."""
 
 put_big_endian: Any = intrinsic(_put_big_endian)
 """put_big_endian(array of bytes, index, value): store the eight bytes of a float64 or int64 from index on, highest

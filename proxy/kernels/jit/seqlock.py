@@ -20,6 +20,7 @@ from softfinger.proxy.kernels.jit.atomics import (
     store_release,
 )
 from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.memory import copy_numbers
 
 
 class Slot(NamedTuple):
@@ -40,8 +41,7 @@ def store(slot: Slot, values: NDArray[np.float64]) -> None:
     sequence = load_relaxed(slot.sequence, 0)
     store_relaxed(slot.sequence, 0, sequence + 1)
     fence_release()
-    for i in range(slot.values.shape[0]):
-        slot.values[i] = values[i]
+    copy_numbers(slot.values, values)
     store_release(slot.sequence, 0, sequence + 2)
 
 
@@ -67,8 +67,7 @@ def refresh(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
     before = load_acquire(slot.sequence, 0)
     if before == seen or before & 1:
         return seen
-    for i in range(slot.values.shape[0]):
-        values[i] = slot.values[i]
+    copy_numbers(values, slot.values)
     fence_acquire()
     if load_relaxed(slot.sequence, 0) != before:
         return seen

@@ -19,6 +19,7 @@ from softfinger.proxy.kernels.jit.atomics import (
     store_release,
 )
 from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.memory import copy_numbers
 
 
 class Broadcast(NamedTuple):
@@ -59,10 +60,8 @@ def make_read_position(broadcast: Broadcast) -> ReadPosition:
 def write_row(broadcast: Broadcast, rows: NDArray[np.float64], row: int) -> None:
     """Copy `rows[row]` (width,) into the buffer, over the oldest row."""
     head = load_relaxed(broadcast.head, 0)
-    slot = head & (broadcast.slots.shape[0] - 1)
     fence_release()  # a reader that sees part of this row also sees the count of the rows before it
-    for i in range(broadcast.slots.shape[1]):
-        broadcast.slots[slot, i] = rows[row, i]
+    copy_numbers(broadcast.slots[head & (broadcast.slots.shape[0] - 1)], rows[row])
     store_release(broadcast.head, 0, head + 1)
 
 
@@ -78,9 +77,7 @@ def read_rows(broadcast: Broadcast, position: ReadPosition, out: NDArray[np.floa
             continue
         count = min(head - first, out.shape[0])
         for k in range(count):
-            slot = (first + k) & (capacity - 1)
-            for i in range(out.shape[1]):
-                out[k, i] = broadcast.slots[slot, i]
+            copy_numbers(out[k], broadcast.slots[(first + k) & (capacity - 1)])
         fence_acquire()
         if load_relaxed(broadcast.head, 0) - first < capacity:
             position.next[0] = first + count

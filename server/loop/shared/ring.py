@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.memory import copy_numbers
 
 _CACHE_LINE = 8
 """Number of int64 in a cache line; producer and consumer write to different ones."""
@@ -58,9 +59,7 @@ def push(ring: Ring, record: NDArray[np.float64]) -> bool:
     if head - load_acquire(ring.tail, 0) >= ring.slots.shape[0]:
         store_release(ring.drops, 0, load_relaxed(ring.drops, 0) + 1)
         return False
-    slot = head & (ring.slots.shape[0] - 1)
-    for i in range(ring.slots.shape[1]):
-        ring.slots[slot, i] = record[i]
+    copy_numbers(ring.slots[head & (ring.slots.shape[0] - 1)], record)
     store_release(ring.head, 0, head + 1)
     return True
 
@@ -71,8 +70,6 @@ def take(ring: Ring, out: NDArray[np.float64]) -> int:
     tail = load_relaxed(ring.tail, 0)
     count = min(load_acquire(ring.head, 0) - tail, out.shape[0])
     for k in range(count):
-        slot = (tail + k) & (ring.slots.shape[0] - 1)
-        for i in range(out.shape[1]):
-            out[k, i] = ring.slots[slot, i]
+        copy_numbers(out[k], ring.slots[(tail + k) & (ring.slots.shape[0] - 1)])
     store_release(ring.tail, 0, tail + count)
     return count
