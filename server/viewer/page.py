@@ -59,11 +59,13 @@ PROMPT_WIDTH: Final = 640
 """Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
 [style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); }
+[style*="right: 0px"][style*="box-shadow"] { display: none; }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
 @media (min-width: 1800px) { [style*="right: 0px"][style*="z-index: 5"] { zoom: 1.6; } }
 </style>"""
-"""Centres the docked panel of viser 1.1, enlarges it in large windows; the sheet of a phone fills it."""
+"""Centres the docked panel of viser 1.1, without the shadow of its docked place, and enlarges it in large windows; the
+sheet of a phone fills it."""
 
 
 _push: Final = AsyncMessageBuffer.push

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import cone
+from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.bodies import Bodies
 from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
@@ -38,10 +39,12 @@ the traces.
 """
 PATCH_HEIGHT_M: Final = 3e-4
 """Height of the drawn contact patch above the surface, and above the shadow and the traces."""
-LABEL_OFFSET_CM: Final = np.array([0.3, 0.0, 0.0])
-"""Offset of the force's label from the arrow's tip."""
+LABEL_OFFSET_CM: Final = np.array([0.0, 0.0, 0.3])
+"""Offset of the force's label from the arrow's tip: above it, whichever way the arrow points."""
 SIDE: Final = np.array([1.0, 0.0, 0.0])
-"""Direction from a contact to the label of its torsion, beside the arc."""
+"""Direction from a contact to the label of its torsion, if the arc is about horizontal: below the arc's right end."""
+MIN_ARC_SLOPE: Final = 0.5
+"""Minimum sine of the arc's tilt at which the label is below its lowest point."""
 MIN_ARC_RAD: Final = radians(8.0)
 """Minimum arc (rad); a shorter one would be an arrow head without a line."""
 
@@ -103,8 +106,8 @@ class FingerNodes:
         )
         self._arc = self._lines("torsion", arc(1.0, 1.0), TORSION, 6.0)
         self._force_label, self._torsion_label = (
-            api.add_label(f"{self._node}/{name}-label", "", anchor="center-left", font_screen_scale=1.2, visible=False)
-            for name in ("force", "torsion")
+            api.add_label(f"{self._node}/{name}-label", "", anchor=anchor, font_screen_scale=1.2, visible=False)
+            for name, anchor in (("force", "bottom-center"), ("torsion", "top-center"))
         )
         self._cone = api.add_mesh_simple(
             f"{self._node}/cone", *cone(1.0, 0.5)[:2], color=CONE, opacity=0.35, side="double", cast_shadow=False
@@ -166,7 +169,10 @@ class FingerNodes:
         angle = radians(1e3 * float(row[AT.contact_torsion]) * looks.degrees_per_mnm)
         self._arc.visible = self._torsion_label.visible = mode != FREE and abs(angle) > MIN_ARC_RAD
         if self._arc.visible:
-            self._torsion_label.position = CM * (point + 1.5 * self.radius * SIDE)
+            down = normal[2] * normal - UP  # in the plane of the arc
+            slope = float(np.linalg.norm(down))
+            direction = down / slope if slope > MIN_ARC_SLOPE else SIDE
+            self._torsion_label.position = CM * (point + 1.35 * self.radius * direction)
             _set_text(self._torsion_label, f"{1e3 * row[AT.contact_torsion]:.1f} mN m")
             self._arc.points = arc(angle, 1.35 * CM * self.radius)
             self._arc.position = CM * (point + 0.15 * self._radii[0] * normal)
