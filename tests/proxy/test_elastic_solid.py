@@ -278,10 +278,12 @@ def test_bad_bodies_are_refused_in_one_line(
     assert [record.message for record in caplog.records if record.name.startswith("skfem")] == []
 
 
-def test_inverted_and_missing_tetrahedra_are_refused(tmp_path: Path) -> None:
+def test_inverted_missing_and_too_many_tetrahedra_are_refused(tmp_path: Path) -> None:
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     with pytest.raises(ValueError, match="tetrahedron 1 is inverted, with 1 in all"):
         check_volume(corners, np.array([[0, 1, 2, 3], [0, 2, 1, 3]]))
+    with pytest.raises(ValueError, match="1,000,000 tetrahedra: at most 100,000 can be solved"):
+        check_volume(np.zeros((1_000_000, 3)), np.zeros((1_000_000, 4), np.int64))
     meshio = pytest.importorskip("meshio")
     meshio.Mesh(corners, [("triangle", [[0, 1, 2]])]).write(tmp_path / "flat.vtu")
     with pytest.raises(ValueError, match="has no tetrahedra, only triangle"):
@@ -298,3 +300,15 @@ def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
     report = body_of(thing).report
     assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
     assert about(thing).report.watertight
+
+
+def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    sides = np.linspace(0.0, 0.03, 41)
+    mesh = skfem.MeshTet.init_tensor(sides, sides, np.array([0.0, 0.001])).oriented()
+    meshio.Mesh(mesh.p.T, [("tetra", mesh.t.T)]).write(tmp_path / "plate.vtu")
+    end = [{"region": "half_space", "point_m": [1e-6, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]
+    thing = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
+    with pytest.raises(ConfigError, match="3,280 compliant surface vertices, at most 2,500 are supported") as refused:
+        body_of(thing)
+    assert "\n" not in str(refused.value)
