@@ -471,7 +471,7 @@ def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
 
 def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
     """The force remains off if a request arrives after the heartbeat was missed, but before the periodic check."""
-    monkeypatch.setattr(Commands, "_check_periodically", lambda self: None)
+    monkeypatch.setattr(CommandService, "_check_periodically", lambda self: None)
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept):
         assert eventually(lambda: control.heartbeat() and kept.force_n > 1.9)
         assert eventually(lambda: kept.force_n == 0.0)
