@@ -279,3 +279,19 @@ def test_overloads_are_chosen_at_compile_time() -> None:
 
     outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: (total((x,)), total((x, x, 1.0), factor=3.0)))
     assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0) == (total((5.0,)), total((5.0, 5.0, 1.0), 3.0))
+
+
+def test_a_kernel_that_is_an_argument_leaves_no_address_in_its_caller() -> None:
+    def one(x: float) -> float:
+        return x
+
+    inner: Any = Inlined(one, decorators.INLINED, None, numba.njit)
+
+    def caller(x: float) -> float:
+        kernel = inner
+        return kernel(x)  # type: ignore[no-any-return]
+
+    library = Inlined(caller, decorators.INLINED, None, numba.njit).dispatcher
+    library.compile((types.float64,))
+    assert "numba.dynamic.globals" not in library.overloads[(types.float64,)].library.get_llvm_str()
+    assert cpu_target.target_context.get_constant_generic(None, numba.typeof(inner), inner) is not None

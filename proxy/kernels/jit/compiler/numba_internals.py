@@ -42,7 +42,7 @@ magic_tuple, _final_module, refresh
                          ends the program.
 CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
                          C functions in that cache, and under a symbol. Without: `numba.cfunc` uses numba's cache.
-types.Callable, resolve_value_type, lower_constant
+types.Callable, types.Dispatcher, resolve_value_type, lower_constant
                          A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
 SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read both files
@@ -398,9 +398,19 @@ class Inlined:
         return self.dispatcher.__reduce__()
 
 
+class _KernelType(types.Dispatcher):  # type: ignore[misc]
+    """numba type of a kernel: as an argument it has no value, since its type determines the code.
+
+    numba's type has the address of the dispatcher as its value, and a kernel with such an address is not cached.
+    """
+
+
+register_model(_KernelType)(models.OpaqueModel)
+
+
 @typeof_impl.register(Inlined)
 def _type_of_dispatcher(value: Inlined, context: Any) -> types.Dispatcher:
-    return types.Dispatcher(value.dispatcher)
+    return _KernelType(value.dispatcher)
 
 
 class Choice:
@@ -457,6 +467,7 @@ def _typeof(value: Choice, context: Any) -> _ChoiceType:
     return value.numba_type
 
 
+@lower_constant(_KernelType)
 @lower_constant(_ChoiceType)
 def _nothing(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return context.get_dummy_value()
