@@ -31,7 +31,7 @@ def questions() -> tuple[Question, ...]:
 
 
 def answer_questions(report: Report) -> list[dict[str, Any]]:
-    """Return the questions of a report's driver, each with the measured answer or with the way to get it."""
+    """Return the questions of a report's driver, each with the measured answer or instructions to measure it."""
     found = []
     for one in questions():
         if report["driver"] in one.drivers:

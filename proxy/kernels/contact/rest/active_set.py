@@ -142,7 +142,7 @@ def is_foot(constraint: Constraint, at: float, normal: Vec3) -> bool:
 
 @jit
 def is_support_point_of(active: ActiveSet, at: float, normal: Vec3) -> bool:
-    """Return True if the point of the height map `at` with that normal already is in the active set."""
+    """Return True if the active set already contains the point of height map `at` with this normal."""
     return is_foot(active[0], at, normal) or is_foot(active[1], at, normal) or is_foot(active[2], at, normal)
 
 
