@@ -2,13 +2,13 @@
 
     python -m softfinger.tools.study docs             # or: make study
 
-Pictures go to docs/figures/. Tables stand in the pages between two comments,
+Pictures go to docs/figures/. Tables are in the pages between two comments,
 
     <!-- study: NAME -->
     ...
     <!-- end -->
 
-and what is between them is replaced. Prose stays: read it again beside the new figures.
+and the study replaces the text between them. It does not change the prose: check it against the new figures.
 """
 
 from __future__ import annotations

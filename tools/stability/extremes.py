@@ -160,11 +160,12 @@ def zero_refused(records: Array) -> str:
 def cases() -> Iterator[ExtremeCase]:
     """Yield every extreme; cases of one scene type are consecutive."""
     yield from on_a_plane()
+    yield from with_damaged_poses()
     yield from on_other_objects()
 
 
 def on_a_plane() -> Iterator[ExtremeCase]:
-    """Yield motions, parameters, times and damaged poses."""
+    """Yield motions, parameters and times."""
     yield ExtremeCase(
         "no rotation",
         "a drag without any turn",
@@ -211,6 +212,10 @@ def on_a_plane() -> Iterator[ExtremeCase]:
     yield ExtremeCase("no time passes", "dt = 0", scene(), poses, even_steps(TICKS, 0.0), expects=touches_and_leaves)
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
     yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
+
+
+def with_damaged_poses() -> Iterator[ExtremeCase]:
+    """Yield broken and distant poses on a plane."""
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         broken = press(0.001)
         broken[100:300:7, 1] = value
