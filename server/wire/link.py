@@ -186,9 +186,8 @@ class SocketProcess:
                 self._log_figures(start_s)
                 while self._delayed_events and start_s >= self._delayed_events[0][0]:
                     self._event(self._delayed_events.pop(0)[1])
-                if (
-                    request_wait_s
-                ):  # a flood uses at most half of a processor, so that the readers of the servo have the other half
+                # A flood uses at most half of a processor, so that the readers of the servo have the other half.
+                if request_wait_s:
                     time.sleep(min(time.monotonic() - start_s - request_wait_s, REST_MAX_S))
         except Exception:
             self.failed = True

@@ -14,7 +14,7 @@ CORNER_TRIANGLES_MAX = 12
 """Limit of the triangles visited round a corner, in each direction."""
 SAME_DISTANCE = 1e-11
 """Share by which squared distances from an edge or a corner must differ, so that the difference is not rounding."""
-CORNER_DISTANCE = 100.0 * SAME_DISTANCE
+CORNER_SHARE = 100.0 * SAME_DISTANCE
 """Limit for a foot point on an edge: its squared distance from a corner as a share of that from x. Below it, another
 triangle round the corner may be closer, while the one across the edge is closer only by rounding."""
 ON_IT = 1e-14
@@ -183,7 +183,7 @@ def corner_near(corners: Corners, foot: Foot) -> int:
         return foot.feature - 3
     for i in range(3):
         apart = vec3.sub(foot.point, corners[i])
-        if vec3.dot(apart, apart) <= CORNER_DISTANCE * foot.square:
+        if vec3.dot(apart, apart) <= CORNER_SHARE * foot.square:
             return i
     return -1
 
