@@ -332,20 +332,6 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
     assert peers.owners["gateway's telemetry"] != pid
 
 
-@pytest.mark.parametrize("name", ["telemetry", "forwarded telemetry"])
-def test_ends_of_missing_subscriptions_are_not_counted(name: str, peers: Peers) -> None:
-    """Fifty ends, of the empty topic and of one with other subscribers, leave `health.subscribers` unchanged."""
-    with Subscription(peers.addresses["telemetry"], ("health",)) as reader:
-        messages = iter(lambda: reader.receive(CUT_S), None)
-        before = next(each for each in messages if each.data.subscribers >= 2)  # this connection and the gateway
-        with greeted(peers.addresses[name], b"SUB") as peer:
-            peer.sendall((frame(b"\0") + frame(b"\0health")) * 50 + frame(b"\1contact"))
-            assert peer.recv(1000)  # a tick, so all earlier frames were read
-            counted = [reader.receive(CUT_S) for _ in range(2)]
-        more = before.data.subscribers + (name == "telemetry")
-        assert [each.data.subscribers for each in counted if each is not None][-1] == more
-
-
 def test_subscribers_are_the_connections_that_subscribe() -> None:
     """Up to four peers subscribe, unsubscribe and close at random; the count is correct throughout."""
     chance, asked = random.Random(7), list[bytes]()
