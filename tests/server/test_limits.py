@@ -40,7 +40,7 @@ ARM = DeviceInfo("arm", 3, 3, 40.0, 2.0, 5000.0, 30.0, (-0.1,) * 3, (0.1,) * 3)
 
 
 def limited(force_max=12.0, ramp=0.0, slew=1e9, **limits):
-    """Return a guard with some limits, the others off."""
+    """Return a guard with the given limits; all remaining limits are off."""
     return g.Guard(force_max, 0.3, slew, slew, ramp, 1.0, limits=lim.UNLIMITED._replace(**limits))
 
 

@@ -1,4 +1,4 @@
-"""The supervisor: its own failure, and its actions when ticks stop."""
+"""The supervisor: its actions when ticks stop, and a failure of itself."""
 
 from __future__ import annotations
 
@@ -103,9 +103,7 @@ class Stalled:
         ((False,), STALL_POLLS_WITHOUT_HAND),
     ],
 )
-def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
-    held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stall_is_longer_without_a_hand(held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """STALL_POLLS polls with a hand on any device, otherwise STALL_POLLS_WITHOUT_HAND."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
