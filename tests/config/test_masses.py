@@ -17,7 +17,7 @@ from softfinger.config.mjcf import read_model
 from softfinger.proxy.engine import Engine
 from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.haptics import to_file_mapping
-from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.parameters import load_changed_scene
 
 pytestmark = pytest.mark.plain
 
