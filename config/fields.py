@@ -115,13 +115,13 @@ Resolved = Annotated[
 
 def normalise_orientation(table: Table) -> None:
     """Normalise the quaternion `orientation_wxyz` of a new table, unless it is zero or not finite."""
-    given = table.orientation_wxyz  # type: ignore[attr-defined]
-    if not is_usable(given) or given is None:
+    orientation = table.orientation_wxyz  # type: ignore[attr-defined]
+    if not is_usable(orientation) or orientation is None:
         return
-    norm = math.hypot(*given)
+    norm = math.hypot(*orientation)
     # A quaternion that is unit to the last bits is not changed, so that a scene survives a round trip.
     if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
-        msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in given))
+        msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in orientation))
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:

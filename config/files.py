@@ -39,10 +39,10 @@ def open_input(path: str | Path, size_max: int | None = None) -> IO[bytes]:
     """Open a regular file of at most `size_max` bytes for reading; raises OSError for other files, without waiting."""
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
-        found = os.fstat(fd)
-        _check_kind(found.st_mode, "read")
-        if size_max is not None and found.st_size > size_max:
-            raise OSError(errno.EFBIG, f"has {found.st_size:,} bytes, at most {size_max:,} are allowed")
+        status = os.fstat(fd)
+        _check_kind(status.st_mode, "read")
+        if size_max is not None and status.st_size > size_max:
+            raise OSError(errno.EFBIG, f"has {status.st_size:,} bytes, at most {size_max:,} are allowed")
     except BaseException:
         os.close(fd)
         raise
@@ -113,12 +113,12 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
         os.close(at)
 
 
-def is_same_file(one: str | Path, other: str | Path) -> bool:
+def is_same_file(first_path: str | Path, second_path: str | Path) -> bool:
     """Return whether two names lead to one file, which need not exist."""
     try:
-        return os.path.samefile(one, other)
+        return os.path.samefile(first_path, second_path)
     except (OSError, ValueError):
-        return os.path.realpath(one) == os.path.realpath(other)
+        return os.path.realpath(first_path) == os.path.realpath(second_path)
 
 
 def follow_links(path: str | Path) -> Path:
@@ -130,13 +130,13 @@ def follow_links(path: str | Path) -> Path:
     at = Path(path)
     for _ in range(LINKS_MAX):
         try:
-            found = os.lstat(at)
+            status = os.lstat(at)
         except FileNotFoundError:
             return at
-        if not stat.S_ISLNK(found.st_mode):
+        if not stat.S_ISLNK(status.st_mode):
             return at
-        if found.st_uid not in (0, os.geteuid(), os.stat(at.parent).st_uid):
-            raise OSError(errno.ELOOP, f"{at} is a link that user {found.st_uid} made")
+        if status.st_uid not in (0, os.geteuid(), os.stat(at.parent).st_uid):
+            raise OSError(errno.ELOOP, f"{at} is a link that user {status.st_uid} made")
         at = at.parent / os.readlink(at)
     raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
 

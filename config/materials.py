@@ -134,6 +134,6 @@ def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     result = dict(base)
     for key, value in changes.items():
         below = base.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        result[key] = _over(below, value) if both else value  # type: ignore[arg-type]
+        are_tables = isinstance(below, Mapping) and isinstance(value, Mapping)
+        result[key] = _over(below, value) if are_tables else value  # type: ignore[arg-type]
     return result

@@ -73,8 +73,8 @@ def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
         return None
     names = [model.key(number).name for number in range(model.nkey)]
     if world.keyframe not in names:
-        have = ", ".join(names) or "none"
-        raise ConfigError(f"world.keyframe = {world.keyframe!r}: {world.model} has no such <key>; it has: {have}")
+        listed = ", ".join(names) or "none"
+        raise ConfigError(f"world.keyframe = {world.keyframe!r}: {world.model} has no such <key>; it has: {listed}")
     return names.index(world.keyframe)
 
 
@@ -94,9 +94,9 @@ def compile_model(path: str, root: str | None = None) -> Compiled:
         With the file and its fault.
     """
     with _lock:
-        found = _compiled.get((path, root))
-    if found is not None and all(_state(file) == state for file, state in found.files.items()):
-        return found
+        cached = _compiled.get((path, root))
+    if cached is not None and all(_state(file) == state for file, state in cached.files.items()):
+        return cached
     model = _compile(path, root)
     with _lock:
         _compiled[path, root] = model
@@ -148,10 +148,10 @@ def _remove_pictures(spec: mujoco.MjSpec) -> None:
 def _state(file: str) -> Any:
     """Return what changes when a file does."""
     try:
-        found = os.stat(file)
+        status = os.stat(file)
     except OSError:
         return None
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _line(error: Exception) -> str:
@@ -168,7 +168,7 @@ def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str
     for name, mass in mass_kg.items():
         body = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, name)
         if body <= 0 or not model.body_mass[body] > 0.0:
-            names = ", ".join(model.body(each).name for each in range(1, model.nbody) if model.body_mass[each] > 0.0)
+            names = ", ".join(model.body(body).name for body in range(1, model.nbody) if model.body_mass[body] > 0.0)
             raise ValueError(f"mass_kg: {name!r} is not a body with a mass; it has {names or 'none'}")
         model.body_inertia[body] *= mass / model.body_mass[body]
         model.body_mass[body] = mass

@@ -31,8 +31,8 @@ BOUNDS: Final[Mapping[str, tuple[ProductLimit, ...]]] = {
         ProductLimit((name,), most)
         for name, most in (
             *(
-                (f"nuser_{each}", 1000)
-                for each in ["body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"]
+                (f"nuser_{kind}", 1000)
+                for kind in ["body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"]
             ),
             ("nuserdata", 1 << 20),
             ("nkey", 1000),
@@ -47,9 +47,9 @@ def check_numbers(element: Element, name: str) -> None:
     """Raise ConfigError if a number of an element, or a list in it, is too large."""
     for bound in BOUNDS.get(element.tag, ()):
         if (value := product(element, bound.attributes)) > bound.most:
-            what = " x ".join(dict.fromkeys(bound.attributes))
+            attributes = " x ".join(dict.fromkeys(bound.attributes))
             raise ConfigError(
-                f"world.model {name}: <{element.tag}> has {what} = {value:,}; at most {bound.most:,} can be read"
+                f"world.model {name}: <{element.tag}> has {attributes} = {value:,}; at most {bound.most:,} can be read"
             )
     for key in LISTS:
         if len(element.get(key) or "") > TEXT:

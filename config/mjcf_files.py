@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     import mujoco
 
 
-def check_place(file: str | Path, home: Path, what: str) -> None:
-    """Raise ConfigError, with `what` asks for it, if a file of a model is not below `home`."""
+def check_place(file: str | Path, home: Path, requester: str) -> None:
+    """Raise ConfigError if a file of a model is not below `home`; `requester` names the element that refers to it."""
     real = os.path.realpath(file)
     if not Path(real).is_relative_to(home):
         above = os.path.relpath(os.path.commonpath([home, real]), home)
         raise ConfigError(
-            f"world.model {what} is outside of its folder: move the file next to the model, or name a common folder: "
-            f'[world] root = "{above}"'
+            f"world.model {requester} is outside of its folder: move the file next to the model, or name a common "
+            f'folder: [world] root = "{above}"'
         )
 
 
@@ -58,13 +58,17 @@ def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Pa
 
 def _find_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
     name = os.path.basename(asset.file)
-    found = {os.path.abspath(each) for each in listed if os.path.basename(each) == name and os.path.exists(each)}
-    if path in found or not found:
-        found = {path}
-    if len(found) > 1:
-        files = ", ".join(sorted(found))
+    matching = {
+        os.path.abspath(candidate)
+        for candidate in listed
+        if os.path.basename(candidate) == name and os.path.exists(candidate)
+    }
+    if path in matching or not matching:
+        matching = {path}
+    if len(matching) > 1:
+        files = ", ".join(sorted(matching))
         raise ConfigError(f"world.model {model}: {asset.name!r} may be one of {files}: give the files different names")
-    return found.pop()
+    return matching.pop()
 
 
 def has_groups(path: str) -> bool:

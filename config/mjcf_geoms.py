@@ -42,11 +42,11 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     if scene.world is None:
         return scene
     read_model(scene.world)  # checks masses and keyframe
-    have = {obj.name for obj in scene.object}
+    names = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
-    added = [each.object for each in geoms if each.object is not None and each.name not in have]
+    added = [geom.object for geom in geoms if geom.object is not None and geom.name not in names]
     if not scene.object and not added:
-        why = "; ".join(f"{each.name} {each.note}" for each in geoms[:5]) or "it has none"
+        why = "; ".join(f"{geom.name} {geom.note}" for geom in geoms[:5]) or "it has none"
         raise ConfigError(f"world.model {scene.world.model}: no geom can be touched: {why}")
     return msgspec.structs.replace(scene, object=(*scene.object, *added))
 
@@ -80,8 +80,8 @@ def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
     """Return the geoms that collide and have a material, but that fingers pass through."""
     if scene.world is None:
         return []
-    have = {obj.name for obj in scene.object}
-    return [each for each in convert_geoms(scene.world) if each.is_lost and each.name not in have]
+    names = {obj.name for obj in scene.object}
+    return [geom for geom in convert_geoms(scene.world) if geom.is_lost and geom.name not in names]
 
 
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
@@ -99,7 +99,7 @@ def _object(
     name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any
 ) -> ConvertedGeom:
     kinds = mujoco_module().mjtGeom
-    x, y, z = (float(each) for each in model.geom_size[geom])
+    x, y, z = (float(size) for size in model.geom_size[geom])
     body, number = int(model.geom_bodyid[geom]), int(model.geom_dataid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
     pose = model.geom_pos[geom], model.geom_quat[geom]
@@ -152,7 +152,7 @@ def _hull_note(model: Any, number: int) -> str:
     mesh = _volume(vertices, model.mesh_face[face : face + model.mesh_facenum[number]])
     if graph < 0:  # no other geom collides with it
         return ""
-    corners, faces = (int(each) for each in model.mesh_graph[graph : graph + 2])
+    corners, faces = (int(count) for count in model.mesh_graph[graph : graph + 2])
     start = graph + 2 + 3 * corners + 3 * faces  # after numbers of vertices and faces, vertices, edges
     hull = _volume(vertices, model.mesh_graph[start : start + 3 * faces].reshape(-1, 3))
     if hull <= (1.0 + CONVEX) * mesh:
@@ -168,7 +168,7 @@ def _volume(vertices: Any, faces: Any) -> float:
 
 def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
     rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
-    x, y, z = (float(each) for each in model.hfield_size[number][:3])
+    x, y, z = (float(size) for size in model.hfield_size[number][:3])
     across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
     if abs(across - along) > SQUARE * along:
         sides = f"{across:.6g} m along x and {along:.6g} m along y"
@@ -190,7 +190,7 @@ def moves(model: Any, body: int) -> bool:
 
 
 def _numbers(values: Any) -> Any:
-    return tuple(float(each) for each in values)
+    return tuple(float(value) for value in values)
 
 
 def _on(outer: Any, inner: Any) -> Any:

@@ -163,9 +163,9 @@ class _Model:
         """
         file = element.get("file") or ""
         places = [folder / file for folder in folders]
-        found = next((place for place in places if os.access(place, os.R_OK)), places[0])
-        check_place(found, self._home, f"{name}: <{element.tag} file={file!r}>")
-        return found
+        model_file = next((place for place in places if os.access(place, os.R_OK)), places[0])
+        check_place(model_file, self._home, f"{name}: <{element.tag} file={file!r}>")
+        return model_file
 
     def _text(self, path: Path) -> str | None:
         """Return the text of a part; None if it cannot be opened, which MuJoCo reports.
@@ -208,9 +208,9 @@ class _Model:
             return len(points.split()) // 3
         return product(element, ("count",)) if element.get("count") else 1000
 
-    def _add(self, what: str, count: int, most: int, why: str) -> None:
-        self._counted[what] += count
-        if self._counted[what] > most:
+    def _add(self, contents: str, count: int, most: int, why: str) -> None:
+        self._counted[contents] += count
+        if self._counted[contents] > most:
             raise ConfigError(
-                f"world.model {self._name}: has {self._counted[what]:,} {what} or more; at most {most:,} {why}"
+                f"world.model {self._name}: has {self._counted[contents]:,} {contents} or more; at most {most:,} {why}"
             )

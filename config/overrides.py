@@ -55,13 +55,15 @@ def change_values(
 
 def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:
     """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
-    head, _, rest = dotted.partition(".")
+    head, _, remaining_path = dotted.partition(".")
     entries = mapping.get(head)
-    if isinstance(entries, list | tuple) and not rest.partition(".")[0].isdecimal():
-        names = [(str(each.get("name", "")), place) for place, each in enumerate(entries) if isinstance(each, Mapping)]
-        for name, place in sorted(names, key=lambda each: -len(each[0])):  # names may contain dots
-            if name and (rest == name or rest.startswith(f"{name}.")):
-                return f"{head}.{place}{rest[len(name) :]}"
+    if isinstance(entries, list | tuple) and not remaining_path.partition(".")[0].isdecimal():
+        names = [
+            (str(entry.get("name", "")), place) for place, entry in enumerate(entries) if isinstance(entry, Mapping)
+        ]
+        for name, place in sorted(names, key=lambda item: -len(item[0])):  # names may contain dots
+            if name and (remaining_path == name or remaining_path.startswith(f"{name}.")):
+                return f"{head}.{place}{remaining_path[len(name) :]}"
     return dotted
 
 
@@ -77,9 +79,9 @@ def value_at(mapping: Any, dotted: str) -> Any:
 
 def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
     """Return the keys to override; in a file with [devices.NAME], a key of `device` applies to each of them."""
-    first, _, rest = dotted.partition(".")
+    first, _, remaining_path = dotted.partition(".")
     if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
-        return [f"devices.{name}.{rest}" for name in mapping["devices"]]
+        return [f"devices.{name}.{remaining_path}" for name in mapping["devices"]]
     return [dotted]
 
 
@@ -125,5 +127,5 @@ def _forget_entry(at: Any, path: list[str], value: Any) -> None:
 
 
 def _names(entries: list[Any]) -> str:
-    names = [str(each["name"]) for each in entries if isinstance(each, dict) and "name" in each]
+    names = [str(entry["name"]) for entry in entries if isinstance(entry, dict) and "name" in entry]
     return f", or by name {', '.join(names)}" if names else ""

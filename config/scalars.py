@@ -48,12 +48,12 @@ def check_number(
     kind: inspect.FloatType | inspect.IntType, extra: Mapping[str, Any], value: object, key: str, report: FaultCollector
 ) -> Any:
     """Return a number of the range of `kind`; `extra["reason"]` explains the range."""
-    whole = isinstance(kind, inspect.IntType)
+    is_integer = isinstance(kind, inspect.IntType)
     expected = f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}"
-    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+    if isinstance(value, bool) or not isinstance(value, int if is_integer else (int, float)):
         return report.add(key, expected)
     try:
-        number: float = int(value) if whole else float(value)
+        number: float = int(value) if is_integer else float(value)
         finite = math.isfinite(number)
     except OverflowError:  # an integer beyond the range of float
         finite = False

@@ -100,7 +100,7 @@ def printable(path: str | Path) -> str:
 def _sibling(path: Path) -> str:
     """Return a hint for a missing file: a similar name in its folder, or a shipped name."""
     try:
-        siblings = [found.name for found in path.parent.glob("*.toml")]
+        siblings = [file.name for file in path.parent.glob("*.toml")]
     except (OSError, ValueError):
         siblings = []
     hint = near(path.name, siblings)

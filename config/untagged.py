@@ -45,7 +45,12 @@ def read_untagged(
         if field.name in values:
             continue
         if name in table:
-            types = [each.type for kind in kinds.meant for each in kind.fields if each.encode_name == name]
+            types = [
+                struct_field.type
+                for kind in kinds.meant
+                for struct_field in kind.fields
+                if struct_field.encode_name == name
+            ]
             values[field.name] = _read_as_one(types, table[name], dotted, report, read)
         elif field.required:
             values[field.name] = UNSET
@@ -59,16 +64,16 @@ def read_untagged(
 def _read_as_one(types: list[inspect.Type], value: object, key: str, report: FaultCollector, read: Read) -> Any:
     """Read a value as the first type that it fits; record its faults as the first type if it fits none."""
     attempts = []
-    for each in types:
+    for candidate in types:
         attempt = FaultCollector("", {})
-        found = read(each, value, key, attempt)
+        result = read(candidate, value, key, attempt)
         if not attempt.faults:
-            return found
-        attempts.append((attempt, found))
-    faults, found = attempts[0]
+            return result
+        attempts.append((attempt, result))
+    faults, result = attempts[0]
     for fault in faults.faults:
         report.add(fault.key, fault.message)
-    return found
+    return result
 
 
 def _requires(kind: inspect.StructType, name: str) -> bool:

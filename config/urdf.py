@@ -21,15 +21,15 @@ def is_urdf(path: str) -> bool:
     return path.lower().endswith(".urdf")
 
 
-def locate(given: str, folder: Path, home: Path) -> Path:
+def locate(uri: str, folder: Path, home: Path) -> Path:
     """Return the path of a file that a URDF in `folder` names; of a package, the first that exists.
 
     `package://NAME/FILE` is NAME/FILE or FILE in `folder`, or in a folder above it up to `home`. If there is none, the
     path is that in `folder`.
     """
-    if not given.startswith(PACKAGES):
-        return folder / given.removeprefix("file://")
-    ways = list(_ways(given, folder))
+    if not uri.startswith(PACKAGES):
+        return folder / uri.removeprefix("file://")
+    ways = list(_ways(uri, folder))
     inside = (
         candidate
         for _, candidate in ways

@@ -115,8 +115,8 @@ def _read_named(kind: inspect.DictType, value: object, key: str, report: FaultCo
     items = {}
     for name, item in value.items():
         dotted = join_key(key, name)
-        given = _value(kind.key_type, name, dotted, report)
-        items[given] = _value(kind.value_type, item, dotted, report)
+        item_key = _value(kind.key_type, name, dotted, report)
+        items[item_key] = _value(kind.value_type, item, dotted, report)
     return items if len(report.faults) == before else UNSET
 
 
@@ -227,7 +227,7 @@ def _create(cls: type[Struct], values: dict[str, Any], key: str, report: FaultCo
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
         # The check of an external driver may fail on UNSET. That is not a fault if the field is reported already.
         return UNSET if len(report.faults) > start else report.add(key, f"{key or 'the whole'}: {error}")
-    for name, found, text in complaints:
+    for name, value, text in complaints:
         dotted = f"{key}.{name}" if key else name
-        report.add(dotted, f"{dotted}: {text}" if found is UNSET else f"{dotted} = {format_value(found)}: {text}")
+        report.add(dotted, f"{dotted}: {text}" if value is UNSET else f"{dotted} = {format_value(value)}: {text}")
     return struct

@@ -46,8 +46,8 @@ def describe_allowed(info: inspect.Type, key: str) -> str:
 
 def _items(types: Sequence[inspect.Type], key: str) -> str:
     """Describe the entries of a list, such as `numbers from 0 to 1 m`; only their noun if their ranges differ."""
-    kinds = [unwrap(each)[0] for each in types]
-    kind = kinds[0] if all(each == kinds[0] for each in kinds) else None
+    kinds = [unwrap(member)[0] for member in types]
+    kind = kinds[0] if all(member == kinds[0] for member in kinds) else None
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "integers" if isinstance(kind, inspect.IntType) else "numbers"
@@ -58,7 +58,7 @@ def _items(types: Sequence[inspect.Type], key: str) -> str:
             return f"values, each {either(kind.values)}"
         case inspect.BoolType():
             return "truth values"
-    if all(isinstance(each, inspect.FloatType | inspect.IntType) for each in kinds):
+    if all(isinstance(member, inspect.FloatType | inspect.IntType) for member in kinds):
         return f"numbers{_unit(key)}"
     return "tables" if all(map(_is_table, types)) else "values"
 
@@ -94,8 +94,8 @@ def _span(kind: inspect.FloatType | inspect.IntType) -> str:
     if kind.ge is not None and kind.le is not None:
         return f" from {kind.ge:g} to {kind.le:g}"
     bounds = (("above", kind.gt), ("of at least", kind.ge), ("below", kind.lt), ("at most", kind.le))
-    given = " and ".join(f"{what} {bound:g}" for what, bound in bounds if bound is not None)
-    return f" {given}" if given else ""
+    bounds_text = " and ".join(f"{relation} {bound:g}" for relation, bound in bounds if bound is not None)
+    return f" {bounds_text}" if bounds_text else ""
 
 
 def format_value(value: object) -> str:
@@ -121,14 +121,14 @@ def toml(value: object) -> str:
     return json.dumps(value)
 
 
-def near(given: object, allowed: Iterable[object]) -> str:
-    """Return ` (did you mean 'plane'?)` for a similar name, or for up to three names that start with `given`."""
+def near(entered: object, allowed: Iterable[object]) -> str:
+    """Return ` (did you mean 'plane'?)` for a similar name, or for up to three names that start with `entered`."""
     # difflib is slow for very long keys, and no allowed name is similar to one.
-    if not isinstance(given, str) or len(given) > 64:
+    if not isinstance(entered, str) or len(entered) > 64:
         return ""
     names = [name for name in allowed if isinstance(name, str)]
-    begun = [name for name in names if len(given) >= 3 and name.startswith(given.lower())]
-    close = begun[:3] or difflib.get_close_matches(given.lower(), names, n=1)
+    completions = [name for name in names if len(entered) >= 3 and name.startswith(entered.lower())]
+    close = completions[:3] or difflib.get_close_matches(entered.lower(), names, n=1)
     return f" (did you mean {' or '.join(map(repr, close))}?)" if close else ""
 
 

@@ -28,6 +28,6 @@ def shorten() -> None:
 def restore() -> None:
     """Undo one `shorten`; the last call restores the interval that the first `shorten` found."""
     with _lock:
-        found = _previous_intervals.pop()
+        previous = _previous_intervals.pop()
         if not _previous_intervals:
-            sys.setswitchinterval(found)
+            sys.setswitchinterval(previous)

@@ -215,17 +215,17 @@ class Daemon:
 
     def _wait(self, timeout_s: float | None) -> bool:
         until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
-        while (ended := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
+        while (end := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
             if self._failure is not None and time.monotonic() - self._failed_at > STUCK_S:
                 raise self._failure
             if time.monotonic() >= until:
                 return False
         if self._failure is not None:
             raise self._failure
-        if ended.error is not None:
-            raise ended.error
-        error = shutdown.device_failure(self.devices[ended.finger], ended, self._fingers[ended.finger])
-        failed = error or shutdown.loop_failure(ended, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+        if end.error is not None:
+            raise end.error
+        error = shutdown.device_failure(self.devices[end.finger], end, self._fingers[end.finger])
+        failed = error or shutdown.loop_failure(end, self.servo.ticks, self.servo.missed, self.servo.woken_late)
         if failed is not None:
             raise failed
         return True

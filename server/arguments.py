@@ -123,9 +123,9 @@ def check_distinct(flag: str, output: str | Path, read: Iterable[str | Path]) ->
     """Raise ConfigError if an output option names an input file, which would be lost."""
     from softfinger.config.files import is_same_file
 
-    for each in read:
-        if is_same_file(each, output):
-            raise ConfigError(f"{flag} {output}: is the input file {each}: choose another output file")
+    for source in read:
+        if is_same_file(source, output):
+            raise ConfigError(f"{flag} {output}: is the input file {source}: choose another output file")
 
 
 def default_rig(scene: str, fallback: str) -> str:

@@ -192,9 +192,9 @@ class DriverContract:
             servo = Loop([device], make_pulling_tuning(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
-            ended = servo.join(30.0)
-            assert ended is not None
-            assert (ended.ending, ended.error) == (FINISHED, None)
+            end = servo.join(30.0)
+            assert end is not None
+            assert (end.ending, end.error) == (FINISHED, None)
             assert [act for act, _ in acts] == ["prepared", "armed"]
             assert acts[0][1] == acts[1][1]
             assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
@@ -268,9 +268,9 @@ class DriverContract:
                 run_for(servo, 100)
                 assert any(bench.displayed())
                 servo.stop()
-            ended = servo.join(30.0)
-            assert ended is not None
-            assert ended.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[way]
+            end = servo.join(30.0)
+            assert end is not None
+            assert end.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[way]
             assert not any(bench.displayed())
             if way != "crash":
                 assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
@@ -319,10 +319,10 @@ class DriverContract:
                     assert servo.running and time.monotonic() < until, case
                     servo.records.wait()
                 bench.make(case)
-                ended = servo.join(30.0)
-                assert ended is not None
-                assert ended.status == FAULTS[case]
-                assert ended.ending in (READ_FAILED, WRITE_FAILED)
+                end = servo.join(30.0)
+                assert end is not None
+                assert end.status == FAULTS[case]
+                assert end.ending in (READ_FAILED, WRITE_FAILED)
                 assert not any(bench.displayed()), case
                 servo.close()
             bench.mend()

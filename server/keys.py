@@ -126,8 +126,8 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
         with open_input(path, SIZE_MAX) as file:
             status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)
         folder = Path(path).resolve().parent
-        for each, each_status in ((path, status), (folder, folder.stat())):
-            check_owner(each, each_status, "could put another key in the place of this")
+        for checked, status_of_checked in ((path, status), (folder, folder.stat())):
+            check_owner(checked, status_of_checked, "could put another key in the place of this")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; create one with softfinger keys") from error

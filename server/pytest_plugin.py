@@ -170,7 +170,7 @@ def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., 
 
     with tempfile.TemporaryDirectory(prefix="softfinger-") as folder:
         yield start
-        problems = [each.failed for each in daemons if each.failed]
+        problems = [daemon.failed for daemon in daemons if daemon.failed]
         for daemon in daemons:
             daemon.stop()
         logs = "\n".join(daemon.log for daemon in daemons)

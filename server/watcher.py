@@ -52,22 +52,24 @@ class Watcher:
 
 def zero_force(node: str, fd: int, zero: bytes) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
-    until, done, detail = time.monotonic() + TRY_S, 0, "it took a part of it"
+    until, zeroed_count, detail = time.monotonic() + TRY_S, 0, "it took a part of it"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
-    while done < WRITES and time.monotonic() < until:
+    while zeroed_count < WRITES and time.monotonic() < until:
         try:
-            done += os.write(fd, zero) == len(zero)
+            zeroed_count += os.write(fd, zero) == len(zero)
         except OSError as error:
             detail = error.strerror or str(error)
         time.sleep(PAUSE_S)
-    while done and _unsent(fd) and time.monotonic() < until:
+    while zeroed_count and _unsent(fd) and time.monotonic() < until:
         time.sleep(PAUSE_S)
     remark = f", but {count} bytes of it wait in the port: switch the device off" if (count := _unsent(fd)) else ""
     with contextlib.suppress(OSError):  # no serial port, or disconnected
         fcntl.ioctl(fd, termios.TIOCNXCL)  # as on a regular close: the next daemon may have another user
     return (
-        f"zero force was written to {node}{remark}" if done else f"zero force could not be written to {node}: {detail}"
+        f"zero force was written to {node}{remark}"
+        if zeroed_count
+        else f"zero force could not be written to {node}: {detail}"
     )
 
 

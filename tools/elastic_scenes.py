@@ -43,7 +43,7 @@ def ball(radius: float) -> tuple[Points, Faces]:
     """Return vertices, m, and triangles of a sphere about the origin."""
     golden = 0.5 * (1.0 + 5.0**0.5)
     corners = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
-    points = np.array([np.roll(each, turn) for turn in range(3) for each in corners], np.float64)
+    points = np.array([np.roll(corner, turn) for turn in range(3) for corner in corners], np.float64)
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     near = ((points[:, None] - points[None]) ** 2).sum(axis=2) < 1.2
     triples = np.argwhere(near[:, :, None] & near[None, :, :] & near[:, None, :])
@@ -107,11 +107,11 @@ def write_solution(scene: Any) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Write the meshes of the shipped elastic scenes, or solve a scene.")
     parser.add_argument("what", help="folder for the meshes; or a scene: a .toml file, or the name of a shipped one")
-    what = parser.parse_args().what
-    if Path(what).suffix == ".toml" or what in MESHES:
-        print(write_solution(what))
+    scene_name = parser.parse_args().what
+    if Path(scene_name).suffix == ".toml" or scene_name in MESHES:
+        print(write_solution(scene_name))
     else:
-        print(*write_meshes(Path(what)), sep="\n")
+        print(*write_meshes(Path(scene_name)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -210,8 +210,8 @@ def exchange_loop(
     nominal = span.period_ns / NS_PER_S
     guarded, number, ending, status = INITIAL_GUARD_STATE, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
-    begun = now_ns(timespec)
-    pace = first_pace(begun, span.period_ns, 0, timespec)
+    start = now_ns(timespec)
+    pace = first_pace(start, span.period_ns, 0, timespec)
 
     while span.waiting == 1 or number < rows.shape[0]:
         if load_acquire(words, _ENOUGH) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
@@ -221,21 +221,23 @@ def exchange_loop(
             sleep_until(pace.deadline, timespec)
         woke = now_ns(timespec)
         pace = with_suspension(pace, woke, timespec)
-        if 0 <= span.limit_ns < woke - begun:
+        if 0 <= span.limit_ns < woke - start:
             break
-        done = exchange_once(io, empty, guard, guarded, push_force(push, number * nominal), pace.dt, nominal, scratch)
-        guarded, status = done.guarded, done.status
+        exchanged = exchange_once(
+            io, empty, guard, guarded, push_force(push, number * nominal), pace.dt, nominal, scratch
+        )
+        guarded, status = exchanged.guarded, exchanged.status
         if status < 0 or status == END:
             ending = shutdown.FINISHED if status == END else shutdown.READ_FAILED
             break
-        if done.status_out < 0:
-            ending, status = shutdown.WRITE_FAILED, done.status_out
+        if exchanged.status_out < 0:
+            ending, status = shutdown.WRITE_FAILED, exchanged.status_out
             break
         if span.waiting == 0:
-            fill_row(rows[number], begun, woke, woke - pace.deadline, done, sample)
+            fill_row(rows[number], start, woke, woke - pace.deadline, exchanged, sample)
         number += 1
         store_release(words, _TICKS, ticks + number)
-        pace = next_pace(pace, done.empty_wrote, span.period_ns)
+        pace = next_pace(pace, exchanged.empty_wrote, span.period_ns)
 
     shutdown.write_zero(io.write, io.handle, wrench)
     return ending, status, 0 if span.waiting == 1 else number
@@ -297,8 +299,8 @@ class Exchange:
         `what` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """
         part = _RecordedPart(PartTiming(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
-        with progress(f"recording {what}", len(part.rows)) as done:
-            return self._record(part, done)
+        with progress(f"recording {what}", len(part.rows)) as update:
+            return self._record(part, update)
 
     def burst(self) -> Array:
         """Return rows of exchanges without pauses, at most BURST_ROWS and BURST_NS."""

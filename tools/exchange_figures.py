@@ -85,8 +85,8 @@ def table(result: dict[str, Any]) -> list[str]:
         f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
     ]
     for name in TIMES:
-        for label, found in ((name, result[name]), ("  empty", result[name]["empty"])):
-            cells = (f"{microseconds(found[q])} ({microseconds(found['blocks'][q])})" for q in found["blocks"])
+        for label, figures in ((name, result[name]), ("  empty", result[name]["empty"])):
+            cells = (f"{microseconds(figures[q])} ({microseconds(figures['blocks'][q])})" for q in figures["blocks"])
             lines.append(f"  {label:<14}" + "".join(f"{cell:>22}" for cell in cells))
     ratios = (f"{name} {result[name]['over_empty']['p50']:.1f}" for name in TIMES)
     lines.append(f"  times the empty exchange, p50: {', '.join(ratios)}")

@@ -19,11 +19,11 @@ def quantiles(values: Array, block: int) -> dict[str, Any]:
 
     Compare the median over blocks: a stall of the machine spoils only one block.
     """
-    found: dict[str, Any] = {name: float(np.percentile(values, at)) for name, at in QUANTILES.items()}
-    whole = len(values) // block * block
-    blocks = values[:whole].reshape(-1, block) if whole else values.reshape(1, -1)
-    found["blocks"] = {name: float(np.median(np.percentile(blocks, at, axis=1))) for name, at in QUANTILES.items()}
-    return found
+    quantiles: dict[str, Any] = {name: float(np.percentile(values, at)) for name, at in QUANTILES.items()}
+    used = len(values) // block * block
+    blocks = values[:used].reshape(-1, block) if used else values.reshape(1, -1)
+    quantiles["blocks"] = {name: float(np.median(np.percentile(blocks, at, axis=1))) for name, at in QUANTILES.items()}
+    return quantiles
 
 
 def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str]) -> None:

@@ -207,7 +207,7 @@ def stack(side: float) -> list[Move]:
 def plates() -> list[Move]:
     """Return a motion over a row of plates: on each one down, a stroke and back, up; then back to the first."""
     down, stroke, on = (0.0, 0.0, PRESSED_M - 0.001 - ABOVE_M), (0.0, 0.015, 0.0), (PLATE_PITCH_M, 0.0, 0.0)
-    one = [
+    samples = [
         Move(0.5, down),
         hold(0.2),
         Move(0.5, stroke),
@@ -215,7 +215,7 @@ def plates() -> list[Move]:
         hold(0.1),
         Move(0.3, opposite(down)),
     ]
-    row = [*one, *((PLATES - 1) * [Move(0.4, on), *one])]
+    row = [*samples, *((PLATES - 1) * [Move(0.4, on), *samples])]
     return [hold(0.3), *row, Move(1.2, (-(PLATES - 1) * PLATE_PITCH_M, 0.0, 0.0)), hold(0.3)]
 
 

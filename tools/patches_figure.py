@@ -136,10 +136,10 @@ def drag(case: TouchCase) -> Drag:
 
 def drags_table() -> Any:
     """Return the table for plane, seam, groove and CHAI3D's plane."""
-    found = {"plane": drag(plane()), "seam": drag(seam()), "groove": drag(groove())}
+    drags = {"plane": drag(plane()), "seam": drag(seam()), "groove": drag(groove())}
     rows = [
-        (name, f"{1e3 * abs(each.bias):.6f}", f"{1e3 * each.ripple:.6f}", f"{each.highest:.6f}")
-        for name, each in found.items()
+        (name, f"{1e3 * abs(result.bias):.6f}", f"{1e3 * result.ripple:.6f}", f"{result.highest:.6f}")
+        for name, result in drags.items()
     ]
     rows.append(("CHAI3D 3.3.0, plane of two triangles", "30", "52", "0.655"))
     columns = ("drag", "bias, mN", "ripple, mN a tick", "largest tangential / normal force")

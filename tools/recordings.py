@@ -90,9 +90,9 @@ def write(folder: Path) -> list[Path]:
 
 
 def _at(position: Vector, orientation: Quaternion, move: Move, u: float) -> tuple[Vector, Quaternion]:
-    done = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    x, y, z = (p + done * d for p, d in zip(position, move.travel, strict=True))
-    turn = quaternions.exp([done * angle for angle in move.turn])
+    progress = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    x, y, z = (p + progress * d for p, d in zip(position, move.travel, strict=True))
+    turn = quaternions.exp([progress * angle for angle in move.turn])
     return (x, y, z), tuple(quaternions.multiply(turn, orientation).tolist())
 
 

@@ -48,8 +48,8 @@ def run(args: argparse.Namespace) -> int:
     place = blackbox.folder()
     if place is None:
         log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
-    found = [] if place is None else blackbox.files(place)
-    boxes = found[len(found) - min(args.boxes, len(found)) :]
+    files = [] if place is None else blackbox.files(place)
+    boxes = files[len(files) - min(args.boxes, len(files)) :]
     cleaner = privacy.Privacy(device.serial for device in discovery.list_attached())
     content = {
         "softfinger": version("softfinger"),
@@ -91,8 +91,8 @@ def archive(file: Any, parts: Mapping[str, bytes]) -> None:
 
 def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
     """Return the mapping of a rig without [security], and without folders and serial numbers in device options."""
-    named = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
-    return {key: value for key, value in named.items() if key != "security"}
+    tables = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
+    return {key: value for key, value in tables.items() if key != "security"}
 
 
 def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:

@@ -60,16 +60,16 @@ def insert(page: str, tables: Mapping[str, str]) -> str:
 def run(*words: str) -> bytes:
     """Return the output of a command of the program, run as by its users; its progress goes to the terminal."""
     print(f"study: softfinger {' '.join(words)}", file=sys.stderr, flush=True)
-    done = subprocess.run([*PROGRAM, *words], stdout=subprocess.PIPE, check=False)
-    if done.returncode != 0:
-        raise HapticError(f"`softfinger {' '.join(words)}` ended with exit code {done.returncode}: see above")
-    return done.stdout
+    process = subprocess.run([*PROGRAM, *words], stdout=subprocess.PIPE, check=False)
+    if process.returncode != 0:
+        raise HapticError(f"`softfinger {' '.join(words)}` ended with exit code {process.returncode}: see above")
+    return process.stdout
 
 
 def command(*words: str) -> dict[str, Any]:
     """Return the result of a command that measures."""
-    found: dict[str, Any] = json.loads(run(*words, "--json"))
-    return found
+    result: dict[str, Any] = json.loads(run(*words, "--json"))
+    return result
 
 
 def draw_shipped_run(path: Path) -> None:
@@ -84,16 +84,16 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     drift, points, short = DRIFT_STEPS, str(POINTS), []
     if quick:
         drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]
-    found = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
-    tables = {"paper": markdown(report.paper_table(found))}
+    result = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
+    tables = {"paper": markdown(report.paper_table(result))}
     draw_shipped_run(figures / "run.svg")
     draw_patches(figures / "patches.svg")
     command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
         command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
-    found = command("stability", "--bodies")
-    tables["bodies"] = bodies_table.case_table([bodies.CellResult(**row) for row in found["bodies"]])
+    result = command("stability", "--bodies")
+    tables["bodies"] = bodies_table.case_table([bodies.CellResult(**row) for row in result["bodies"]])
     return tables
 
 

@@ -70,13 +70,13 @@ def run_cases(
         todo = {key: case for key, case in zip(keys, cases, strict=True) if key not in rows.done}
         if todo:
             finished = len(keys) - len(todo)
-            with _workers(scheduler, threads) as workers, progress(label, len(keys)) as done:
+            with _workers(scheduler, threads) as workers, progress(label, len(keys)) as update:
                 size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.number)))
-                for block_keys, found in _iterate_blocks(workers, function, todo, size):
-                    decoded = map(msgspec.msgpack.decode, found)
-                    rows.append((key, todo[key], one) for key, one in zip(block_keys, decoded, strict=True))
+                for block_keys, decoded_rows in _iterate_blocks(workers, function, todo, size):
+                    decoded = map(msgspec.msgpack.decode, decoded_rows)
+                    rows.append((key, todo[key], row) for key, row in zip(block_keys, decoded, strict=True))
                     finished += len(block_keys)
-                    done(finished)
+                    update(finished)
         return [rows.done[key] for key in keys]
 
 

@@ -65,8 +65,8 @@ def open_rows(path: Path | None) -> Iterator[StoredResults]:
             size = os.fstat(old.fileno()).st_size
             finished = list(_read(path, old)) if size else []
             # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
-            with new_file(target) as begun:
-                new = files.enter_context(open(os.dup(begun.fileno()), "wb"))
+            with new_file(target) as target_file:
+                new = files.enter_context(open(os.dup(target_file.fileno()), "wb"))
                 _lock(new, path)
                 file = _File(path, new)
                 for row in finished:
@@ -96,7 +96,7 @@ def _in_use_error(path: Path) -> RecordingError:
 
 def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
     """Yield the rows of the file up to the damage."""
-    count, whole = 0, False
+    count, is_complete = 0, False
     try:
         for _, channel, message in mcap_messages(file, None):
             row = msgspec.msgpack.decode(message.data)
@@ -104,7 +104,7 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
                 raise RecordingError(f"{path}: not a file of sweep results: name another, it would be overwritten")
             yield row
             count += 1
-        whole = True
+        is_complete = True
     except RecordingError:
         raise
     except GeneratorExit:
@@ -117,7 +117,7 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         log.warning(
             "%s is cut short or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
         )
-    if whole and not count:
+    if is_complete and not count:
         log.info("%s has no finished case", path)
 
 

@@ -40,7 +40,9 @@ def pair(scene: Scene, rig: Rig) -> tuple[FingerDevice, ...]:
             f"the scene has [[finger]] {names}, and the rig {has}: add {_tables(lacking)} to the rig, name a section "
             "it has as device of the finger, or take a scene with [fingertip]"
         )
-    return tuple(FingerDevice(each.name, f"[devices.{each.device}]", rig.devices[each.device]) for each in fingers)
+    return tuple(
+        FingerDevice(finger.name, f"[devices.{finger.device}]", rig.devices[finger.device]) for finger in fingers
+    )
 
 
 def single_device(rig: Rig) -> DeviceConfig:

@@ -54,9 +54,13 @@ class Scene(Table, frozen=True, kw_only=True):
             return (self._parts(tip, "", "", self.coupling, self.probe),)
         return tuple(
             self._parts(
-                each, each.name, each.device or each.name, each.coupling or self.coupling, each.probe or self.probe
+                finger,
+                finger.name,
+                finger.device or finger.name,
+                finger.coupling or self.coupling,
+                finger.probe or self.probe,
             )
-            for each in self.finger
+            for finger in self.finger
         )
 
     @staticmethod
@@ -111,15 +115,15 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
             if not is_usable(item) or not is_usable(item.name, item.device):
                 continue
             name = item.name if key == "name" else item.device or item.name
-            for other, earlier in first.items():
-                if key == "device" and name == other and name != item.name:
+            for earlier_name, earlier in first.items():
+                if key == "device" and name == earlier_name and name != item.name:
                     yield (f"finger[{index}].device", name, f"moves finger[{earlier}] already: name another")
-                elif key == "name" and (name.startswith(other) or other.startswith(name)):
+                elif key == "name" and (name.startswith(earlier_name) or earlier_name.startswith(name)):
                     yield (
                         f"finger[{index}].name",
                         name,
-                        f"and the name of finger[{earlier}], {other!r}, begin alike, one with the whole other: who "
-                        "subscribes to the telemetry of the shorter would get both; choose another",
+                        f"overlaps with the name of finger[{earlier}], {earlier_name!r}: a subscriber to the "
+                        "telemetry of the shorter name would get both; choose another",
                     )
             first.setdefault(name, index)
 
@@ -194,12 +198,12 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that rolling method, shapes and textures support an ellipsoidal fingertip."""
     if not is_usable(scene.fingertip, scene.finger):
         return
-    named: list[tuple[str, Form]] = [
+    fingertips: list[tuple[str, Form]] = [
         (f"finger[{index}].radii_m", item) for index, item in enumerate(scene.finger) if is_usable(item)
     ]
     if scene.fingertip is not None:
-        named.append(("fingertip.radii_m", scene.fingertip))
-    where = next((key for key, tip in named if is_usable(tip.radii_m) and tip.radii_m is not None), None)
+        fingertips.append(("fingertip.radii_m", scene.fingertip))
+    where = next((key for key, tip in fingertips if is_usable(tip.radii_m) and tip.radii_m is not None), None)
     if where is None:
         return
     if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
@@ -242,8 +246,8 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
     radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
     for scene_index, item in enumerate(scene.object):
         if is_usable(item) and any(radii):  # if the largest fits, all fit
-            for key, found, text in item.tight(max(radii)):
-                yield f"object[{scene_index}].{key}", found, text
+            for key, value, text in item.tight(max(radii)):
+                yield f"object[{scene_index}].{key}", value, text
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:

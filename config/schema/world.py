@@ -22,7 +22,7 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.name, self.group, self.default) and not any(
-            each is not None for each in (self.name, self.group, self.default)
+            condition is not None for condition in (self.name, self.group, self.default)
         ):
             yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
 

@@ -366,6 +366,6 @@ def cancel_transfers(handle: int) -> int:
     if word[AT.out_done] == 0:
         call_int32(word[AT.cancel], (word[AT.transfer_out],))
     _process_events(handle, SLICE_US)
-    ended = word[AT.in_done] != 0 and word[AT.out_done] != 0
+    is_done = word[AT.in_done] != 0 and word[AT.out_done] != 0
     exchange_int64(handle + 8 * AT.lock, 0)
-    return 1 if ended else 0
+    return 1 if is_done else 0

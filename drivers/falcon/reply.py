@@ -71,9 +71,9 @@ def pose(handle: int) -> int:
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[1],
         delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
     )
-    p, found = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
+    p, converged = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
     last_sample = float64_at(handle + 8 * AT.sample)
-    if found:
+    if converged:
         centre = float64_at(handle + 8 * AT.centre)
         knob_position = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
     else:

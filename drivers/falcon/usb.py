@@ -163,7 +163,7 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
         except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
             serials[f"? at {_node(device)}"] = device
         usb.util.dispose_resources(device)  # reading the serial number opened it
-    listed = ", ".join(f"'{one}'" for one in sorted(serials))
+    listed = ", ".join(f"'{serial}'" for serial in sorted(serials))
     if serial is None:
         raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {listed}")
     if serial not in serials:

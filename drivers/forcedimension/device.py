@@ -257,10 +257,10 @@ class ForceDimension(BlockDevice):
             self._raise_refused(name)
 
     def _raise_refused(self, name: str, advice: str = "switch it off and on, then start again") -> NoReturn:
-        what = f"{self._model.full_name} refused {name}: {library.error_text(self._library)}"
+        message = f"{self._model.full_name} refused {name}: {library.error_text(self._library)}"
         if self._library.dhdErrorGetLast() == library.ERROR_TIMEOUT:
-            raise DeviceTimeout(f"{what}: check cable and power, then start again")
-        raise DeviceError(f"{what}: {advice}")
+            raise DeviceTimeout(f"{message}: check cable and power, then start again")
+        raise DeviceError(f"{message}: {advice}")
 
     def _info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits

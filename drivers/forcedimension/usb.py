@@ -28,26 +28,26 @@ class UsbDevice(NamedTuple):
 
 def list_attached() -> list[UsbDevice]:
     """Return every device of the vendor; none without USB, or without libusb."""
-    found: list[UsbDevice] = []
+    devices: list[UsbDevice] = []
     for device in discovery.find_usb(idVendor=VENDOR):
         node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
         name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
         permitted = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK, effective_ids=True)
-        found.append(UsbDevice(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
-    return found
+        devices.append(UsbDevice(f"{name} ({VENDOR:04x}:{device.idProduct:04x})", node, permitted))
+    return devices
 
 
 def holders(device: UsbDevice) -> list[str]:
     """Return visible processes with the device's node open, as `name (pid)`, except this process."""
-    found: list[str] = []
+    processes: list[str] = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             is_open = any(os.path.samefile(link, device.node) for link in (process / "fd").iterdir())
             if is_open and process.name != str(os.getpid()):
-                found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
+                processes.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
         except OSError:  # it has exited, belongs to another user, or there is no node
             continue
-    return sorted(found)
+    return sorted(processes)
 
 
 def how_to_permit(device: UsbDevice) -> str:

@@ -91,8 +91,8 @@ class _Response:
 
 
 def _is_complete(received: bytearray) -> bool:
-    head, found, body = received.partition(b"\r\n\r\n")
-    length = _LENGTH.search(head + b"\r\n") if found else None
+    head, separator, body = received.partition(b"\r\n\r\n")
+    length = _LENGTH.search(head + b"\r\n") if separator else None
     return length is not None and len(body) >= int(length[1])
 
 

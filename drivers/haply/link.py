@@ -60,21 +60,21 @@ class WebSocketLink:
         Raises DeviceLost if the connection is closed, Malformed if the data violates the protocol or a message is too
         long.
         """
-        found, self._queued_messages = self._queued_messages, []
+        messages, self._queued_messages = self._queued_messages, []
         try:
             data = self._end.recv(CHUNK)
         except BlockingIOError:
-            return found
+            return messages
         except OSError as error:
             raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
-        return found + self._process_data(data)
+        return messages + self._process_data(data)
 
     def next(self, until: float) -> bytes:
         """Wait for the next message and return it."""
-        while not (found := self.receive()):
+        while not (messages := self.receive()):
             select.select([self._end], [], [], check_remaining_time(until))
-        self._queued_messages = found[1:]
-        return found[0]
+        self._queued_messages = messages[1:]
+        return messages[0]
 
     def close(self, last: bytes = b"") -> bool:
         """Send `last` and a Close frame, wait up to `CLOSE_TIMEOUT_S` until the service closes, close the socket.
@@ -124,13 +124,13 @@ class WebSocketLink:
     def _await_handshake(self, until: float) -> list[bytes]:
         """Wait until the service accepts the connection; return messages received with the acceptance."""
         while True:
-            found = self.receive_handshake(until)
+            messages = self.receive_handshake(until)
             if self._protocol.handshake_exc is not None:
                 raise DeviceError(
                     f"the program on the port is not an Inverse Service of 3.1 or later: {self._protocol.handshake_exc}"
                 )
             if self._protocol.state.name == "OPEN":
-                return found
+                return messages
 
     def receive_handshake(self, until: float) -> list[bytes]:
         select.select([self._end], [], [], check_remaining_time(until))
@@ -146,7 +146,7 @@ class WebSocketLink:
             raise DeviceError(str(error)) from None
 
     def _process_data(self, data: bytes) -> list[bytes]:
-        protocol, found = self._protocol, []
+        protocol, messages = self._protocol, []
         if data:
             protocol.receive_data(data)
         else:
@@ -158,7 +158,7 @@ class WebSocketLink:
             if len(self._partial) > MESSAGE_MAX:
                 raise Malformed(f"a message of the service has more than {MESSAGE_MAX} bytes")
             if event.fin:
-                found.append(bytes(self._partial))
+                messages.append(bytes(self._partial))
                 self._partial.clear()
         if protocol.state.name in ("CLOSING", "CLOSED") and protocol.handshake_exc is None:
             # The library's Close frame is not sent yet: `close` sends the last message before it.
@@ -166,7 +166,7 @@ class WebSocketLink:
                 raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {excerpt(data)}")
             raise DeviceLost("the Inverse Service closed the connection: was it stopped or restarted?")
         self._flush()
-        return found
+        return messages
 
     def _flush(self) -> None:
         self._unsent += b"".join(self._protocol.data_to_send())

@@ -131,7 +131,7 @@ class Inventory(Struct):
     custom_verse_grip: list[Listed] = []
 
     def of(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, Listed]]:
-        return [(DeviceRef(group, one.device_id), one) for group in groups for one in getattr(self, group)]
+        return [(DeviceRef(group, entry.device_id), entry) for group in groups for entry in getattr(self, group)]
 
 
 class DeviceRef(NamedTuple):

@@ -105,17 +105,17 @@ def choose_device(
 ) -> tuple[DeviceRef, Listed]:
     """Return the device of `models` with the id, or the only one; raises DeviceNotFound."""
     entries = inventory.of(GROUPS)
-    named = [one for one in entries if device_id in (None, one[0].name)]
-    matching = [one for one in named if models is None or _model(*one) in models]
+    candidates = [entry for entry in entries if device_id in (None, entry[0].name)]
+    matching = [entry for entry in candidates if models is None or _model(*entry) in models]
     if len(matching) == 1:
         return matching[0]
     listed = ", ".join(str(ref) for ref, _ in entries)
     if matching:
         raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {listed}")
-    if named and models is not None:
-        found = ", ".join(f"{ref} (type {_model(ref, one)})" for ref, one in named)
+    if candidates and models is not None:
+        present = ", ".join(f"{ref} (type {_model(ref, entry)})" for ref, entry in candidates)
         raise DeviceNotFound(
-            f"the Inverse Service lists {found}, but the rig is for {', '.join(models)}: take rig haply-inverse3 or "
+            f"the Inverse Service lists {present}, but the rig is for {', '.join(models)}: take rig haply-inverse3 or "
             "haply-minverse, or change models, limits and mounting under [device]"
         )
     id_text = f" with device_id = '{device_id}'" if device_id is not None else ""

@@ -72,23 +72,23 @@ def find_device(options: Options) -> str:
     """
     nodes_found = list(discovery.hidraw_nodes())
     usb_ids = (options.vendor_id, options.product_id)
-    nodes = {one.node: one for one in nodes_found if (one.vendor, one.product) == usb_ids}
+    nodes = {node.node: node for node in nodes_found if (node.vendor, node.product) == usb_ids}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
         interfaces = usb.list_attached(*usb_ids)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
-        matching = {path: one.serial for path, one in nodes.items() if has_reports(one.descriptor, options.reports)}
+        matching = {path: node.serial for path, node in nodes.items() if has_reports(node.descriptor, options.reports)}
         # If none has the rig's reports, opening one fails with a message about its reports.
-        return _choose(options, matching or {path: one.serial for path, one in nodes.items()})
-    without_node = [one for one in discovery.usb_devices() if (one.vendor, one.product) == usb_ids]
+        return _choose(options, matching or {path: node.serial for path, node in nodes.items()})
+    without_node = [device for device in discovery.usb_devices() if (device.vendor, device.product) == usb_ids]
     if without_node:
         raise DeviceNotFound(
             f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    present_ids = sorted({ids(one.vendor, one.product) for one in nodes_found})
+    present_ids = sorted({ids(node.vendor, node.product) for node in nodes_found})
     attached_text = f"attached are {', '.join(present_ids)}" if present_ids else "no HID device is attached"
     raise DeviceNotFound(f"no HID device {ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}")
 

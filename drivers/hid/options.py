@@ -72,14 +72,17 @@ def library_lengths() -> dict[str, ReportLengths]:
     """Return the lengths of the reports of each shipped format."""
     return {
         name: ReportLengths(
-            *({one[direction].get("id", 0): one[direction]["bytes"]} for direction in ("input", "output"))
+            *({reports[direction].get("id", 0): reports[direction]["bytes"]} for direction in ("input", "output"))
         )
-        for name, one in _library().items()
+        for name, reports in _library().items()
     }
 
 
 def _formats() -> Mapping[str, LibraryEntry]:
-    return {name: LibraryEntry(about=name, holds="", papers=(), values=dict(one)) for name, one in _library().items()}
+    return {
+        name: LibraryEntry(about=name, holds="", papers=(), values=dict(reports))
+        for name, reports in _library().items()
+    }
 
 
 class Reports(Table, frozen=True, kw_only=True):

@@ -33,10 +33,11 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
     A path such as 1-2.3:1.0 contains bus, ports and interface.
     """
     matching: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
-    named = {os.fsdecode(one["path"]): one["serial_number"] or "" for one in matching}
+    serials = {os.fsdecode(entry["path"]): entry["serial_number"] or "" for entry in matching}
     # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
     return {
-        path: device_entry.serial if (device_entry := _find_device(path)) else serial for path, serial in named.items()
+        path: device_entry.serial if (device_entry := _find_device(path)) else serial
+        for path, serial in serials.items()
     }
 
 

@@ -104,10 +104,10 @@ def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3
 @jit
 def inverse(d: Delta, p: Vec3) -> tuple[Vec3, Rows]:
     """Return leg angles (3,) rad for the end at `p` (3,) m from the base, and K (3, 3) rad/m; NaN out of reach."""
-    one, row1 = _leg(d, d.cos[0], d.sin[0], p)
-    two, row2 = _leg(d, d.cos[1], d.sin[1], p)
-    three, row3 = _leg(d, d.cos[2], d.sin[2], p)
-    return (one, two, three), (row1, row2, row3)
+    angle1, row1 = _leg(d, d.cos[0], d.sin[0], p)
+    angle2, row2 = _leg(d, d.cos[1], d.sin[1], p)
+    angle3, row3 = _leg(d, d.cos[2], d.sin[2], p)
+    return (angle1, angle2, angle3), (row1, row2, row3)
 
 
 @jit
@@ -145,10 +145,10 @@ def forward(d: Delta, theta: Vec3, last: Vec3) -> tuple[Vec3, bool]:
     Newton's method on `inverse`: from the last solution, less than a millimetre away after a tick's motion, or from
     home if that fails.
     """
-    p, found = _newton(d, theta, last)
-    if not found:
-        p, found = _newton(d, theta, d.home)
-    return p, found
+    p, converged = _newton(d, theta, last)
+    if not converged:
+        p, converged = _newton(d, theta, d.home)
+    return p, converged
 
 
 @jit

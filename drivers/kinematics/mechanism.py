@@ -100,7 +100,7 @@ def make_mechanism(spec: options.Kinematics, force_max_n: float) -> Mechanism:
 def _make_delta(spec: options.Delta, origin: Vec3) -> delta.Delta:
     base, end, arm, rod = (float(v) for v in (spec.base_m, spec.end_m, spec.arm_m, spec.rod_m))
     gap = base - end + 0.5 * arm  # for an arm at 60 degrees and the end on the axis
-    one, two, three = (radians(v) for v in spec.legs_deg)
+    a, b, c = (radians(v) for v in spec.legs_deg)
     return delta.Delta(
         arm=arm,
         rod=rod,
@@ -109,8 +109,8 @@ def _make_delta(spec: options.Delta, origin: Vec3) -> delta.Delta:
         shift=0.0,
         base=base,
         offset=0.0,
-        cos=(cos(one), cos(two), cos(three)),
-        sin=(sin(one), sin(two), sin(three)),
+        cos=(cos(a), cos(b), cos(c)),
+        sin=(sin(a), sin(b), sin(c)),
         home=(0.0, 0.0, sqrt(0.75) * arm + sqrt(rod * rod - gap * gap)),
         origin=origin,
     )
@@ -124,22 +124,22 @@ def forward_kinematics(kind: int, m: Mechanism, values: Any, last_position: Any)
 
     last_position  (3,) m, updated from tick to tick: that of a delta
     """
-    one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
+    a, b, c = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     position, orientation, status = _ZERO, _IDENTITY, FULL
     if kind == PADDLE:
-        position = paddle.forward(m.length, one)
+        position = paddle.forward(m.length, a)
     elif kind == PANTOGRAPH:
-        position = pantograph.forward(m.pantograph, one, two)
+        position = pantograph.forward(m.pantograph, a, b)
     elif kind == DELTA:
-        end_position, found = delta.forward(
-            m.delta, (one, two, three), (last_position[0], last_position[1], last_position[2])
+        end_position, converged = delta.forward(
+            m.delta, (a, b, c), (last_position[0], last_position[1], last_position[2])
         )
-        if not found:
+        if not converged:
             end_position, status = m.delta.home, SINGULAR
         last_position[0], last_position[1], last_position[2] = end_position
-        position = vec3.sub(end_position, m.delta.origin) if found else _NO_POSITION
+        position = vec3.sub(end_position, m.delta.origin) if converged else _NO_POSITION
     elif kind in (CHAIN, CHAIN_WITH_WRIST):
-        angles = chain.angles_of(m.chain, (one, two, three))
+        angles = chain.angles_of(m.chain, (a, b, c))
         position = chain.forward(m.chain, angles)
         if kind == CHAIN_WITH_WRIST:
             wrist = (values[WRIST], values[WRIST + 1], values[WRIST + 2])
@@ -160,9 +160,9 @@ def forward_kinematics(kind: int, m: Mechanism, values: Any, last_position: Any)
 @jit
 def force_to_command(kind: int, m: Mechanism, values: Any, last_position: Any, force: Vec3, command: Any) -> int:
     """Compute the `command` that displays a force (3,) N, device's frame; return FULL, LIMITED or SINGULAR."""
-    one, two, three = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
+    a, b, c = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     if kind in (CHAIN, CHAIN_WITH_WRIST):
-        current, is_limited = chain.currents_for(m.chain, chain.angles_of(m.chain, (one, two, three)), force)
+        current, is_limited = chain.currents_for(m.chain, chain.angles_of(m.chain, (a, b, c)), force)
         for k in range(3):
             command[CURRENT + k] = current[k]
         return LIMITED if is_limited else FULL
@@ -176,9 +176,9 @@ def force_to_command(kind: int, m: Mechanism, values: Any, last_position: Any, f
         return LIMITED if is_limited else FULL
     is_singular = False
     if kind == PADDLE:
-        torque = paddle.torques_for(m.length, one, force)
+        torque = paddle.torques_for(m.length, a, force)
     elif kind == PANTOGRAPH:
-        torque, is_singular = pantograph.torques_for(m.pantograph, one, two, force)
+        torque, is_singular = pantograph.torques_for(m.pantograph, a, b, force)
     else:
         torque, exists = delta.torques_for(m.delta, (last_position[0], last_position[1], last_position[2]), force)
         is_singular = not exists

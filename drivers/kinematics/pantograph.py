@@ -49,12 +49,12 @@ def _elbows(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3]:
 @jit
 def _end(p: Pantograph, a: float, b: float) -> Vec3:
     """Return the end without the origin subtracted; if the elbows are too far apart for the links, their midpoint."""
-    one, two = _elbows(p, a, b)
-    h = vec3.sub(two, one)
+    elbow_a, elbow_b = _elbows(p, a, b)
+    h = vec3.sub(elbow_b, elbow_a)
     elbow_distance = sqrt(h[0] * h[0] + h[1] * h[1])
     height = sqrt(max(p.outer * p.outer - 0.25 * elbow_distance * elbow_distance, 0.0))
     normal = (-h[1] / elbow_distance, h[0] / elbow_distance, 0.0) if elbow_distance > 0.0 else (0.0, 1.0, 0.0)
-    return vec3.add_scaled(vec3.scale(0.5, vec3.add(one, two)), height, normal)
+    return vec3.add_scaled(vec3.scale(0.5, vec3.add(elbow_a, elbow_b)), height, normal)
 
 
 @jit
@@ -69,9 +69,9 @@ def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
 
     If the sine is 0, the columns are 0.
     """
-    one, two = _elbows(p, a, b)
+    elbow_a, elbow_b = _elbows(p, a, b)
     end = _end(p, a, b)
-    u, v = vec3.sub(end, one), vec3.sub(end, two)
+    u, v = vec3.sub(end, elbow_a), vec3.sub(end, elbow_b)
     cross = u[0] * v[1] - u[1] * v[0]
     sine = abs(cross) / (p.outer * p.outer)
     if not sine > 0.0:

@@ -205,7 +205,9 @@ class OpenHaptics(BlockDevice):
     def _calibrate(self, is_needed: bool) -> bool:
         """Calibrate the device in its best style: automatic, by the inkwell, or at the present position."""
         call = self._library
-        best = next((one for one in (library.AUTO, library.INKWELL, library.ENCODER_RESET) if self._style & one), 0)
+        best = next(
+            (style for style in (library.AUTO, library.INKWELL, library.ENCODER_RESET) if self._style & style), 0
+        )
         until, was_asked = time.monotonic() + self._options.calibration_wait_s, False
         while is_needed:
             call.hdMakeCurrentDevice(self._device)
@@ -249,21 +251,21 @@ class OpenHaptics(BlockDevice):
         if word[AT.status] < 0:
             raise DeviceError(f"{self.info.name} returns no pose: {self.reason()}: {_RETRY_REMEDY}")
 
-    def _integer(self, what: int) -> int:
+    def _integer(self, parameter: int) -> int:
         value = ctypes.c_int()
         self._library.hdMakeCurrentDevice(self._device)
-        self._library.hdGetIntegerv(what, ctypes.byref(value))
+        self._library.hdGetIntegerv(parameter, ctypes.byref(value))
         return value.value
 
-    def _doubles(self, what: int, count: int) -> list[float]:
+    def _doubles(self, parameter: int, count: int) -> list[float]:
         values = (ctypes.c_double * 16)(*[math.nan] * 16)
         self._library.hdMakeCurrentDevice(self._device)
-        self._library.hdGetDoublev(what, values)
+        self._library.hdGetDoublev(parameter, values)
         return list(values)[:count]
 
-    def _raise_errors(self, what: str) -> None:
-        if found := library.errors(self._library):
-            raise DeviceError(f"{what} failed: {'; '.join(map(str, found))}: {_RETRY_REMEDY}")
+    def _raise_errors(self, action: str) -> None:
+        if errors := library.errors(self._library):
+            raise DeviceError(f"{action} failed: {'; '.join(map(str, errors))}: {_RETRY_REMEDY}")
 
     # --- ending ---------------------------------------------------------------------------------
 
@@ -335,12 +337,12 @@ def open_device(options: Options, rate_hz: float) -> OpenHaptics:
 def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
     library.errors(call)  # discard earlier errors
     device = call.hdInitDevice(None if name is None else name.encode())
-    found = library.errors(call)
-    if device != library.INVALID_HANDLE and not found:
+    errors = library.errors(call)
+    if device != library.INVALID_HANDLE and not errors:
         return int(device)
     if device != library.INVALID_HANDLE:
         call.hdDisableDevice(device)
-    _raise_open_error(name, found)
+    _raise_open_error(name, errors)
 
 
 def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn:

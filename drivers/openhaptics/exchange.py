@@ -128,10 +128,10 @@ def _read_state(handle: int) -> None:
         frames == PROBE_TEMPERATURE or frames % TEMPERATURE_EVERY == TEMPERATURE_EVERY - 1
     ):
         call_void(word[AT.get_doubles], (np.int32(hd.MOTOR_TEMPERATURE), handle + 8 * AT.temperatures))
-        most, each = 0.0, float64_at(handle + 8 * AT.temperatures)
+        most, temperatures = 0.0, float64_at(handle + 8 * AT.temperatures)
         for k in range(MOTORS):
-            if isfinite(each[k]):
-                most = max(most, each[k])
+            if isfinite(temperatures[k]):
+                most = max(most, temperatures[k])
         word[AT.temperature] = int(1000.0 * min(most, 10.0))
 
 
@@ -149,10 +149,10 @@ def _read_wrench(handle: int, slot: Slot, into: Any) -> Any:
 
 
 @jit
-def _send_vector(handle: int, what: int, x: float, y: float, z: float) -> None:
+def _send_vector(handle: int, parameter: int, x: float, y: float, z: float) -> None:
     vector = float64_at(handle + 8 * AT.vector)
     vector[0], vector[1], vector[2] = x, z, -y
-    call_void(int64_at(handle)[AT.set_doubles], (np.int32(what), handle + 8 * AT.vector))
+    call_void(int64_at(handle)[AT.set_doubles], (np.int32(parameter), handle + 8 * AT.vector))
 
 
 @jit

@@ -153,13 +153,13 @@ def load(named: str | None) -> ctypes.CDLL:
 
 def errors(library: ctypes.CDLL) -> list[Error]:
     """Remove all errors from the library's stack and return them, oldest first."""
-    found: list[Error] = []
+    listed: list[Error] = []
     for _ in range(ERRORS_MAX):
         error = library.hdGetError()
         if error.code == 0:
             break
-        found.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
-    return found[::-1]
+        listed.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
+    return listed[::-1]
 
 
 def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:

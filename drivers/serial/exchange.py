@@ -70,10 +70,10 @@ class Serial(NamedTuple):
 
 
 @jit
-def _read_text(handle: int, wanted: int) -> tuple[int, int]:
-    """Read at most `wanted` bytes of text; return the number of bytes, or a status below 0, and of completed frames."""
+def _read_text(handle: int, size: int) -> tuple[int, int]:
+    """Read at most `size` bytes of text; return the number of bytes, or a status below 0, and of completed frames."""
     at, incoming = int64_at(handle), handle + 8 * AT.incoming
-    count = read_waiting(at[BOARD.fd], incoming + LOOKBACK, wanted, handle + 8 * AT.ioctl_scratch)
+    count = read_waiting(at[BOARD.fd], incoming + LOOKBACK, size, handle + 8 * AT.ioctl_scratch)
     if count <= 0:
         return count, 0
     scratch, values = float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values)
@@ -81,10 +81,10 @@ def _read_text(handle: int, wanted: int) -> tuple[int, int]:
 
 
 @outlined
-def _read_packets(handle: int, wanted: int) -> tuple[int, int]:
+def _read_packets(handle: int, size: int) -> tuple[int, int]:
     """Read like `_read_text`, for frames that the rig describes."""
     at = int64_at(handle)
-    count = read_waiting(at[BOARD.fd], at[AT.stream] + at[AT.stream_bytes], wanted, handle + 8 * AT.ioctl_scratch)
+    count = read_waiting(at[BOARD.fd], at[AT.stream] + at[AT.stream_bytes], size, handle + 8 * AT.ioctl_scratch)
     if count <= 0:
         return count, 0
     at[AT.stream_bytes] += count

@@ -70,11 +70,11 @@ def decode(frame: int, values: Any) -> bool:
         negative = text[at] == _MINUS
         if negative or text[at] == _PLUS:
             at += 1
-        whole, digits, scale, in_fraction = 0, 0, 1.0, False
+        mantissa, digits, scale, in_fraction = 0, 0, 1.0, False
         while True:
             digit = int(text[at]) - _ZERO
             if 0 <= digit <= 9:
-                whole = 10 * whole + digit
+                mantissa = 10 * mantissa + digit
                 digits += 1
                 if in_fraction:
                     scale *= 10.0
@@ -87,7 +87,7 @@ def decode(frame: int, values: Any) -> bool:
             at += 1
         if digits == 0 or not (text[at] == _BLANK or (n == INFO and text[at] == NEWLINE)):
             return False
-        value = whole / scale
+        value = mantissa / scale
         if value > (REACH_MM if n < ANGLES else ANGLE_MAX_RAD if n < INFO else INFO_MAX):
             return False
         values[n] = -value if negative else value

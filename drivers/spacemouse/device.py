@@ -248,8 +248,8 @@ def open_puck(options: Options) -> tuple[int, str]:
     """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
-    found = find(options)
-    return open_path(found.node, found.vendor, found.product), found.name
+    puck = find(options)
+    return open_path(puck.node, puck.vendor, puck.product), puck.name
 
 
 def find(options: Options) -> SystemDevice:

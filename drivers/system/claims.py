@@ -87,7 +87,7 @@ def claims_by_ids(device: SystemDevice) -> list[Claim]:
 def describe_foreign_product(device: SystemDevice) -> str | None:
     """Return a description of a device with known ids, but the product string of another maker; else None."""
     products = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
-    return next((what for product_prefix, what in products.items() if _has_prefix(device, product_prefix)), None)
+    return next((name for product_prefix, name in products.items() if _has_prefix(device, product_prefix)), None)
 
 
 def _has_prefix(device: SystemDevice, product_prefix: str) -> bool:
@@ -163,5 +163,7 @@ def _lengths(format_: str | None) -> ReportLengths | None:
     """Return the report lengths of a shipped format, read here without importing its driver."""
     if format_ is None:
         return None
-    one = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]
-    return ReportLengths(*({one[direction].get("id", 0): one[direction]["bytes"]} for direction in ("input", "output")))
+    entry = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]
+    return ReportLengths(
+        *({entry[direction].get("id", 0): entry[direction]["bytes"]} for direction in ("input", "output"))
+    )

@@ -72,8 +72,8 @@ def list_attached(root: Path = ROOT) -> list[SystemDevice]:
     root  folder that contains sys and dev
     """
     nodes = [*hidraw_nodes(root), *serial_ports(root)]
-    status = {(one.vendor, one.product) for one in nodes}
-    return [*nodes, *(one for one in usb_devices(root) if (one.vendor, one.product) not in status)]
+    listed_ids = {(node.vendor, node.product) for node in nodes}
+    return [*nodes, *(device for device in usb_devices(root) if (device.vendor, device.product) not in listed_ids)]
 
 
 def has_usb(root: Path = ROOT) -> bool:
@@ -103,16 +103,16 @@ def hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
     for name in _sort_by_number(_list_names(folder)):
-        if (found := _hidraw_node(folder / name)) is not None:
-            yield found
+        if (node := _hidraw_node(folder / name)) is not None:
+            yield node
 
 
 def serial_ports(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
     for name in _sort_by_number(filter(_is_port, _list_names(folder))):
-        if (found := _serial_port(folder / name)) is not None:
-            yield found
+        if (port := _serial_port(folder / name)) is not None:
+            yield port
 
 
 def serial_port(node: str, root: Path = ROOT) -> SystemDevice | None:
@@ -127,8 +127,8 @@ def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
         yield from _usb_devices_of_pyusb()
         return
     for name in sorted(_list_names(folder)):
-        if _is_device(name) and (found := _usb_device(folder / name)) is not None:
-            yield found
+        if _is_device(name) and (device := _usb_device(folder / name)) is not None:
+            yield device
 
 
 def is_permitted(node: str) -> bool:

@@ -20,14 +20,14 @@ def backend() -> Any | None:
     import usb.backend.libusb1
 
     for find in (_system_soname, _package_finder()):
-        if find is not None and (found := usb.backend.libusb1.get_backend(find_library=find)) is not None:
-            return found
+        if find is not None and (library := usb.backend.libusb1.get_backend(find_library=find)) is not None:
+            return library
     return None
 
 
 def origin() -> str:
     """Return the name or path of the libusb that pyusb uses; empty if none can be loaded."""
-    return str(found.lib._name) if (found := backend()) is not None else ""
+    return str(library.lib._name) if (library := backend()) is not None else ""
 
 
 def find(**ids: int) -> list[Any]:

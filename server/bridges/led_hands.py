@@ -86,7 +86,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._guard = load_rig("simulated", {"guard.ramp_s": RAMP_S}).guard
         self._devices = [make_simulation(Options(position_m=home, hand=setup.hand), setup.rate_hz) for home in homes_m]
         tuning = make_tuning(self.config, self._guard)
-        self._loop = ClosedLoop(tuning, [each.state for each in self._devices])
+        self._loop = ClosedLoop(tuning, [device.state for device in self._devices])
         self._homes, self._dt = np.array(homes_m), 1.0 / setup.rate_hz
         self._lowest, self._highest = self._homes - setup.reach_m, self._homes + setup.reach_m
         self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)

@@ -148,7 +148,7 @@ class RerunSink:
         if kind == "cubes":
             yield rr.Boxes3D(sizes=[size], colors=color, fill_mode="solid")
         elif kind == "spheres":
-            yield rr.Ellipsoids3D(half_sizes=[[0.5 * each for each in size]], colors=color, fill_mode="solid")
+            yield rr.Ellipsoids3D(half_sizes=[[0.5 * side for side in size]], colors=color, fill_mode="solid")
         elif kind == "cylinders":
             yield rr.Cylinders3D(radii=[0.5 * size[0]], lengths=[size[2]], colors=color, fill_mode="solid")
         elif kind == "lines":

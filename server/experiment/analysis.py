@@ -64,11 +64,11 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     participants = sorted({row["participant"] for row in counted})
     if len(participants) > max(1, len(excluded)):
         participants.append(ALL_PARTICIPANTS)
-    pairs = [(participant, each.name) for participant in participants for each in list_conditions(experiment)]
+    pairs = [(participant, item.name) for participant in participants for item in list_conditions(experiment)]
     groups = []
-    with progress("fitting", len(pairs)) as done:
+    with progress("fitting", len(pairs)) as update:
         for number, (participant, condition) in enumerate(pairs):
-            done(number)
+            update(number)
             group_rows = [
                 row
                 for row in counted
@@ -184,7 +184,7 @@ def _central_probability(t: float, freedom: int) -> float:
 def mean_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
     """Return mean and standard deviation of the columns in AVERAGED_COLUMNS that the rows have."""
     columns = {name: np.array([row[name] for row in rows if name in row]) for name in AVERAGED_COLUMNS}
-    return {name: (float(each.mean()), float(each.std())) for name, each in columns.items() if len(each)}
+    return {name: (float(values.mean()), float(values.std())) for name, values in columns.items() if len(values)}
 
 
 def format_fit(result: Fit | PowerLaw) -> str:

@@ -92,9 +92,9 @@ class Participant:
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
     ) -> Answer:
-        line, (done, of) = question.text, place
+        line, (index, of) = question.text, place
         if of > 1:
-            title = f"{title}: question {done + 1} of {of}"
+            title = f"{title}: question {index + 1} of {of}"
         prompt = partial(Prompt, title, line, *place if of > 1 else (0, 0))
         if question.kind == "text":
             return self._ask(prompt(text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")

@@ -130,14 +130,14 @@ class _Checks:
         """Return the faults of the parameters at the extremes of each condition, each fault once."""
         distinct = dict[str, str]()
         for where, name, values in level_extremes(self.experiment):
-            found, rig, scene = list[str](), self._rig, self._scenes[name]
-            parameters = attempt(partial(rigs.split, values, where), found)
+            faults, rig, scene = list[str](), self._rig, self._scenes[name]
+            parameters = attempt(partial(rigs.split, values, where), faults)
             if parameters is not None and rig is not None:
-                attempt(partial(rigs.check_motors, rig.guard, parameters[0], where), found)
-                attempt(partial(apply_overrides, rig, parameters[0], where), found)
+                attempt(partial(rigs.check_motors, rig.guard, parameters[0], where), faults)
+                attempt(partial(apply_overrides, rig, parameters[0], where), faults)
             if parameters is not None and scene is not None:
-                attempt(partial(load_changed_scene, scene, parameters[1], where), found)
-            for fault in found:
+                attempt(partial(load_changed_scene, scene, parameters[1], where), faults)
+            for fault in faults:
                 distinct.setdefault(fault.removeprefix(f"{where}: "), fault)
         return list(distinct.values())
 

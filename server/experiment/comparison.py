@@ -64,11 +64,11 @@ def compare_models(
         if is_counted(row) and row["participant"] not in excluded:
             by_participant.setdefault(row["participant"], []).append(row)
     names = [factor.name for factor in experiment.factor]
-    found = []
+    comparisons = []
     for factor in names:
         remaining_factors = [name for name in names if name != factor]
         with_factor, without = (
-            [_maximum(experiment, each, keys) for each in by_participant.values()]
+            [_maximum(experiment, answers, keys) for answers in by_participant.values()]
             for keys in (names, remaining_factors)
         )
         parameters = sum(count for count, _ in with_factor), sum(count for count, _ in without)
@@ -77,10 +77,10 @@ def compare_models(
         if freedom > 0:
             chi_squared = max(2.0 * (maxima[0] - maxima[1]), 0.0)  # the two models have grids of different steps
             p_value = chi_squared_tail(chi_squared, freedom)
-            found.append(
+            comparisons.append(
                 Comparison(factor, parameters, maxima, chi_squared, freedom, p_value, chi_squared - 2.0 * freedom)
             )
-    return found
+    return comparisons
 
 
 def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
@@ -93,15 +93,15 @@ def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[s
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
     if experiment.task.kind == "compare":
         total = sum(
-            log_likelihoods([row["level"] for row in each], [row["right"] for row in each], experiment.observer.lapse)[
-                1
-            ].max(axis=0)
-            for each in groups.values()
+            log_likelihoods(
+                [row["level"] for row in group], [row["right"] for row in group], experiment.observer.lapse
+            )[1].max(axis=0)
+            for group in groups.values()
         )
         return len(groups) + 1, float(np.max(total))
-    y = np.log([row["answer"] for each in groups.values() for row in each])
-    columns = np.repeat(np.eye(len(groups)), [len(each) for each in groups.values()], axis=0)
-    levels = np.log([row["level"] for each in groups.values() for row in each])
+    y = np.log([row["answer"] for group in groups.values() for row in group])
+    columns = np.repeat(np.eye(len(groups)), [len(group) for group in groups.values()], axis=0)
+    levels = np.log([row["level"] for group in groups.values() for row in group])
     if len(set(levels)) > 1:
         columns = np.column_stack([columns, levels])
     residuals = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
@@ -140,9 +140,9 @@ def estimate_population(groups: Sequence[Group], excluded: Collection[str] = ())
     for (_, condition), value in _values_by_condition(groups, excluded).items():
         values.setdefault(condition, []).append(value)
     estimates = []
-    for condition, each in values.items():
-        mean, (low, high) = mean_interval(list(map(math.log, each)))
-        estimates.append(Estimate(condition, len(each), math.exp(mean), (math.exp(low), math.exp(high))))
+    for condition, level_values in values.items():
+        mean, (low, high) = mean_interval(list(map(math.log, level_values)))
+        estimates.append(Estimate(condition, len(level_values), math.exp(mean), (math.exp(low), math.exp(high))))
     return estimates
 
 
@@ -185,15 +185,17 @@ def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, 
         name, baseline = factor.name, factor.levels[0]
         for level in factor.levels[1:]:
             pairs = [
-                (each.name, base.name)
-                for each in designed
+                (condition.name, base.name)
+                for condition in designed
                 for base in designed
-                if each.levels[name] == level and base.levels == each.levels | {name: baseline}
+                if condition.levels[name] == level and base.levels == condition.levels | {name: baseline}
             ]
             differences = [
-                float(np.mean([values[who, condition] - values[who, base] for condition, base in pairs]))
-                for who in participants
-                if all((who, condition) in values for pair in pairs for condition in pair)
+                float(
+                    np.mean([values[participant, condition] - values[participant, base] for condition, base in pairs])
+                )
+                for participant in participants
+                if all((participant, condition) in values for pair in pairs for condition in pair)
             ]
             if differences:
                 mean, interval = mean_interval(differences)

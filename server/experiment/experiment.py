@@ -129,8 +129,8 @@ class Experiment:
                 session, stack, journal, participant_folder, {"about.json": {"daemon": False}}, True
             )
             session.welcome(journal, simulated)
-            with progress("rehearsing", len(session.trials)) as done:
-                session.run(journal, NullApparatus(done), simulated, participant_folder)
+            with progress("rehearsing", len(session.trials)) as update:
+                session.run(journal, NullApparatus(update), simulated, participant_folder)
             return
         # Before the device is opened: the doctor needs access to it.
         rig = files.resolve_source(self._folder, self.file.rig)

@@ -29,11 +29,11 @@ def run(args: argparse.Namespace) -> int:
     journals = sorted(root.glob(JOURNAL))
     answers, excluded = read_surveys(journals), find_excluded_participants(experiment, rows)
     surveys = survey_table(experiment, answers, excluded)
-    with progress("drawing", 2 + args.report) as done:
+    with progress("drawing", 2 + args.report) as update:
         paths = draw(experiment, groups, out)
-        done(1)
+        update(1)
         paths += draw_session(experiment, rows, surveys, groups, out)
-        done(2)
+        update(2)
         if args.report:
             report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
             with new_file(report) as file:

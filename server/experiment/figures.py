@@ -147,11 +147,11 @@ def save(figures: Mapping[str, Any], out: Path) -> list[Path]:
     import matplotlib.pyplot as plt  # after `draw`, which has chosen the backend
 
     paths = []
-    with progress("drawing", len(SUFFIXES) * len(figures)) as done:
+    with progress("drawing", len(SUFFIXES) * len(figures)) as update:
         for name, figure in figures.items():
             for suffix in SUFFIXES:
                 paths.append((out / name).with_suffix(f".{suffix}"))
                 figure.savefig(paths[-1], dpi=150, metadata={"Date": None} if suffix == "svg" else None)
-                done(len(paths))
+                update(len(paths))
             plt.close(figure)
     return paths

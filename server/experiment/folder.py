@@ -86,7 +86,7 @@ class ParticipantFolder:
     def _design(
         self, experiment: ExperimentFile, conditions: Sequence[Condition], rows: Sequence[Entry]
     ) -> dict[Path, bytes]:
-        design = {"seed": experiment.design.seed, "conditions": [each._asdict() for each in conditions]}
+        design = {"seed": experiment.design.seed, "conditions": [condition._asdict() for condition in conditions]}
         return {self.participant_dir / f"{self.label}_design.json": _json(design | {"trials": rows})}
 
     def check_answer_kind(self, dry_run: bool) -> None:
@@ -100,9 +100,9 @@ class ParticipantFolder:
         """Return the number of the next start, from 1."""
         return 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
 
-    def name(self, run: int, what: str) -> str:
+    def name(self, run: int, suffix: str) -> str:
         """Return the name of a file of a start."""
-        return f"{self.label}_run-{run:02d}_{what}"
+        return f"{self.label}_run-{run:02d}_{suffix}"
 
     def write_json(self, name: str, values: Any) -> None:
         """Write a new JSON file of this participant."""
@@ -124,7 +124,7 @@ class ParticipantFolder:
         if read_surveys([self.journal]):
             write_csv(self.participant_dir / f"{self.label}_surveys.csv", read_surveys([self.journal]))
             write_csv(self.root / "surveys.csv", read_surveys(journals))
-        names = b"".join(f"{each.parent.name}\n".encode() for each in journals)
+        names = b"".join(f"{journal.parent.name}\n".encode() for journal in journals)
         _write(self.root / "participants.tsv", b"participant_id\n" + names)
 
 
@@ -157,7 +157,7 @@ def _is_same_experiment(path: Path, text: bytes) -> bool:
         return False
     try:
         existing, expected = (
-            build(ExperimentFile, msgspec.json.decode(each), str(path)) for each in (path.read_bytes(), text)
+            build(ExperimentFile, msgspec.json.decode(content), str(path)) for content in (path.read_bytes(), text)
         )
     except (ConfigError, msgspec.DecodeError):
         return False
@@ -167,7 +167,7 @@ def _is_same_experiment(path: Path, text: bytes) -> bool:
 def _different_keys(path: Path, text: bytes) -> str:
     """Return the keys of a JSON file with other values than in `text`, for a message."""
     try:
-        existing, expected = (dict(flat(msgspec.json.decode(each))) for each in (path.read_bytes(), text))
+        existing, expected = (dict(flat(msgspec.json.decode(content))) for content in (path.read_bytes(), text))
     except (msgspec.DecodeError, AttributeError):
         return ""
     keys = [key for key in expected | existing if expected.get(key, msgspec.UNSET) != existing.get(key, msgspec.UNSET)]

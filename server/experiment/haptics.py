@@ -229,5 +229,5 @@ def to_file_mapping(scene: Scene) -> dict[str, Any]:
     """Return the mapping of a scene as in its file: without the objects that loading adds for a [world]."""
     mapping = describe(scene)
     if scene.world is not None:
-        mapping["object"] = [each for each in mapping["object"] if (each.get("motion") or {}).get("kind") != "body"]
+        mapping["object"] = [obj for obj in mapping["object"] if (obj.get("motion") or {}).get("kind") != "body"]
     return mapping

@@ -42,7 +42,7 @@ def write_methods(
         _surveys(experiment, answers),
         _analysis(experiment),
     ]
-    return [" ".join(each) for each in paragraphs if each]
+    return [" ".join(sentences) for sentences in paragraphs if sentences]
 
 
 def _participants(
@@ -134,7 +134,7 @@ def _design(experiment: ExperimentFile) -> list[str]:
     design, trials = experiment.design, plan_trials(experiment, 1)
     text = []
     if experiment.factor:
-        factors = [f"{each.name} ({_list([str(level) for level in each.levels])})" for each in experiment.factor]
+        factors = [f"{factor.name} ({_list([str(level) for level in factor.levels])})" for factor in experiment.factor]
         count = len(list_conditions(experiment))
         order = {
             "random": "their trials were mixed in random order",
@@ -164,7 +164,7 @@ def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
         if survey.score == "mean":
             text.append("Its score is the unweighted mean of its ratings.")
         if survey.at == ("before",):  # describes the participants
-            names = {each.name for each in survey.question if each.kind != "text"}
+            names = {question.name for question in survey.question if question.kind != "text"}
             sentences = [
                 row for row in answers if row["survey"] == (survey.title or survey.name) and row["question"] in names
             ]

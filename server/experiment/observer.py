@@ -63,12 +63,12 @@ class SimulatedObserver:
         answers = dict(self._experiment.observer.answers)
         if condition is not None:
             answers |= observer_for(self._experiment, condition).answers
-        given = answers.get(question.name)
+        configured = answers.get(question.name)
         if question.kind == "text":
-            return "simulated" if given is None else str(given)
+            return "simulated" if configured is None else str(configured)
         if question.kind == "multi-choice":
-            return question.options[0] if given is None else str(given)
-        mean = 0.5 * (question.min + question.max) if given is None else float(given)
+            return question.options[0] if configured is None else str(configured)
+        mean = 0.5 * (question.min + question.max) if configured is None else float(configured)
         noise = RATING_NOISE * (question.max - question.min) * self._rng(SURVEY, number).standard_normal()
         answer = min(max(mean + noise, question.min), question.max)
         if question.kind == "number":

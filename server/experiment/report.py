@@ -93,11 +93,11 @@ def write_report(
         ),
     }
     parts = []
-    with progress("writing the report", len(sections)) as done:
+    with progress("writing the report", len(sections)) as update:
         for number, (heading, write_section) in enumerate(sections.items(), 1):
             if content := write_section():
                 parts.append(f"<h2>{heading}</h2>\n{content}")
-            done(number)
+            update(number)
     body = "\n".join(parts)
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
 
@@ -112,7 +112,7 @@ def _design(experiment: ExperimentFile) -> str:
         "reference": "" if task.reference is None else f"{task.reference:g}",
         "procedure": procedure.kind,
         "levels" if procedure.levels else "starts": ", ".join(f"{level:g}" for level in levels),
-        "factors": "; ".join(f"{each.name}: {', '.join(map(str, each.levels))}" for each in experiment.factor),
+        "factors": "; ".join(f"{factor.name}: {', '.join(map(str, factor.levels))}" for factor in experiment.factor),
         "conditions": "; ".join(condition.name for condition in list_conditions(experiment)),
         "order, seed": f"{design.order}, {design.seed}",
         "trials of a session": str(len(plan_trials(experiment, 1))),
@@ -149,12 +149,12 @@ def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Ma
         quantity = f"A threshold is the level, {value}, at which {100.0 * share:.0f} % of the answers are right."
     else:
         quantity = "An estimate is the answer at the geometric mean of the levels."
-    ratios = _effects([(each.factor, each) for each in compare_levels(experiment, groups, excluded)], "ratio")
+    ratios = _effects([(effect.factor, effect) for effect in compare_levels(experiment, groups, excluded)], "ratio")
     population = _table(
         (_condition_head(experiment), "participants", "geometric mean (95 % interval)"),
         [
-            (each.condition, str(each.participants), format_interval(each.mean, each.interval_95))
-            for each in estimate_population(groups, excluded)
+            (estimate.condition, str(estimate.participants), format_interval(estimate.mean, estimate.interval_95))
+            for estimate in estimate_population(groups, excluded)
         ],
     )
     own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
@@ -168,19 +168,19 @@ def _condition_head(experiment: ExperimentFile) -> str:
 
 
 def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
-    found = compare_models(experiment, rows, excluded)
+    comparisons = compare_models(experiment, rows, excluded)
     note = "The AIC difference is that without the factor less that with it: above 0 favours the factor."
-    return "" if not found else _paragraph(note) + _table(
+    return "" if not comparisons else _paragraph(note) + _table(
         ("factor", "parameters with, without", "log likelihood with, without", "likelihood ratio", "AIC difference"),
         [
             (
-                each.factor,
-                f"{each.parameters[0]}, {each.parameters[1]}",
-                f"{each.log_likelihood[0]:.2f}, {each.log_likelihood[1]:.2f}",
-                f"χ²({each.freedom}) = {each.chi_squared:.2f}, {format_p(each.p_value)}",
-                f"{each.aic_difference:.2f}",
+                comparison.factor,
+                f"{comparison.parameters[0]}, {comparison.parameters[1]}",
+                f"{comparison.log_likelihood[0]:.2f}, {comparison.log_likelihood[1]:.2f}",
+                f"χ²({comparison.freedom}) = {comparison.chi_squared:.2f}, {format_p(comparison.p_value)}",
+                f"{comparison.aic_difference:.2f}",
             )
-            for each in found
+            for comparison in comparisons
         ],
     )  # fmt: skip
 
@@ -198,7 +198,7 @@ def _surveys(table: Sequence[Entry], effects: Sequence[tuple[str, Effect]]) -> s
     ]
     head = ("survey", "question", "condition", "answers", "mean ± standard deviation, or answers")
     return _table(head, lines) + _effects(
-        [(f"{survey}: {each.factor}", each) for survey, each in effects], "difference"
+        [(f"{survey}: {effect.factor}", effect) for survey, effect in effects], "difference"
     )
 
 
@@ -206,9 +206,9 @@ def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
     """Return a table of effects of factors, each with a name; `kind` is ratio or difference."""
     joint = {"ratio": "to", "difference": "less"}[kind]
     lines = [
-        (name, f"{each.level} {joint} {each.baseline}", str(each.participants),
-         format_interval(each.value, each.interval_95))
-        for name, each in effects
+        (name, f"{effect.level} {joint} {effect.baseline}", str(effect.participants),
+         format_interval(effect.value, effect.interval_95))
+        for name, effect in effects
     ]  # fmt: skip
     head = ("factor", f"{kind} within participants", "participants", "mean (95 % interval)")
     return _table(head, lines) if lines else ""

@@ -18,10 +18,10 @@ PREFIX: Final = "rig."
 FIXED_KEYS: Final = frozenset({"arm", "workspace"})
 """Keys of the guard that cannot be parameters: the right to arm is not a stimulus, and a workspace is compiled."""
 CHANGEABLE_KEYS: Final = frozenset(
-    f"{PREFIX}guard.{each.name}" for each in fields(Guard) if each.name not in FIXED_KEYS
+    f"{PREFIX}guard.{field.name}" for field in fields(Guard) if field.name not in FIXED_KEYS
 )
 """Parameters that can change between two touches; the devices remain open."""
-_TABLES: Final = {each.name for each in fields(Rig)} - {each.name for each in fields(Scene)}
+_TABLES: Final = {field.name for field in fields(Rig)} - {field.name for field in fields(Scene)}
 
 
 def split(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -122,7 +122,9 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
             if len(set(names)) < len(names):
                 yield "factor", names, "has a name twice"
             if (
-                math.prod(len(each.levels) for each in self.factor if is_usable(each) and is_usable(each.levels))
+                math.prod(
+                    len(factor.levels) for factor in self.factor if is_usable(factor) and is_usable(factor.levels)
+                )
                 > LEVELS.high
             ):
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"

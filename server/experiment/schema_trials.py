@@ -123,7 +123,7 @@ class Procedure(Table, frozen=True, kw_only=True):
             yield "starts", list(self.starts), "only a staircase has starts"
         elif len(self.starts) > self.trials:
             yield "starts", list(self.starts), f"is more staircases than the {self.trials} trials of a condition"
-        for key, start in [("starts", each) for each in self.starts] or [("start", self.start)]:
+        for key, start in [("starts", value) for value in self.starts] or [("start", self.start)]:
             if self.kind == "staircase" and not self.smallest <= start <= self.largest:
                 yield key, start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
 

@@ -101,22 +101,24 @@ class Session:
 
         block  number of the block that has ended, 0: none
         """
-        ended = [trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block]
-        is_by_block = ended and self.experiment.design.order != "random"
+        block_conditions = [
+            trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block
+        ]
+        is_by_block = block_conditions and self.experiment.design.order != "random"
         answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.of("survey")}
         for survey in self.experiment.survey:
-            condition = self.conditions[ended[-1]] if is_by_block and "between" in survey.at else None
-            for done, question in enumerate(survey.question if at in survey.at else ()):
+            condition = self.conditions[block_conditions[-1]] if is_by_block and "between" in survey.at else None
+            for question_index, question in enumerate(survey.question if at in survey.at else ()):
                 if (survey.name, block, question.name) in answered:
                     continue
                 number = 1 + len(journal.of("survey"))
-                title, place = survey.title or self.experiment.title, (done, len(survey.question))
+                title, place = survey.title or self.experiment.title, (question_index, len(survey.question))
                 answer = answers.ask(title, question, condition, number, place)
                 journal.write("survey", **_survey_entry(survey, question, at, block, condition, answer))
 
     def _pause_if_due(self, trial: PlannedTrial, answers: AnswerSource) -> None:
-        every, done = self.experiment.design.break_every, trial.number - 1 - self.experiment.design.practice
-        if (every and done > 0 and done % every == 0) or (done == 0 and trial.number > 1):
+        every, completed = self.experiment.design.break_every, trial.number - 1 - self.experiment.design.practice
+        if (every and completed > 0 and completed % every == 0) or (completed == 0 and trial.number > 1):
             answers.pause(trial.number - 1, len(self.trials))
 
     def _run_trial(
@@ -158,7 +160,7 @@ class Session:
         if self.experiment.confidence is not None:
             confidence = answers.confidence(trial, condition, level, self.experiment.confidence.as_question)
             entry["confidence"] = float(confidence.value)
-        ticks = [{"touch": touch} | row for touch, each in enumerate(results, 1) for row in each.ticks]
+        ticks = [{"touch": touch} | row for touch, result in enumerate(results, 1) for row in result.ticks]
         return entry | test.summary, ticks
 
     def _progress(self, trial: PlannedTrial, touch: int, touches: int) -> Progress:

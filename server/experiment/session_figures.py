@@ -105,11 +105,11 @@ def _draw_surveys(plt: Any, experiment: ExperimentFile, ratings: Sequence[Entry]
         conditions = list(dict.fromkeys(row["condition"] for row in own))
         for k, condition in enumerate(conditions):
             shift = 0.2 * (k - 0.5 * (len(conditions) - 1))
-            each = [row for row in own if row["condition"] == condition]
+            condition_rows = [row for row in own if row["condition"] == condition]
             axes.errorbar(
-                [questions.index(row["question"]) + shift for row in each],
-                [row["mean"] for row in each],
-                np.nan_to_num([row["sd"] for row in each]),
+                [questions.index(row["question"]) + shift for row in condition_rows],
+                [row["mean"] for row in condition_rows],
+                np.nan_to_num([row["sd"] for row in condition_rows]),
                 fmt="o", ms=4, capsize=3, label=condition or None,
             )  # fmt: skip
         axes.set_xticks(range(len(questions)), questions, rotation=30, ha="right")

@@ -44,14 +44,14 @@ def compare_scores(
     experiment: ExperimentFile, answers: Sequence[Entry], excluded: Collection[str] = ()
 ) -> list[tuple[str, Effect]]:
     """Return survey and difference of its score between the levels of each factor, for surveys after blocks."""
-    found = []
+    effects = []
     for survey in experiment.survey:
         own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
         scores = {
             (participant, at): score for (participant, _, at), score in _scores(survey, own).items() if at is not None
         }
-        found += [(survey.title or survey.name, effect) for effect in difference_of_levels(experiment, scores)]
-    return found
+        effects += [(survey.title or survey.name, effect) for effect in difference_of_levels(experiment, scores)]
+    return effects
 
 
 def _scores(survey: Survey, answers: Sequence[Entry]) -> dict[tuple[str, int, str | None], float]:
@@ -61,7 +61,7 @@ def _scores(survey: Survey, answers: Sequence[Entry]) -> dict[tuple[str, int, st
     for row in answers if survey.score == "mean" else ():
         if row["question"] in likert:
             ratings.setdefault((row["participant"], row["block"], row["condition"]), []).append(row["answer"])
-    return {key: float(np.mean(each)) for key, each in ratings.items() if len(each) == len(likert)}
+    return {key: float(np.mean(values)) for key, values in ratings.items() if len(values) == len(likert)}
 
 
 def _summarise(answers: Sequence[Any]) -> dict[str, Any]:

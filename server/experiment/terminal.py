@@ -36,12 +36,12 @@ def parse_answer(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float 
     if choices == CHOICES:
         keys = [KEYS[key] for key in typed if key in KEYS]
         return (keys[0] if keys else CHOICES[0] if buttons & 1 else CHOICES[1] if buttons & 2 else None), ""
-    line, newline, rest = typed.partition("\n")
+    line, newline, remaining = typed.partition("\n")
     if not newline or not line.strip():
-        return None, rest if newline else line
+        return None, remaining if newline else line
     if prompt.text_length:
-        return line.strip()[: prompt.text_length], rest
-    return (line.strip()[:64] if choices else parse_number(line)), rest
+        return line.strip()[: prompt.text_length], remaining
+    return (line.strip()[:64] if choices else parse_number(line)), remaining
 
 
 def print_line(line: str) -> None:

@@ -83,7 +83,7 @@ def williams(count: int, row: int) -> list[int]:
     An odd count needs two squares, the second being the mirror image of the first: rows repeat after 2 count.
     """
     first = [0, *itertools.chain.from_iterable(zip(range(1, count), range(count - 1, 0, -1), strict=True))][:count]
-    line = [(each + row) % count for each in first]
+    line = [(position + row) % count for position in first]
     return line[::-1] if count % 2 and row // count % 2 else line
 
 

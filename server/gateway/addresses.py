@@ -80,8 +80,8 @@ def _first_answer(
     """Return the first result of the queries, which take turns as long as something listens; None without a result."""
     until = time.monotonic() + within_s
     for query in cycle(queries):
-        if (found := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
-            return found
+        if (announced := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
+            return announced
         if time.monotonic() > until or not _listens(endpoint):
             return None
     return None

@@ -129,26 +129,26 @@ class Forward:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of forwarded messages so far."""
-        found: dict[str, Any] = {"seconds": time.monotonic() - self._start_s}
+        counts: dict[str, Any] = {"seconds": time.monotonic() - self._start_s}
         if self.stream is not None:
-            found |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
+            counts |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
         if self.outlets is not None:
-            found["lsl"] = {"streams": self.outlets.names, "samples": self.outlets.samples}
+            counts["lsl"] = {"streams": self.outlets.names, "samples": self.outlets.samples}
         for name, part in (("telemetry", self.readers), ("commands", self.commanders)):
             if part is not None:
                 part.peers.process_events()
-                found[name] = {
+                counts[name] = {
                     "endpoint": part.peers.endpoint,
                     "connections_max": part.peers.max_connections,
                     "refused": part.peers.refused,
                 }
         if self.commanders is not None:
-            found["commands"] |= {
+            counts["commands"] |= {
                 "requests": self.commanders.requests,
                 "answers": self.commanders.answers,
                 "dropped": self.commanders.dropped,
             }
-        return found
+        return counts
 
     def close(self) -> None:
         """Disconnect all; may be called repeatedly."""

@@ -91,9 +91,9 @@ class Ledger:
                 "command: move it away first; nothing was written"
             )
         self.check(file.path for file in files)
-        named = {str(file.path) for file in files}
+        paths = {str(file.path) for file in files}
         try:
-            yield from self._remove([path for path in self._files if path not in named])
+            yield from self._remove([path for path in self._files if path not in paths])
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
                     yield Action("edited, so not replaced; move it away to get the new one:", self._at(file.path))

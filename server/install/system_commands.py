@@ -19,7 +19,7 @@ STATE: Final = Path("/var/lib/softfinger")
 
 RULES: Final[tuple[Command, ...]] = (
     ("udevadm", "control", "--reload"),
-    ("udevadm", "trigger", *(f"--subsystem-match={each}" for each in ("usb", "hidraw", "tty", "misc"))),
+    ("udevadm", "trigger", *(f"--subsystem-match={subsystem}" for subsystem in ("usb", "hidraw", "tty", "misc"))),
 )
 WAIT_S: Final = 60.0
 

@@ -84,14 +84,14 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     if gap < GAP_MIN_S:
         gap = 0.0
     paid = LOST_SHARE * (gap + period)
-    lost = max(health.lost + gap - paid, 0.0)
+    lost_time = max(health.lost + gap - paid, 0.0)
     woken_late = max(health.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
     fault = 0
     if without_force > NO_FORCE_MAX_S:
         fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
-    elif lost > LOST_MAX_S:
+    elif lost_time > LOST_MAX_S:
         fault = STARVED
-    return Health(without_force, lost, woken_late), fault
+    return Health(without_force, lost_time, woken_late), fault
 
 
 class Watchdog:

@@ -153,17 +153,17 @@ def heat_limited_force(limits: Limits, heat: float, largest: float) -> float:
 
 
 @jit
-def update_work(work: float, given: float, touched: bool, touches: bool, dt: float) -> float:
+def update_work(work: float, tick_work: float, touched: bool, touches: bool, dt: float) -> float:
     """Return the work (J) of the hand after a tick.
 
-    work     J  before the tick
-    given    J  to the hand during the tick, by the force of the last tick
-    touched     whether that force was a contact force
-    touches     whether there is a contact now
-    dt       s  length of the tick
+    work       J  before the tick
+    tick_work  J  to the hand during the tick, by the force of the last tick
+    touched       whether that force was a contact force
+    touches       whether there is a contact now
+    dt         s  length of the tick
     """
     if touched:
-        work -= given
+        work -= tick_work
     if work < 0.0:
         return work * FORGET_S / (FORGET_S + dt)
     return work if touches else 0.0

@@ -56,9 +56,9 @@ INITIAL_OUTPUT: Final = OutputState(INITIAL_GUARD_STATE, INITIAL_LIMITS)
 
 
 @jit
-def displayed_wrench(guard: Guard, given: GuardState) -> GuardState:
+def displayed_wrench(guard: Guard, wrench: GuardState) -> GuardState:
     """Return the part of a wrench that reaches the hand: without torque if the device cannot display one."""
-    return GuardState(given.force, vec3.scale(guard.displays_torque, given.torque), given.gain)
+    return GuardState(wrench.force, vec3.scale(guard.displays_torque, wrench.torque), wrench.gain)
 
 
 @jit
@@ -74,8 +74,8 @@ def update_limits(guard: Guard, output_state: OutputState, motion: Motion, mode:
         velocity = smooth_velocity(velocity, displacement, dt)
     if limits.energy < inf:
         touched = before.touching != 0.0
-        given = work_on_hand(displayed_wrench(guard, output_state.guard_state), motion) if touched else 0.0
-        work = update_work(work, given, touched, touches, dt)
+        tick_work = work_on_hand(displayed_wrench(guard, output_state.guard_state), motion) if touched else 0.0
+        work = update_work(work, tick_work, touched, touches, dt)
         energy_given = decay_energy(energy_given, work, dt)
     return LimitState(velocity, before.wait, before.heat, work, energy_given, 1.0 if touches else 0.0)
 

@@ -131,9 +131,9 @@ def work_of_none(bodies: None, last_reactions: Any) -> float:
 def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
     work = 0.0
     if not has_fault(bodies):
-        for each in last_reactions:
-            now, before = pose_of_body(bodies.block, each.body), each.pose
+        for reaction in last_reactions:
+            now, before = pose_of_body(bodies.block, reaction.body), reaction.pose
             turned = relative(now.orientation, before.orientation)
-            target = vec3.add(now.position, rotate(turned, vec3.sub(each.center, before.position)))
-            work += vec3.dot(each.force, vec3.sub(target, each.center)) + vec3.dot(each.torque, log(turned))
+            target = vec3.add(now.position, rotate(turned, vec3.sub(reaction.center, before.position)))
+            work += vec3.dot(reaction.force, vec3.sub(target, reaction.center)) + vec3.dot(reaction.torque, log(turned))
     return work

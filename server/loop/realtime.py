@@ -150,8 +150,8 @@ def _check_required(applied: AppliedSettings) -> None:
 
 def _set_timer_slack(applied: AppliedSettings) -> Setting:
     before = _libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
-    if before.result < 0 or (done := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
-        error = before.error or done.error
+    if before.result < 0 or (call := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
+        error = before.error or call.error
         return Setting("timer_slack", False, _reason(error), "allow prctl in the container's seccomp profile")
     applied._undo_thread.append(lambda: _libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
     return Setting("timer_slack", True, f"{SLACK_NS} ns (was {before.result} ns)", "")
@@ -198,27 +198,27 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     _drop_library_pages()
     # Under a finite limit, locking future mappings would make a later malloc fail.
     later = MCL_FUTURE if _may_lock_without_limit() else 0
-    done = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
-    if done.result < 0:
+    call = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
+    if call.result < 0:
         need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
             f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
             "--cap-add=IPC_LOCK or --ulimit memlock=-1"
         )
-        return Setting("mlockall", False, f"{_reason(done.error)}: {need} to lock, limit {limit}", advice)
+        return Setting("mlockall", False, f"{_reason(call.error)}: {need} to lock, limit {limit}", advice)
     applied._undo_process.append(lambda: _libc("munlockall"))
     _load_small_mappings()
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
-    rest = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
-    return Setting("mlockall", True, f"{locked}; {rest}", "")
+    note = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
+    return Setting("mlockall", True, f"{locked}; {note}", "")
 
 
 def _drop_library_pages() -> None:
     """Drop the code pages of large libraries, such as the compiler; code that is called again is read from its file."""
-    for each in _mappings():
+    for mapping in _mappings():
         # Mapped from a file and never written: nothing is lost. Kernels are code too, but without a file.
-        if each.size > LOCKED_MAPPING_MAX_BYTES and each.permissions == "r-xp" and each.inode != 0:
-            _libc("madvise", each.begin, each.size, MADV_DONTNEED)
+        if mapping.size > LOCKED_MAPPING_MAX_BYTES and mapping.permissions == "r-xp" and mapping.inode != 0:
+            _libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
 
 
 def _load_small_mappings() -> None:
@@ -227,9 +227,9 @@ def _load_small_mappings() -> None:
     The large ones are the compiler, which no tick calls, the stacks of other threads, which no tick writes, and arrays:
     arrays written by a tick were already written when they were created.
     """
-    for each in _mappings():
-        if each.permissions.startswith("r") and each.size <= LOCKED_MAPPING_MAX_BYTES:
-            _libc("mlock", each.begin, each.size)  # refused for pages of the kernel, which are always present
+    for mapping in _mappings():
+        if mapping.permissions.startswith("r") and mapping.size <= LOCKED_MAPPING_MAX_BYTES:
+            _libc("mlock", mapping.begin, mapping.size)  # refused for pages of the kernel, which are always present
     attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
     lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
     if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
@@ -311,12 +311,12 @@ class _Mapping(NamedTuple):
 
 
 def _mappings() -> list[_Mapping]:
-    found = []
+    mappings = []
     for line in _read("/proc/self/maps").splitlines():
         span, permissions, _, _, inode, *_ = line.split()
         begin, end = (int(address, 16) for address in span.split("-"))
-        found.append(_Mapping(begin, end - begin, permissions, int(inode)))
-    return found
+        mappings.append(_Mapping(begin, end - begin, permissions, int(inode)))
+    return mappings
 
 
 def _status(key: str) -> str:

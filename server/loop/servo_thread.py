@@ -152,19 +152,19 @@ class Servo:
             if self._prepare is not None:
                 undo = self._prepare()
             self._arm()
-            ended = self._run_loops()
+            end = self._run_loops()
         except BaseException as error:  # in any case the device must be zeroed and join() must return the error
-            ended = LoopEnd(CRASHED, 0, error)
-        self._ended = ended
+            end = LoopEnd(CRASHED, 0, error)
+        self._ended = end
         failed = shutdown.run_all_steps(
             lambda: shutdown.stop_all(self.devices),
             lambda: shutdown.confirm_zero(self.devices),
             *([undo] if undo else []),
-            first=ended.error,
+            first=end.error,
         )
-        if failed is not ended.error:
-            if ended.ending in (STOPPED, FINISHED):
-                self._ended = LoopEnd(CRASHED, ended.status, failed)
+        if failed is not end.error:
+            if end.ending in (STOPPED, FINISHED):
+                self._ended = LoopEnd(CRASHED, end.status, failed)
             else:  # the reason for the end is the first error
                 log.error("%s", failed)
         self._done.set()

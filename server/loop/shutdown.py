@@ -114,29 +114,29 @@ def confirm_zero(devices: Sequence[Device]) -> None:
             )
 
 
-def _raise_first(what: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
+def _raise_first(action: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
     errors = [
-        _device_error(device, what, str(error)) if isinstance(error, TimeoutError) else error
+        _device_error(device, action, str(error)) if isinstance(error, TimeoutError) else error
         for device, error in failures
     ]
-    for other in errors[1:]:
-        log.error("during shutdown, besides: %s", other)
+    for later_error in errors[1:]:
+        log.error("during shutdown, besides: %s", later_error)
     if errors:
         raise errors[0]
 
 
-def _device_error(device: Device, what: str, text: str) -> DeviceError:
-    return DeviceError(f"{device.info.name} could not {what} ({text}): it may still apply a force: switch it off")
+def _device_error(device: Device, action: str, text: str) -> DeviceError:
+    return DeviceError(f"{device.info.name} could not {action} ({text}): it may still apply a force: switch it off")
 
 
-def _call_checked(device: Device, act: Callable[[], None], what: str) -> None:
+def _call_checked(device: Device, act: Callable[[], None], action: str) -> None:
     try:
         act()
     except HapticError:
         raise
     except Exception as error:
         text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise _device_error(device, what, text) from error
+        raise _device_error(device, action, text) from error
 
 
 def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticError | None:

@@ -175,8 +175,8 @@ def read_pose(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple
 
 
 @jit
-def pair(one: Any, other: Any) -> Any:
-    return one, other
+def pair(first: Any, second: Any) -> Any:
+    return first, second
 
 
 @jit

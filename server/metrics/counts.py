@@ -171,8 +171,8 @@ class MetricsCollector(Collector):
         )
         yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
-        for each in DaemonState:
-            state.add_metric([each.value], float(each is now))
+        for daemon_state in DaemonState:
+            state.add_metric([daemon_state.value], float(daemon_state is now))
         yield state
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 

@@ -78,7 +78,7 @@ class Publishing:
         context: zmq.Context[Any] = zmq.Context()
         files.callback(context.destroy, LINGER_MS)
         gate = SocketContext(
-            context, _authenticator(context, files) if any(each.key for each in setup.entrances) else None
+            context, _authenticator(context, files) if any(entrance.key for entrance in setup.entrances) else None
         )
         self._readers: list[Readers] = []
         self._clients: list[Clients] = []
@@ -86,8 +86,8 @@ class Publishing:
         for listener in setup.entrances:
             self._open(gate, listener, setup.backlog)
         self._peer_sockets: list[PeerSocket] = [
-            *(each.peers for each in self._readers),
-            *(each.peers for each in self._clients),
+            *(reader.peers for reader in self._readers),
+            *(client.peers for client in self._clients),
         ]
 
     def _open(self, gate: SocketContext, listener: ListeningSocket, backlog: int) -> None:
@@ -174,8 +174,8 @@ class Publishing:
             limit_step()
             for topic, body in messages.encode_row(row):
                 latest[topic] = body
-                for each in readers:
-                    each.send(topic, body)
+                for reader in readers:
+                    reader.send(topic, body)
             self._last_tick_s = time.monotonic()
 
     def _handle_peers(self) -> None:
@@ -230,8 +230,8 @@ class Publishing:
         for peers in self._peer_sockets:
             peers.process_events(EVENTS_IN_TURN)
         figures = Figures(
-            sum(each.subscribers for each in self._readers),
-            sum(each.lost for each in self._readers),
+            sum(reader.subscribers for reader in self._readers),
+            sum(reader.lost for reader in self._readers),
             sum(peers.refused for peers in self._peer_sockets),
             self._rows.lost,
         )
@@ -287,7 +287,8 @@ def drop_priority_when_busy() -> None:
 
     After KILL_US the system ends the process.
     """
-    threads = [int(each) for each in os.listdir("/proc/self/task")]  # now: later, peers may have used up all files
+    # listed here, because peers may later have used up all file descriptors
+    threads = [int(thread_id) for thread_id in os.listdir("/proc/self/task")]
 
     def drop_priority(*_: object) -> None:
         for thread in threads:

@@ -27,8 +27,8 @@ class Arming:
     def __init__(self, rendering: Rendering, states: States) -> None:
         self._rendering, self._states = rendering, states
         fingers = len(rendering.servo.devices)
-        each = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
-        self._columns: Final = [AT.tick, *each]
+        columns = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
+        self._columns: Final = [AT.tick, *columns]
         self._pressed = -1
         """Buttons of the previous tick; all bits before the first, so a button held from the start does not arm."""
         self.sink: Final = Sink("arming", self.take)
@@ -36,14 +36,14 @@ class Arming:
     def take(self, records: NDArray[np.float64], drops: int) -> None:
         """Evaluate a batch (n, fingers x RECORD_SIZE)."""
         by, fast, pressed = self._rendering.rig.guard.arm, False, False
-        for tick, *each in records[:, self._columns].tolist():
-            bits = [int(guard) for guard in each[::2]]
+        for tick, *values in records[:, self._columns].tolist():
+            bits = [int(guard) for guard in values[::2]]
             fast = tick >= self._rendering.force.switched_on_tick and any(
                 b & TOO_FAST and not b & DISARMED for b in bits
             )
             if fast and by != "automatic":
                 self._rendering.disarm(FAST)
-            pressed |= self._was_pressed(each[1::2])
+            pressed |= self._was_pressed(values[1::2])
         if by == "automatic":
             self._rendering.force.note_guard(FAST, fast)
         elif by == "button" and pressed:

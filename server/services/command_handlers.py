@@ -108,8 +108,8 @@ class CommandHandlers:
         before, after, tick = self._rendering.set_parameters(request.params, "set_params")
         old, new = describe(before), describe(after)
         paths = {key: index_entries(old, key) for key in request.params}  # the change itself may rename the object
-        each = {key: wire.Change(value_at(old, path), value_at(new, path)) for key, path in paths.items()}
-        changed = {key: change for key, change in each.items() if change.before != change.after}
+        changes = {key: wire.Change(value_at(old, path), value_at(new, path)) for key, path in paths.items()}
+        changed = {key: change for key, change in changes.items() if change.before != change.after}
         if changed:
             self.publish_change("set_params", request.command_id, changed)
         return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)

@@ -65,7 +65,7 @@ def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bo
     ]:
         return True
     return any(
-        np.abs(np.subtract(one.force, two.force)).max() > CHANGE_N
-        or np.abs(np.subtract(one.point, two.point)).max() > CHANGE_M
-        for one, two in zip(before, now, strict=True)
+        np.abs(np.subtract(old.force, new.force)).max() > CHANGE_N
+        or np.abs(np.subtract(old.point, new.point)).max() > CHANGE_M
+        for old, new in zip(before, now, strict=True)
     )

@@ -14,8 +14,8 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     """Open the device of each finger; on an error, close the devices opened before."""
     devices: tuple[Device, ...] = ()
     try:
-        for each in pair(scene, rig):
-            devices += (registry.open_device(each.device, rig.servo.rate_hz, each.table),)
+        for finger in pair(scene, rig):
+            devices += (registry.open_device(finger.device, rig.servo.rate_hz, finger.table),)
     except BaseException as error:
         shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
         raise
@@ -45,16 +45,16 @@ def inject_faults(
 
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
     """Return the tool of each finger's device."""
-    return [each.device.tool for each in pair(scene, rig)]
+    return [finger.device.tool for finger in pair(scene, rig)]
 
 
 def check_replacement(
     scene: schema.Scene, rig: schema.Rig, running_scene: schema.Scene, running_rig: schema.Rig
 ) -> None:
     """Raise ConfigError if a scene and a rig cannot replace the running ones, as far as known without compiling."""
-    for each in pair(scene, rig):
-        registry.options(each.device, each.table)
-    new_names, old_names = ([finger.name for finger in each.fingers] for each in (scene, running_scene))
+    for finger_device in pair(scene, rig):
+        registry.options(finger_device.device, finger_device.table)
+    new_names, old_names = ([finger.name for finger in described.fingers] for described in (scene, running_scene))
     if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(
             f"the fingers of the new scene ({', '.join(new_names)}) differ from the running ones "

@@ -50,9 +50,9 @@ def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event
     for device in hotplug.present:
         event("device", "present", **event_fields(device))
     while not closing.wait(PERIOD_S):
-        for what, device in hotplug.changes():
-            log.info("%s: %s", what, device)
-            event("device", what, **event_fields(device))
+        for action, device in hotplug.changes():
+            log.info("%s: %s", action, device)
+            event("device", action, **event_fields(device))
 
 
 def event_fields(device: SystemDevice) -> dict[str, Any]:

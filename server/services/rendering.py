@@ -138,7 +138,7 @@ class Rendering:
             rig, new_scene = rig or self._rig, scene or self._scene
             self.check(new_scene, rig)
             new_pairs, old_pairs = pair(new_scene, rig), pair(self._scene, self._rig)
-            keeps_devices = [each.device for each in new_pairs] == [each.device for each in old_pairs]
+            keeps_devices = [finger.device for finger in new_pairs] == [finger.device for finger in old_pairs]
             keeps_devices = keeps_devices and rig.servo.rate_hz == self._rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
             compiled = self._loop(new_scene, rig)

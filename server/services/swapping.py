@@ -53,5 +53,5 @@ class Swapping(Worker):
 
 def parse_swapped_kb(status: str) -> int:
     """Return the memory of a process in swap, kB; 0 if the system does not report it."""
-    found = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
-    return int(found[1]) if found else 0
+    match = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
+    return int(match[1]) if match else 0

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 def _with_starts(findings: list[FileReport]) -> list[FileReport]:
     """Return the findings, with an error for each scene whose [world] cannot start at the rate of a given rig."""
     usable = [finding for finding in findings if not finding.errors]
-    rates = {load_rig(_locate(each.file)).servo.rate_hz for each in usable if each.kind == "rig"}
+    rates = {load_rig(_locate(finding.file)).servo.rate_hz for finding in usable if finding.kind == "rig"}
     checked = []
     for finding in findings:
         try:
@@ -72,9 +72,9 @@ def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> N
     Raises ConfigError if a plot is requested and there is not exactly one rig with a wall and one scene.
     """
     usable = [finding for finding in findings if not finding.errors]
-    rigs = [(each.file, load_rig(_locate(each.file))) for each in usable if each.kind == "rig"]
+    rigs = [(finding.file, load_rig(_locate(finding.file))) for finding in usable if finding.kind == "rig"]
     walls = [(name, rig, rig.guard.workspace) for name, rig in rigs if rig.guard.workspace is not None]
-    scenes = [each.file for each in usable if each.kind == "scene"]
+    scenes = [finding.file for finding in usable if finding.kind == "scene"]
     if plot is not None and len(walls) * len(scenes) != 1:
         raise ConfigError(
             f"--plot draws one rig with [guard.workspace] and one scene, and there are {len(walls)} and {len(scenes)}: "
@@ -140,14 +140,14 @@ def with_costs(finding: FileReport) -> FileReport:
 
     scene = load_scene(_locate(finding.file))
     parts = list(without_parts(scene))
-    with progress(f"measuring {finding.file}", len(parts) + 2) as done:
+    with progress(f"measuring {finding.file}", len(parts) + 2) as update:
         poses = make_touching_poses(scene)
-        whole = measure(scene, poses).median_ns
-        rows = [("cost of a tick", f"{whole:.0f} ns, back to back, pressed into the first object")]
-        done(1)
-        for number, (name, rest) in enumerate(parts):
-            rows.append((f"  {name}", f"{whole - measure(rest, poses).median_ns:+.0f} ns"))
-            done(number + 2)
+        whole_ns = measure(scene, poses).median_ns
+        rows = [("cost of a tick", f"{whole_ns:.0f} ns, back to back, pressed into the first object")]
+        update(1)
+        for number, (name, reduced_scene) in enumerate(parts):
+            rows.append((f"  {name}", f"{whole_ns - measure(reduced_scene, poses).median_ns:+.0f} ns"))
+            update(number + 2)
         rows.append(("  bare contact", f"{measure(keep_contact(scene), poses).median_ns:.0f} ns"))
     rows += [_stability_row(obj) for obj in scene.object]
     return finding._replace(summary=finding.summary + rows)

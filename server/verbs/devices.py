@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in listed:
         devices.append(ask_rig(rig, str(args.rig)))
     if args.json:
-        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*one) for one in devices]}, indent=2))
+        print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*row) for row in devices]}, indent=2))
     else:
         print("\n".join(lines(devices)))
     return 0
@@ -105,7 +105,7 @@ def _format_value(value: Any) -> str:
 def lines(devices: list[ListedDevice]) -> list[str]:
     """Return the list as text: devices with a driver first, then the others."""
     text = []
-    for device, claim, diagnosis, identification in sorted(devices, key=lambda one: one[1] is None):
+    for device, claim, diagnosis, identification in sorted(devices, key=lambda row: row[1] is None):
         place = () if device.bus in ("library", "service") else (device.node or "no node", device.ids)
         text.append("  ".join((*place, device.name)))
         if claim is None:

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.name}: {kind}. {entry.about}")
     rows = [("holds", entry.holds)]
     rows += [("friction of", entry.friction_of)] if entry.friction_of else []
-    rows += [*value_rows(entry), *(("measured", format_measured(each)) for each in entry.measured)]
+    rows += [*value_rows(entry), *(("measured", format_measured(measurement)) for measurement in entry.measured)]
     rows += paper_rows(list_cited_papers(entry))
     width = max(len(name) for name, _ in rows)
     for name, text in rows:
@@ -51,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
 def as_json(name: str, kind: str, entry: LibraryEntry) -> dict[str, Any]:
     """Return an entry as plain values, with the papers as a mapping from name to text."""
     plain = msgspec.to_builtins(entry)
-    measured = [{key: value for key, value in each.items() if value is not None} for each in plain.pop("measured")]
+    measured = [
+        {key: value for key, value in measurement.items() if value is not None} for measurement in plain.pop("measured")
+    ]
     return {
         "name": name,
         "kind": kind,
@@ -64,7 +66,7 @@ def as_json(name: str, kind: str, entry: LibraryEntry) -> dict[str, Any]:
 def _list(is_json: bool) -> None:
     all_entries = entries()
     if is_json:
-        print(json.dumps([as_json(name, *each) for name, each in all_entries.items()], indent=1))
+        print(json.dumps([as_json(name, *entry) for name, entry in all_entries.items()], indent=1))
         return
     width = max(map(len, all_entries))
     for name, (kind, entry) in all_entries.items():

@@ -115,7 +115,7 @@ def configure_view(parser: argparse.ArgumentParser) -> None:
     add_key_options(parser)
     parser.add_argument(
         "--role",
-        choices=[each.value for each in Role],
+        choices=[role.value for role in Role],
         default=Role.OPERATOR.value,
         help="role of the user: a watcher changes nothing, a participant sees only prompts (default: %(default)s)",
     )

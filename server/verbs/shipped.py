@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(listed, indent=1))
         return 0
-    width = max(len(each["name"]) for each in listed)
-    for each in listed:
-        print(f"{each['name']:{width}}  {each['description']}")
+    width = max(len(item["name"]) for item in listed)
+    for shipped_file in listed:
+        print(f"{shipped_file['name']:{width}}  {shipped_file['description']}")
     return 0
 
 
@@ -82,7 +82,7 @@ def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Make shtab complete shipped names in every verb; return the parser."""
     for verbs in parser._actions:
         if isinstance(verbs, argparse._SubParsersAction):
-            for verb, action in ((name, each) for name, its in verbs.choices.items() for each in its._actions):
+            for verb, action in ((name, option) for name, its in verbs.choices.items() for option in its._actions):
                 for option in OPTIONS.keys() & set(action.option_strings):
                     action.complete = _completion(OPTIONS[option])
                 if (verb, action.dest) in POSITIONALS:
@@ -91,7 +91,7 @@ def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 
 def _completion(verb: str) -> dict[str, Any]:
-    listed = list(entries()) if verb == "materials" else [each["name"] for each in list_shipped(verb)]
+    listed = list(entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
     names, function = " ".join(listed), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

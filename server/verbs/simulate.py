@@ -47,21 +47,21 @@ def run(args: argparse.Namespace) -> int:
     summaries = [Summary(args.plot is not None) for _ in fingers]
     with name_warmup(args.scene):
         write_blocks(args.out, fingers, add_summaries(blocks, summaries))
-    for name, each in zip(fingers, summaries, strict=True):
+    for name, summary in zip(fingers, summaries, strict=True):
         single = len(fingers) == 1
         if args.plot is not None:
             picture = args.plot if single else args.plot.with_stem(f"{args.plot.stem}-{name}")
-            draw_run(np.concatenate(each.curves), picture)
+            draw_run(np.concatenate(summary.curves), picture)
         label = f"{args.out}" if single else f"{args.out}, {name}"
-        print(f"{label}: {each.ticks} ticks at {rate:g} Hz; {each}")
+        print(f"{label}: {summary.ticks} ticks at {rate:g} Hz; {summary}")
     return 0
 
 
 def add_summaries(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
     """Yield blocks (m, fingers, RECORD_SIZE) unchanged, and add the records of each finger to its summary."""
     for block in blocks:
-        for index, each in enumerate(summaries):
-            each.add(block[:, index])
+        for index, summary in enumerate(summaries):
+            summary.add(block[:, index])
         yield block
 
 

@@ -359,8 +359,8 @@ class Window(Closeable):
         return min(self._end, self._size)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        found: NDArray[Any] = Records(self._rows[self._end - len(self) : self._end])[name]
-        return found
+        values: NDArray[Any] = Records(self._rows[self._end - len(self) : self._end])[name]
+        return values
 
     def close(self) -> None:
         """Disconnect; received ticks remain readable. May be called repeatedly."""

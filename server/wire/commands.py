@@ -405,7 +405,7 @@ def _type_text(info: inspect.Type) -> str:
         case inspect.Metadata():
             return _type_text(info.type)
         case inspect.UnionType():
-            return " or ".join(_type_text(each) for each in info.types if not isinstance(each, inspect.NoneType))
+            return " or ".join(_type_text(member) for member in info.types if not isinstance(member, inspect.NoneType))
         case inspect.TupleType():
             return f"{len(info.item_types)} numbers"
         case inspect.DictType() | inspect.StructType():

@@ -217,7 +217,7 @@ def _find_listener(port: int) -> str:
 
 def _list_listening_sockets(port: int) -> set[str]:
     """Return the links in /proc/PID/fd of the sockets that listen on a port."""
-    found = set()
+    links = set()
     for table in ("tcp", "tcp6"):
         try:
             lines = Path("/proc/net", table).read_text().splitlines()[1:]
@@ -225,5 +225,5 @@ def _list_listening_sockets(port: int) -> set[str]:
             continue
         for words in map(str.split, lines):
             if words[3] == LISTENING_STATE and int(words[1].rpartition(":")[2], 16) == port:
-                found.add(f"socket:[{words[9]}]")
-    return found
+                links.add(f"socket:[{words[9]}]")
+    return links

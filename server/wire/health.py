@@ -83,16 +83,16 @@ class HealthSummary:
 
 def combine(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Combine the messages of several fingers for one second: sums of ticks and work, maxima of other figures."""
-    first, *others = messages
-    for other in others:
+    first, *remaining = messages
+    for message in remaining:
         for key in ("guarded", "energy", "energy_total"):
-            first[key] += other[key]
-        first["passivity"]["owed"] = max(first["passivity"]["owed"], other["passivity"]["owed"])
-        first["passivity"]["damped"] += other["passivity"]["damped"]
+            first[key] += message[key]
+        first["passivity"]["owed"] = max(first["passivity"]["owed"], message["passivity"]["owed"])
+        first["passivity"]["damped"] += message["passivity"]["damped"]
         for limit in first["limits"]:
-            first["limits"][limit] = max(first["limits"][limit], other["limits"][limit])
+            first["limits"][limit] = max(first["limits"][limit], message["limits"][limit])
         for mode in first["modes"]:
-            first["modes"][mode] += other["modes"][mode]
+            first["modes"][mode] += message["modes"][mode]
     return first
 
 

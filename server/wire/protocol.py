@@ -254,8 +254,8 @@ def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
         else:
             fields[parent] = _type(key.type)
     for parent, children in nested.items():
-        one = _struct(f"{name}_{parent.removesuffix('[]')}", children)
-        fields[parent.removesuffix("[]")] = GenericAlias(tuple, (one, ...)) if parent.endswith("[]") else one
+        element = _struct(f"{name}_{parent.removesuffix('[]')}", children)
+        fields[parent.removesuffix("[]")] = GenericAlias(tuple, (element, ...)) if parent.endswith("[]") else element
     return msgspec.defstruct(name, list(fields.items()), frozen=True, gc=False, module=__name__)
 
 

@@ -238,13 +238,13 @@ class Publisher(Closeable):
                 return
             fingers = records.reshape(len(records), -1, RECORD_SIZE).swapaxes(0, 1)
             events = [
-                event for source, each in zip(self._events, fingers, strict=True) for event in source.observe(each)
+                event for source, rows in zip(self._events, fingers, strict=True) for event in source.observe(rows)
             ]
             for event in sorted(events, key=_tick_of):
                 self._send(EVENT, event)
             figures = self.figures
             drops += figures.missed
-            healths = [sums.add(each, drops) for sums, each in zip(self._health, fingers, strict=True)]
+            healths = [sums.add(rows, drops) for sums, rows in zip(self._health, fingers, strict=True)]
             for health in map(combine, zip(*healths, strict=True)):
                 health["subscribers"] = figures.subscribers
                 health["lost"] = figures.lost

@@ -373,9 +373,9 @@ def pinched(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({"name": "thumb"}, "finger[1].name = 'thumb': and the name of finger[0], 'thumb', begin alike"),
-        ({"name": "thumb-2"}, "finger[1].name = 'thumb-2': and the name of finger[0], 'thumb', begin alike"),
-        ({"name": "th"}, "finger[1].name = 'th': and the name of finger[0], 'thumb', begin alike"),
+        ({"name": "thumb"}, "finger[1].name = 'thumb': overlaps with the name of finger[0], 'thumb'"),
+        ({"name": "thumb-2"}, "finger[1].name = 'thumb-2': overlaps with the name of finger[0], 'thumb'"),
+        ({"name": "th"}, "finger[1].name = 'th': overlaps with the name of finger[0], 'thumb'"),
         ({"name": "a/b"}, "finger[1].name = 'a/b': must be text of 1 to 32 characters like ^[A-Za-z0-9_-]+$"),
         ({"name": "index\n"}, r"finger[1].name = 'index\n': must be text"),
         ({"device": "thumb"}, "finger[1].device = 'thumb': moves finger[0] already"),

@@ -251,21 +251,21 @@ def cases(sweep: Sweep) -> list[RollingCase]:
     neither the sense of half a turn nor a fast change.
     """
     turn, spin, passes = TURN_RATES[0], SPIN_RATIOS[0], QUICK_PASSES if sweep.quick else PASSES
-    found = []
+    rolling_cases = []
     for surface in sweep.surfaces:
         variants: list[tuple[float, float, float | None, float]] = [(f, turn, None, spin) for f in sweep.rates_hz]
         if not sweep.quick:
             ratios = (ratio for ratio in CURVATURE_RATIOS if ratio < SURFACES[surface].largest)
-            variants += [(SWEEP_RATE_HZ, other, None, spin) for other in TURN_RATES[1:]]
+            variants += [(SWEEP_RATE_HZ, rate, None, spin) for rate in TURN_RATES[1:]]
             variants += [(SWEEP_RATE_HZ, turn, ratio, spin) for ratio in ratios]
-            variants += [(SWEEP_RATE_HZ, turn, None, other) for other in SPIN_RATIOS[1:]]
+            variants += [(SWEEP_RATE_HZ, turn, None, ratio) for ratio in SPIN_RATIOS[1:]]
         for motion in MOTIONS:
             for rate, turn_rate, ratio, spin_ratio in variants:
                 if turn_rate / rate >= (CHANGING_STEP_RAD if motion == "changing" else pi):
                     continue
-                found += [
+                rolling_cases += [
                     RollingCase(surface, m, motion, rate, turn_rate, ratio, spin_ratio, passes)
                     for m in sweep.methods
                     if has_method(surface, m)
                 ]
-    return found
+    return rolling_cases

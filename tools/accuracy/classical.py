@@ -90,8 +90,8 @@ def ode45(
     rate_ratio = largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
     if h * rate_ratio > 1.0:
         h = 1.0 / rate_ratio
-    failed, done = False, False
-    while not done:
+    failed, is_done = False, False
+    while not is_done:
         h = min(h, share * span)
         last = 1.1 * h >= span - t
         if last:
@@ -122,7 +122,7 @@ def ode45(
             h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)
             failed = True
             continue
-        t, y, k1, done = t + h, ahead, k7, last
+        t, y, k1, is_done = t + h, ahead, k7, last
         if not failed:
             factor = 1.25 * (error / RELATIVE_TOLERANCE) ** 0.2
             h *= 1.0 / factor if factor > 0.2 else 5.0
@@ -141,7 +141,7 @@ def roll_classical(
     turns, dt, spin_rate = steps
     count, normal = 0, chart(shape, start.u_o, start.v_o).z
     for block in range(watch.ns.shape[0]):
-        begun = now_ns(watch.timespec)
+        start_ns = now_ns(watch.timespec)
         at, count = start, 0
         for i in range(turns.shape[0]):
             w = vec3.scale(1.0 / dt, rotations.log((turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3])))
@@ -149,5 +149,5 @@ def roll_classical(
             at, evaluations = ode45(radius, shape, at, precession, dt, share)
             count += evaluations
             path[i, 0], path[i, 1], path[i, 2] = chart(shape, at.u_o, at.v_o).point
-        watch.ns[block] = now_ns(watch.timespec) - begun
+        watch.ns[block] = now_ns(watch.timespec) - start_ns
     return count

@@ -31,14 +31,14 @@ def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[An
     """Return a drawing with a panel for each name, with shared axes."""
     rows = -(-len(names) // columns)
     drawing = figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
-    found = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes, name in zip(found, names, strict=False):
+    axes_list = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, name in zip(axes_list, names, strict=False):
         axes.set_title(name, fontsize="medium")
-    for axes in found[len(names) :]:
+    for axes in axes_list[len(names) :]:
         axes.set_axis_off()
     for number in range(max(len(names) - columns, 0), len(names)):
-        found[number].xaxis.set_tick_params(labelbottom=True)
-    return drawing, list(found[: len(names)])
+        axes_list[number].xaxis.set_tick_params(labelbottom=True)
+    return drawing, list(axes_list[: len(names)])
 
 
 def draw_fronts(result: dict[str, Any], path: Path) -> None:
@@ -50,9 +50,9 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
     motion = "changing" if any(row["motion"] == "changing" for row in rows) else "constant"
     surfaces = group_by((row for row in rows if row["motion"] == motion), "surface")
     groups = {str(name): group for (name,), group in surfaces}
-    drawing, found = panels(path, list(groups), min(COLUMNS, len(groups)))
+    drawing, axes_list = panels(path, list(groups), min(COLUMNS, len(groups)))
     lines: dict[str, Any] = {}
-    for axes, group in zip(found, groups.values(), strict=True):
+    for axes, group in zip(axes_list, groups.values(), strict=True):
         chosen = front(group)
         points = [(row["ns_per_step"] / row["step_s"] * 1e-9, max(row["max_error_m"], FLOOR_M)) for row in chosen]
         (lines["Pareto front"],) = axes.loglog(*zip(*points, strict=True), **FRONT)
@@ -62,7 +62,7 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
             (lines[method],) = axes.loglog(load, error, color=colour(method), linewidth=1)
     rates = span([row["rate_hz"] for row in rows])
     x = f"computing time, s per s of motion; {motion} rate, servo at {rates} Hz"
-    label(drawing, found, x, "largest error, m", lines)
+    label(drawing, axes_list, x, "largest error, m", lines)
     save(drawing, path)
 
 
@@ -76,9 +76,9 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
         for (name, motion), group in group_by(rows, "surface", "motion")
         if name in names
     }
-    drawing, found = panels(path, list(groups), min(2, len(groups)))
+    drawing, axes_list = panels(path, list(groups), min(2, len(groups)))
     lines: dict[str, Any] = {}
-    for axes, group in zip(found, groups.values(), strict=True):
+    for axes, group in zip(axes_list, groups.values(), strict=True):
         for (method,), ladder in group_by(group, "method"):
             steps = [row["step_s"] for row in ladder]
             error = [max(row["max_error_m"], FLOOR_M) for row in ladder]
@@ -88,7 +88,7 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
             slope = at * (step / step[1]) ** order
             (lines[f"slope {order}"],) = axes.loglog(step, slope, color="0.7", linestyle=(0, (order, 2)), linewidth=1)
         axes.set_ylim(1e-16, 1e-2)
-    label(drawing, found, "step, s", "largest error in a second, m", lines)
+    label(drawing, axes_list, "step, s", "largest error in a second, m", lines)
     save(drawing, path)
 
 

@@ -28,10 +28,10 @@ def standard(rows: Iterable[Row]) -> list[Row]:
 
 def group_by(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:
     """Group rows that agree in `keys`, in the order of their first appearance."""
-    found: dict[tuple[Any, ...], list[Row]] = {}
+    groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        found.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return found.items()
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups.items()
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
@@ -60,7 +60,7 @@ def orders(rows: Iterable[Row]) -> list[Row]:
     The order is None if fewer errors are clear of rounding, and for `montana_rk45` at a constant rate, where the error
     follows the tolerance.
     """
-    found = []
+    fitted = []
     for (surface, motion, method), group in group_by(standard(rows), "surface", "motion", "method"):
         clear = sorted((row["step_s"], row["max_error_m"]) for row in group)
         clear = [point for point in clear if point[1] > CLEAR * ROUNDING_M][:3]
@@ -68,8 +68,8 @@ def orders(rows: Iterable[Row]) -> list[Row]:
         if len(clear) == 3 and (method, motion) != ("montana_rk45", "constant"):
             (short, small), _, (long, large) = clear
             slope = log(large / small) / log(long / short)
-        found.append({"surface": surface, "motion": motion, "method": method, "order": slope})
-    return found
+        fitted.append({"surface": surface, "motion": motion, "method": method, "order": slope})
+    return fitted
 
 
 def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row]:
@@ -77,12 +77,12 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
 
     `method` is None if no method is accurate enough.
     """
-    found = []
+    recommended = []
     for (surface, motion, rate), group in group_by(standard(rows), "surface", "motion", "rate_hz"):
         for target in targets_m:
             fit = [row for row in group if row["max_error_m"] <= target]
             best = min(fit, key=lambda row: row["ns_per_step"], default=None)
-            found.append(
+            recommended.append(
                 {
                     "surface": surface,
                     "motion": motion,
@@ -94,7 +94,7 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
                     "sentence": sentence(surface, motion, rate, target, best, group),
                 }
             )
-    return found
+    return recommended
 
 
 def sentence(surface: str, motion: str, rate: float, target: float, best: Row | None, group: Sequence[Row]) -> str:

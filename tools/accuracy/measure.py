@@ -45,7 +45,7 @@ def roll_turns(
     Every step stores centre, normal and total spin in a row of `path` (n, 7), as a servo stores a record.
     """
     for block in range(watch.ns.shape[0]):
-        begun = now_ns(watch.timespec)
+        start_ns = now_ns(watch.timespec)
         for _ in range(passes):
             center, n, spin = start.center, start.normal, 0.0
             for i in range(turns.shape[0]):
@@ -54,7 +54,7 @@ def roll_turns(
                 path[i, 0], path[i, 1], path[i, 2] = center
                 path[i, 3], path[i, 4], path[i, 5] = n
                 path[i, 6] = spin
-        watch.ns[block] = now_ns(watch.timespec) - begun
+        watch.ns[block] = now_ns(watch.timespec) - start_ns
 
 
 class Rolled(NamedTuple):
@@ -99,7 +99,7 @@ def run_case(case: RollingCase) -> dict[str, Any]:
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
     points, spins = reference(track, count)
     unit = reference_ns()
-    found = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
+    rolled = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
     return {
         "surface": case.surface,
         "method": case.method,
@@ -112,9 +112,9 @@ def run_case(case: RollingCase) -> dict[str, Any]:
         "given_ratio": case.curvature_ratio,
         "spin_ratio": case.spin_ratio,
         "steps": count,
-        "max_error_m": float(np.linalg.norm(found.points - points, axis=1).max()),
-        "spin_error_rad": float(np.abs(found.spins - spins).max()),
-        "ns_per_step": found.step_ns,
+        "max_error_m": float(np.linalg.norm(rolled.points - points, axis=1).max()),
+        "spin_error_rad": float(np.abs(rolled.spins - spins).max()),
+        "ns_per_step": rolled.step_ns,
         "reference_ns": unit,
     }
 

@@ -125,7 +125,7 @@ def ball(radius: float, fineness: int) -> Arrays:
     signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)]
     outward = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
     points = np.concatenate([octant * sign for sign in signs])
-    triangles = np.concatenate([each + k * len(octant) for k, each in enumerate(outward)])
+    triangles = np.concatenate([faces + k * len(octant) for k, faces in enumerate(outward)])
     points, places = np.unique(points, axis=0, return_inverse=True)
     return radius * points / np.linalg.norm(points, axis=1)[:, None], places.ravel()[triangles]
 
@@ -140,11 +140,11 @@ CASES: Final = {
 def run(args: argparse.Namespace) -> int:
     """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
-    with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as done:
+    with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as update:
         for name in CASES:
             for row in converge(name, FINENESS):
                 rows.append(row)
-                done(len(rows))
+                update(len(rows))
     result = {"rows": rows, "orders": {name: orders([r for r in rows if r["surface"] == name]) for name in CASES}}
     show(result, args.json, list(lines(result)))
     if args.plot:
@@ -166,12 +166,12 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
             table = {"shape": "mesh", "file": save_mesh(Path(folder), vertices, triangles)}
             flat, rolls = (Engine(scene_of(table, sticks)) for sticks in (False, True))
             shaded = Engine(scene_of(table | {"shading": "normals"}, False))
-        found = [differences(path, *(visit(each, path) for each in (flat, shaded, rolls))) for path in paths]
+        rows = [differences(path, *(visit(rendered, path) for rendered in (flat, shaded, rolls))) for path in paths]
         yield {
             "surface": name,
             "triangles": len(triangles),
             "edge_m": float(np.linalg.norm(edges, axis=2).max()),
-            **{key: max(each[key] for each in found) for key in found[0]},
+            **{key: max(row[key] for row in rows) for key in rows[0]},
         }
 
 
@@ -281,8 +281,8 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
     for row in result["rows"]:
         errors = "  ".join(f"{key} {row[key]:.1e}" for key in (*MEASURES, "step_rad", "shaded_step_rad"))
         yield f"{row['surface']:9} edge {1e3 * row['edge_m']:6.3f} mm  {errors}"
-    for name, found in result["orders"].items():
-        yield f"{name:9} " + "  ".join(f"{key} {order:.2f}" for key, order in found.items())
+    for name, orders in result["orders"].items():
+        yield f"{name:9} " + "  ".join(f"{key} {order:.2f}" for key, order in orders.items())
 
 
 def draw(result: dict[str, Any], file: Path) -> None:

@@ -53,14 +53,14 @@ def experiment() -> list[dict[str, Any]]:
     """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
     rows = list[dict[str, Any]]()
     names, exact_by_motion = (*METHODS, "classical"), {motion: exact_path(motion) for motion in MOTIONS}
-    with progress("the paper's experiment", len(MOTIONS) * len(names)) as done:
+    with progress("the paper's experiment", len(MOTIONS) * len(names)) as update:
         for motion, name in product(MOTIONS, names):
             at_phi = motion == "contact_frame" and name == "euler_zxz"
             path = classical_path(motion) if name == "classical" else method_path(name, motion)
             largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
             heading = "phi" if at_phi else "own"
             rows.append({"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()})
-            done(len(rows))
+            update(len(rows))
     return rows
 
 
@@ -129,7 +129,7 @@ def speed(blocks: int = 50) -> dict[str, Any]:
     dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
     times: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}
-    with progress("timing the methods", ROUNDS) as done:
+    with progress("timing the methods", ROUNDS) as update:
         for number in range(ROUNDS):
             for name, method in METHODS.items():
                 times[name].append(roll_path_timed(method, PLANE, CENTER, NORMAL, dq, blocks).step_ns)
@@ -141,7 +141,7 @@ def speed(blocks: int = 50) -> dict[str, Any]:
                 _, time, counts[name] = time_classical(turns, dt, share, 0.0, blocks)
                 times[name].append(time / STEPS)
             times["reference"].append(reference_ns())
-            done(number + 1)
+            update(number + 1)
     ns = {name: float(np.median(values)) for name, values in times.items()}
     return {
         "classical_ns_per_step": ns["classical"],

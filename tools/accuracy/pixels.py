@@ -76,28 +76,28 @@ def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         obj = table(kind, pitch, Path(folder))
         smooth, rolls = (Engine(scene_of(obj, sticks)) for sticks in (False, True))
-    found, cost_us = [], []
+    rows, cost_us = [], []
     for path in ways:
         records = visit(smooth, path)
-        found.append(differences(path, records, records, visit(rolls, path)))
+        rows.append(differences(path, records, records, visit(rolls, path)))
         for _ in range(PASSES):
             rolls.reset()
-            begun = time.perf_counter()
+            start = time.perf_counter()
             rolls.run(path.poses)
-            cost_us.append(1e6 * (time.perf_counter() - begun) / len(path.poses))
-    largest = {key: max(each[key] for each in found) for key in MEASURES}
+            cost_us.append(1e6 * (time.perf_counter() - start) / len(path.poses))
+    largest = {key: max(row[key] for row in rows) for key in MEASURES}
     return {"kind": kind, "pitch_m": pitch, **largest, "tick_us": min(cost_us)}
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
-    with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as done:
+    with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as update:
         ways = paths(TICKS)
         for pitch in PITCHES_M:
             for kind in KINDS:
                 rows.append(compare(kind, pitch, ways))
-                done(len(rows))
+                update(len(rows))
     show({"rows": rows}, args.json, list(lines(rows)))
     if args.plot:
         draw(rows, args.plot)
@@ -116,8 +116,8 @@ def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
     drawing = figure(10.0, 3.5)
     for axes, key in zip(drawing.subplots(1, len(MEASURES), sharex=True), MEASURES, strict=True):
         for kind in KINDS:
-            found = [row for row in rows if row["kind"] == kind]
-            axes.loglog([1e3 * row["pitch_m"] for row in found], [row[key] for row in found], "o-", label=kind)
+            of_kind = [row for row in rows if row["kind"] == kind]
+            axes.loglog([1e3 * row["pitch_m"] for row in of_kind], [row[key] for row in of_kind], "o-", label=kind)
         axes.set_title(key)
         axes.set_xlabel("pitch, mm")
         axes.legend(fontsize="x-small")

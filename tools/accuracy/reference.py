@@ -169,8 +169,8 @@ def roll_path(
         n, bend = normal_and_curvature(state[:3], shape)
         return np.append(np.linalg.solve(bend + np.eye(3) / radius, np.cross(w, n)), w @ n)
 
-    whole = integrate(derivative, 0.0, duration, np.append(c - radius * n, 0.0), duration / steps)
-    return Path(shape, radius, [(duration, whole.sol)])
+    complete = integrate(derivative, 0.0, duration, np.append(c - radius * n, 0.0), duration / steps)
+    return Path(shape, radius, [(duration, complete.sol)])
 
 
 def split_at_edges(
@@ -178,17 +178,17 @@ def split_at_edges(
 ) -> list[tuple[float, Callable[[Array], Array]]]:
     """Return the path of the centre in pieces: over each face, edge or corner as if it continued, until its end."""
     pieces: list[tuple[float, Callable[[Array], Array]]] = []
-    begun, state, past = 0.0, np.append(center, 0.0), ends_at(center, shape)
-    while begun < duration:
+    start, state, past = 0.0, np.append(center, 0.0), ends_at(center, shape)
+    while start < duration:
 
         def derivative(t: float, y: Array, past: Array = past) -> Array:
             w, n = np.asarray(rate(t), float), center_normal(y[:3], shape, past)
             return np.append(radius * np.cross(w, n), w @ n)
 
         leaving = [make_leaving_event(shape, past, i) for i in range(len(past))]
-        piece = integrate(derivative, begun, duration, state, duration / steps, leaving)
-        begun, state, past = float(piece.t[-1]), piece.y[:, -1], past.copy()
-        pieces.append((begun, piece.sol))
+        piece = integrate(derivative, start, duration, state, duration / steps, leaving)
+        start, state, past = float(piece.t[-1]), piece.y[:, -1], past.copy()
+        pieces.append((start, piece.sol))
         for i, reached in enumerate(piece.t_events):
             if len(reached):
                 past[i] = 0.0 if past[i] else np.sign(levels(state[:3], shape)[0][i])

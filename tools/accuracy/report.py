@@ -66,13 +66,13 @@ def paper_table(result: dict[str, Any]) -> Any:
 
 def speed_table(result: dict[str, Any]) -> Any:
     times, classical = result["speed"], result["speed"]["classical"]
-    named = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
-    named += [
+    columns = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
+    columns += [
         ("classical, steps of any length", classical["without_step_bound"]["ns_per_step"]),
         ("classical, with the complete path known in advance", classical["known_ahead"]["ns_per_step"]),
     ]
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
-    rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in named]
+    rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in columns]
     head = ("method", "ns a step", "over euler_zxz", f"over 100 operations, {unit:.0f} ns")
     return table("its time, world axes", head, rows, 1)
 
@@ -81,8 +81,8 @@ def orders_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["orders"]))
     rows = []
     for (surface, motion), group in group_by(result["orders"], "surface", "motion"):
-        found = {row["method"]: "-" if row["order"] is None else f"{row['order']:.2f}" for row in group}
-        rows.append((surface, motion, *(found.get(method, "") for method in methods)))
+        cells = {row["method"]: "-" if row["order"] is None else f"{row['order']:.2f}" for row in group}
+        rows.append((surface, motion, *(cells.get(method, "") for method in methods)))
     return table("measured order (-: rounding)", ("surface", "rate", *methods), rows, 2)
 
 
@@ -127,8 +127,8 @@ def drift_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["drift"]))
     rows = []
     for (surface, steps), group in group_by(result["drift"], "surface", "steps"):
-        found = {row["method"]: f"{row['drift_m']:.0e}" for row in group}
-        rows.append((surface, f"{steps:g}", *(found.get(method, "") for method in methods)))
+        cells = {row["method"]: f"{row['drift_m']:.0e}" for row in group}
+        rows.append((surface, f"{steps:g}", *(cells.get(method, "") for method in methods)))
     return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
 
 
@@ -141,8 +141,8 @@ def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
 
 def advice(result: dict[str, Any]) -> list[str]:
     """Return the recommendations for RATE_HZ; of errors with the same method only the smallest."""
-    found = []
+    cells = []
     for _, group in group_by(at_advised_rate(result), "surface", "motion", "method"):
         pick = min if group[0]["method"] else max
-        found.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
-    return [str(sentence) for sentence in found]
+        cells.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
+    return [str(sentence) for sentence in cells]

@@ -207,9 +207,9 @@ def draw(name: str, path: Path) -> None:
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(drawing.subplots(1, count))
     draw(axes)
-    for each, place in zip(axes, legends, strict=True):
+    for panel, place in zip(axes, legends, strict=True):
         if place:
-            each.legend(loc=place, frameon=False, fontsize="small")
+            panel.legend(loc=place, frameon=False, fontsize="small")
     save(drawing, path)
 
 

@@ -63,7 +63,7 @@ def by_driver(seconds: Mapping[str, float]) -> str:
     """Return durations as text, each with its drivers."""
     spans = sorted({*seconds.values()})
     return "; ".join(
-        f"{span:g} s of {', '.join(name for name, each in seconds.items() if each == span)}" for span in spans
+        f"{span:g} s of {', '.join(name for name, duration in seconds.items() if duration == span)}" for span in spans
     )
 
 

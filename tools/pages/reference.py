@@ -118,8 +118,8 @@ unused one is -1."""
         ("`contact.cause`", enumerate(CAUSE_NAMES)),
         ("bits of `servo.guard`", ((1 << bit, name) for bit, name in enumerate(GUARD_NAMES))),
     ]
-    numbers = "\n".join(f"- {what}: {_numbers(values)}." for what, values in numbered)
-    rows = [Key(each.name, _kind(each), each.unit, each.frame, each.meaning) for each in FIELDS]
+    numbers = "\n".join(f"- {title}: {_numbers(values)}." for title, values in numbered)
+    rows = [Key(field.name, _kind(field), field.unit, field.frame, field.meaning) for field in FIELDS]
     once = [row for row in rows if not row.name.startswith(("contacts1", "contacts2"))]
     return _page(head, keys_table(once), "## Numbers", numbers)
 
@@ -219,14 +219,14 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
     results = json.loads(SEEN_IN.read_text("utf-8"))
     rows = [
         [
-            each.name,
-            each.detection,
-            each.state if each.reaction == "none" else f"{each.reaction}: {each.state}",
-            each.recovery,
-            ", ".join(f"`{event}`" for event in each.events) or "none",
-            _cases(each, results),
+            hazard.name,
+            hazard.detection,
+            hazard.state if hazard.reaction == "none" else f"{hazard.reaction}: {hazard.state}",
+            hazard.recovery,
+            ", ".join(f"`{event}`" for event in hazard.events) or "none",
+            _cases(hazard, results),
         ]
-        for each in HAZARDS
+        for hazard in HAZARDS
     ]
     table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
     about = """\
@@ -240,20 +240,20 @@ them. Then the state of the run."""
 def _injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each injected fault, with all its drivers."""
     faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for each in results:
-        if "driver" in each:
-            key = tuple(each[name] for name in ("hazard", "fault", "event", "state", "recovery"))
-            faults.setdefault(key, []).append(each)
+    for result in results:
+        if "driver" in result:
+            key = tuple(result[name] for name in ("hazard", "fault", "event", "state", "recovery"))
+            faults.setdefault(key, []).append(result)
     rows = []
-    for (hazard, fault, event, state, recovery), found in faults.items():
+    for (hazard, fault, event, state, recovery), of_fault in faults.items():
         after: dict[int | None, list[str]] = {}
-        for each in found:
-            after.setdefault(each["ticks"], []).append(each["driver"])
+        for result in of_fault:
+            after.setdefault(result["ticks"], []).append(result["driver"])
         ticks = "; ".join(
             f"{'keeps a force' if count is None else count}: {', '.join(drivers)}"
-            for count, drivers in sorted(after.items(), key=lambda each: each[0] or 0)
+            for count, drivers in sorted(after.items(), key=lambda item: item[0] or 0)
         )
-        back = [each["back"] for each in found if each.get("back") is not None]
+        back = [result["back"] for result in of_fault if result.get("back") is not None]
         remaining = f": half of the force after {min(back)} to {max(back)} ticks" if back else ""
         reaction = event if event == "none" else f"`{event}`"
         rows.append([hazard, fault, ticks, reaction, state, recovery + remaining])
@@ -262,11 +262,11 @@ def _injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
 
 def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
     """Format the number of passed cases of each test of a hazard, with a link to the test."""
-    found = {each["test"]: each for each in results if each["hazard"] == hazard.name and "test" in each}
+    by_test = {result["test"]: result for result in results if result["hazard"] == hazard.name and "test" in result}
     words = []
     for test in hazard.tests:
         file, _, name = test.partition("::")
-        counted = f"{found[test]['passed']} of {found[test]['of']}: " if test in found else ""
+        counted = f"{by_test[test]['passed']} of {by_test[test]['of']}: " if test in by_test else ""
         words.append(f"{counted}[{name}](../../{file})")
     return ", ".join(words)
 
@@ -290,8 +290,8 @@ and the models beside what was published; `softfinger materials NAME` prints one
                 "<br>".join(map(library_texts.format_measured, entry.measured)),
                 ", ".join(entry.papers),
             ]
-            for name, (each, entry) in listed.items()
-            if each == kind
+            for name, (entry_kind, entry) in listed.items()
+            if entry_kind == kind
         ]
         parts += [title, schema.grid(["name", "what", "values", "holds", "published", "sources"], rows)]
     by_read: dict[str, list[str]] = {}
@@ -344,7 +344,7 @@ def _numbers(values: Iterable[tuple[int, str]]) -> str:
 
 
 def _format_list(verb: str) -> str:
-    rows = [[f"`{each['name']}`", each["description"]] for each in shipped.list_shipped(verb)]
+    rows = [[f"`{item['name']}`", item["description"]] for item in shipped.list_shipped(verb)]
     return schema.grid(["name", "what it is"], rows)
 
 

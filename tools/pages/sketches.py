@@ -47,8 +47,8 @@ def conventions(axes: Any) -> None:
     above.annotate("spin > 0", (0.0, 0.7), ha="center", va="center", fontsize="small")
     _axes_of(above, (1.5, 0.1), "x", "y")
     above.set_title("from above (z points to you)", fontsize="small")
-    for each in axes:
-        _bare(each, (-1.7, 2.5), (-0.5, 2.1))
+    for panel in axes:
+        _bare(panel, (-1.7, 2.5), (-0.5, 2.1))
 
 
 def rolling(axes: Any) -> None:

@@ -237,17 +237,17 @@ def poses_of(path: Array) -> dict[str, Array]:
 def play(engine: Engine, path: Array) -> Played:
     """Move the fingertips along centres (n, 2, 3)."""
     poses = poses_of(path)
-    found = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
+    played = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
     for tick in range(len(path)):
-        records = engine.run({name: each[tick : tick + 1] for name, each in poses.items()})
+        records = engine.run({name: finger_poses[tick : tick + 1] for name, finger_poses in poses.items()})
         for at, name in enumerate(FINGERS):
-            found.force[tick, at] = records[name]["force"][0]
-            found.mode[tick, at] = records[name]["contact.mode"][0]
-        found.speed[tick] = speed_of(engine)
+            played.force[tick, at] = records[name]["force"][0]
+            played.mode[tick, at] = records[name]["contact.mode"][0]
+        played.speed[tick] = speed_of(engine)
         applied = engine.data.xfrc_applied[1, :3]
-        unbalanced = max(unbalanced, float(np.abs(found.force[tick].sum(axis=0) + applied).max()))
-    return found._replace(unbalanced=unbalanced)
+        unbalanced = max(unbalanced, float(np.abs(played.force[tick].sum(axis=0) + applied).max()))
+    return played._replace(unbalanced=unbalanced)
 
 
 def slips(mode: Array) -> int:
@@ -257,9 +257,9 @@ def slips(mode: Array) -> int:
 
 def measure(cell: Cell) -> CellResult:
     """Run a cell twice."""
-    found = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
-    if found.depth_m > 2.0 * RADIUS_M:
-        return found._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
+    result = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
+    if result.depth_m > 2.0 * RADIUS_M:
+        return result._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
     forward = way_there(cell)
     stay = np.repeat(forward[-1:], round(STAY_S / DT), axis=0)
     with tempfile.TemporaryDirectory() as folder:
@@ -272,9 +272,9 @@ def measure(cell: Cell) -> CellResult:
             knock = speed_of(engine)
             after = play(engine, np.repeat(forward[-1:], round(WATCH_S / DT), axis=0))
         except SafetyStop as error:
-            return found._replace(reason=str(error))
+            return result._replace(reason=str(error))
     third, last = (float(after.speed[-to:][:QUARTER].max()) for to in (2 * QUARTER, QUARTER))
-    found = found._replace(
+    result = result._replace(
         left=last / knock,
         grown=last / third if third > 0.0 else 1.0,
         ripple_n=float(np.linalg.norm(np.diff(after.force[-QUARTER:], axis=0), axis=2).max()),
@@ -283,7 +283,7 @@ def measure(cell: Cell) -> CellResult:
         unbalanced_n=max(cycle.unbalanced, after.unbalanced),
     )
     touching = after.mode[-1, : 2 if cell.case == "hold" else 1] != FREE
-    return judge(found, bool(touching.all()))
+    return judge(result, bool(touching.all()))
 
 
 def judge(result: CellResult, touching: bool) -> CellResult:
@@ -302,9 +302,9 @@ def measure_all(
     cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
 ) -> list[CellResult]:
     """Measure every cell."""
-    found, cells = [], [Cell(*each) for each in product(cases, masses, stiffnesses)]
-    with progress("bodies", len(cells)) as done:
+    results, cells = [], [Cell(*values) for values in product(cases, masses, stiffnesses)]
+    with progress("bodies", len(cells)) as update:
         for number, cell in enumerate(cells):
-            found.append(measure(cell))
-            done(number + 1)
-    return found
+            results.append(measure(cell))
+            update(number + 1)
+    return results

@@ -83,11 +83,11 @@ def draw(path: Path, results: Sequence[CellResult]) -> None:
     for axes, case in zip(panels, cases, strict=True):
         for mass in dict.fromkeys(row.mass_kg for row in results):
             rows = [row for row in results if (row.case, row.mass_kg) == (case, mass)]
-            left = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
-            axes.loglog([row.stiffness_n_per_m for row in rows], left, "o-", label=mass_text(rows[0]))
+            remaining = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
+            axes.loglog([row.stiffness_n_per_m for row in rows], remaining, "o-", label=mass_text(rows[0]))
         axes.axhline(AT_REST, color="0.4", linewidth=0.8)
         stiffnesses = sorted({row.stiffness_n_per_m for row in results})
-        axes.set_xticks(stiffnesses, [f"{each:g}" for each in stiffnesses])
+        axes.set_xticks(stiffnesses, [f"{value:g}" for value in stiffnesses])
         axes.set_xticks([], minor=True)
         axes.set(title=case, xlabel="stiffness, N/m")
         axes.grid(True, alpha=0.3)

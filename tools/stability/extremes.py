@@ -243,10 +243,10 @@ def with_damaged_poses() -> Iterator[ExtremeCase]:
 
 def on_other_objects() -> Iterator[ExtremeCase]:
     """Yield curvature, edges, and several contacts at once."""
-    for radius, other in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
-        ball = {"shape": "sphere", "radius_m": other, "position_m": [0.0, 0.0, -min(other, 1e3)]}
-        poses = press(0.1 * min(radius, other), radius, 0.1 * min(radius, other))
-        words = f"r = {radius:g} m on R = {other:g} m"
+    for radius, object_radius in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
+        ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
+        poses = press(0.1 * min(radius, object_radius), radius, 0.1 * min(radius, object_radius))
+        words = f"r = {radius:g} m on R = {object_radius:g} m"
         yield ExtremeCase(
             "curvature", words, scene(ball, radius=radius), poses, even_steps(TICKS), expects=touches_and_leaves
         )
@@ -296,7 +296,7 @@ def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     modes = np.unique(records[:, AT.contact_mode])
     bits = int(np.bitwise_or.reduce(records[:, AT.servo_guard].astype(np.int64)))
-    named = [name for n, name in enumerate(GUARD_NAMES) if bits >> n & 1]
+    names = [name for n, name in enumerate(GUARD_NAMES) if bits >> n & 1]
     wrong = ""
     if broken := count_violations(records, case.period):
         wrong = f"{broken} ticks with a number not finite, a wrench past the guard, a jump or no mode"
@@ -304,7 +304,7 @@ def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
         wrong = "a pose refused" if not case.refused else "a broken pose taken"
     words = " ".join(("free", "rolling", "sliding")[int(mode)] for mode in modes if isfinite(mode))
     return ExtremeResult(
-        case.name, case.given, len(records), float(force.max()), words, " ".join(named), wrong or case.expects(records)
+        case.name, case.given, len(records), float(force.max()), words, " ".join(names), wrong or case.expects(records)
     )
 
 
@@ -330,15 +330,16 @@ def count_violations(records: Array, period: float) -> int:
 
 def try_extremes() -> list[ExtremeResult]:
     """Run every case, in order, and then the tests of the guard."""
-    found, todo = [], list(cases())
-    with progress("extremes", len(todo)) as done:
+    results, todo = [], list(cases())
+    with progress("extremes", len(todo)) as update:
         for number, case in enumerate(todo):
-            found.append(judge(case, run_case(case)))
-            done(number + 1)
-    found += [
-        ExtremeResult("wrench", given, n, force, "-", named, wrong) for given, n, force, named, wrong in try_wrenches()
+            results.append(judge(case, run_case(case)))
+            update(number + 1)
+    results += [
+        ExtremeResult("wrench", wrench, n, force, "-", names, wrong)
+        for wrench, n, force, names, wrong in try_wrenches()
     ]
-    return found
+    return results
 
 
 def table(results: Sequence[ExtremeResult]) -> str:

@@ -40,7 +40,7 @@ def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     """Run `ticks` random ticks on each of HOSTILE_SCENES; returns violations, refusals and the largest force."""
     rows = []
-    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as done:
+    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as update:
         for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
             tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
             scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
@@ -53,7 +53,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
                 broken += count_violations(part, 0.001)
                 refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
                 strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
-                done(number * ticks + first + len(samples))
+                update(number * ticks + first + len(samples))
             rows.append({"scene": name, "ticks": ticks, "broken": broken, "refused": refused, "force_max_n": strongest})
     return rows
 

@@ -83,8 +83,8 @@ def axis(name: str, case: WallCase, points: int) -> Array:
 def cases_of(name: str, case: WallCase, points: int = POINTS) -> list[WallCase]:
     """Return the cases of a map."""
     key = MAPS[name].key
-    whole = key == "delay_ticks"
-    return [vary(case, key, int(value) if whole else value) for value in axis(name, case, points).tolist()]
+    is_integer = key == "delay_ticks"
+    return [vary(case, key, int(value) if is_integer else value) for value in axis(name, case, points).tolist()]
 
 
 def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: WallCase) -> None:
@@ -100,8 +100,8 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: WallCase) -> 
         for number, variant in enumerate(variants):
             panel = [row for row in rows if row["map"] == name and row["variant"] == variant]
             x = [row[key] for row in panel]
-            found = [row["limit_n_per_m"] for row in panel]
-            y = [np.nan if limit is None else scale * limit for limit in found]
+            limits = [row["limit_n_per_m"] for row in panel]
+            y = [np.nan if limit is None else scale * limit for limit in limits]
             (lines[f"{variant}: found"],) = axes.plot(x, y, "o" if number == 0 else ".-", color=f"C{number}")
         line = cases_of(name, case, LINE_POINTS)
         x, fine = [getattr(point, key) for point in line], [point.linear() for point in line]

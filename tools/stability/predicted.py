@@ -97,8 +97,8 @@ def closed_loop(loop: LinearLoop) -> tuple[Array, Array]:
 def spectral_radius(loop: LinearLoop, stiffness: Array) -> Array:
     """Return the largest modulus of the eigenvalues of the closed loop for each of `stiffness` (n,) N/m."""
     m0, m1 = closed_loop(loop)
-    found: Array = np.abs(np.linalg.eigvals(m0 + np.multiply.outer(stiffness, m1))).max(axis=-1)
-    return found
+    radius: Array = np.abs(np.linalg.eigvals(m0 + np.multiply.outer(stiffness, m1))).max(axis=-1)
+    return radius
 
 
 def linear_limit(loop: LinearLoop) -> float:

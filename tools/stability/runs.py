@@ -85,10 +85,10 @@ def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Pa
         for number, first in enumerate(range(0, runs, RUNS_PER_BLOCK))
     ]
     compile_search()
-    begun = time.perf_counter()
-    found = run_cases(run_blocks, blocks, label="random runs", scheduler=scheduler, results=results, block=1)
-    seconds = time.perf_counter() - begun
-    sums = {name: sum(part[name] for part in found) for name in found[0]}
+    start = time.perf_counter()
+    rows = run_cases(run_blocks, blocks, label="random runs", scheduler=scheduler, results=results, block=1)
+    seconds = time.perf_counter() - start
+    sums = {name: sum(part[name] for part in rows) for name in rows[0]}
     rate = sums["ticks"] / seconds if fresh else None
     needed = SENSIBLE[0] * SENSIBLE[1] / rate if rate else None
     return {**sums, "seconds": seconds, "ticks_per_s": rate, "million_runs_s": needed}

@@ -59,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
 
 def run_extremes(args: argparse.Namespace) -> int:
     """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
-    found, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
-    result = {"extremes": [row._asdict() for row in found], "hostile": hostile_rows}
-    show(result, args.json, [extremes.table(found), hostile.hostile_table(hostile_rows)])
-    return int(any(row.wrong for row in found) or any(row["broken"] for row in hostile_rows))
+    results, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
+    result = {"extremes": [row._asdict() for row in results], "hostile": hostile_rows}
+    show(result, args.json, [extremes.table(results), hostile.hostile_table(hostile_rows)])
+    return int(any(row.wrong for row in results) or any(row["broken"] for row in hostile_rows))
 
 
 def run_bodies(args: argparse.Namespace) -> int:
@@ -70,11 +70,11 @@ def run_bodies(args: argparse.Namespace) -> int:
 
     Returns exit code 1 if a body is unstable, gives energy to the hands, or has unbalanced forces.
     """
-    found = bodies.measure_all()
-    show({"bodies": [row._asdict() for row in found]}, args.json, bodies_table.lines(found))
+    cells = bodies.measure_all()
+    show({"bodies": [row._asdict() for row in cells]}, args.json, bodies_table.lines(cells))
     if args.plot:
-        bodies_table.draw(args.plot, found)
-    return int(bool(bodies_table.wrong(found)))
+        bodies_table.draw(args.plot, cells)
+    return int(bool(bodies_table.wrong(cells)))
 
 
 def case_of(args: argparse.Namespace) -> WallCase:
@@ -103,8 +103,8 @@ def measure(case: WallCase, args: argparse.Namespace) -> list[dict[str, Any]]:
                 marks += [{"map": name, "variant": variant}] * len(points)
     if args.scheduler in (None, "local"):
         compile_search()
-    found = run_cases(find_limits, cases, label="finding limits", scheduler=args.scheduler, results=args.results)
-    return [{**mark, **row} for mark, row in zip(marks, found, strict=True)]
+    rows = run_cases(find_limits, cases, label="finding limits", scheduler=args.scheduler, results=args.results)
+    return [{**mark, **row} for mark, row in zip(marks, rows, strict=True)]
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -120,8 +120,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             heads = [*map(_head, keys), "found", "linear", "passive"]
             lines.append("  " + "".join(f"{head:>{_width(head)}}" for head in heads))
         cells = [f"{row[key]:>{_width(_head(key))}.6g}" for key in keys]
-        found = row["limit_n_per_m"]
-        cells.append(f"{'no limit':>14}" if found is None else f"{found:>14.2f}")
+        limit = row["limit_n_per_m"]
+        cells.append(f"{'no limit':>14}" if limit is None else f"{limit:>14.2f}")
         cells += [f"{row[key]:>14.2f}" for key in ("predicted_n_per_m", "passive_n_per_m")]
         lines.append("  " + "".join(cells))
     return lines
@@ -140,13 +140,13 @@ def draw_radius(path: Path, case: WallCase, row: Mapping[str, Any]) -> None:
     """Draw the spectral radius of the linear loop against the stiffness, with the limit and the passivity bound."""
     drawing = figure()
     axes = drawing.add_subplot()
-    found = row["limit_n_per_m"]
-    top = 2.0 * max(found or 0.0, row["predicted_n_per_m"], 1.0)
+    limit = row["limit_n_per_m"]
+    top = 2.0 * max(limit or 0.0, row["predicted_n_per_m"], 1.0)
     stiffness = np.linspace(top / 400.0, top, 400)
     axes.plot(stiffness, spectral_radius(case.linear(), stiffness), label="linear loop")
     axes.axhline(1.0, color="0.4", linewidth=0.8)
-    if found is not None:
-        axes.axvline(found, color="C1", label="unstable above: found on the servo step")
+    if limit is not None:
+        axes.axvline(limit, color="C1", label="unstable above: found on the servo step")
     axes.axvline(row["passive_n_per_m"], color="0.4", linestyle="--", label="passive below")
     axes.set_xlabel("stiffness of the wall, N/m")
     axes.set_ylabel("spectral radius")

@@ -100,13 +100,13 @@ def find_violation(out: Array) -> str:
     """Return the rule that the output violates: it is not finite, above a clamp, or jumps other than to zero."""
     if not np.isfinite(out).all():
         return "a wrench that is not finite was commanded"
-    for part, largest, slew, what in ((out[:, :3], 12.0, 2.0, "force"), (out[:, 3:], 0.3, 0.05, "moment")):
+    for part, largest, slew, part_name in ((out[:, :3], 12.0, 2.0, "force"), (out[:, 3:], 0.3, 0.05, "moment")):
         size = np.linalg.norm(part, axis=1)
         change = np.linalg.norm(np.diff(part, axis=0, prepend=0.0), axis=1)
         if size.max() > largest * (1.0 + ROUNDING):
-            return f"a {what} past its limit"
+            return f"a {part_name} past its limit"
         if np.minimum(change, size).max() > slew * (1.0 + ROUNDING):
-            return f"a {what} that jumped"
+            return f"a {part_name} that jumped"
     return ""
 
 
@@ -116,6 +116,6 @@ def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
         out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
         guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)
         every = int(np.bitwise_or.reduce(bits))
-        named = " ".join(name for n, name in enumerate(GUARD_NAMES) if every >> n & 1)
+        names = " ".join(name for n, name in enumerate(GUARD_NAMES) if every >> n & 1)
         force = float(np.linalg.norm(out[:, :3], axis=1).max())
-        yield case.given, TICKS, force, named, find_violation(out) or case.expects(out, bits)
+        yield case.given, TICKS, force, names, find_violation(out) or case.expects(out, bits)

@@ -50,10 +50,10 @@ def run(args: argparse.Namespace) -> int:
                 forward.run(stop.is_set, show)
             else:  # the other process shows counts
                 forward.run(lambda: stop.is_set() or not telemetry.keep_running())
-        found = (telemetry.end() if telemetry is not None else {}) | forward.statistics()
+        counts = (telemetry.end() if telemetry is not None else {}) | forward.statistics()
     if telemetry is not None and telemetry.exit_code:
         return telemetry.exit_code
-    print(json.dumps(found) if args.json else f"{describe(found)}; {found['seconds']:.1f} s", flush=True)
+    print(json.dumps(counts) if args.json else f"{describe(counts)}; {counts['seconds']:.1f} s", flush=True)
     return signals.stop_exit_code()
 
 

@@ -92,7 +92,7 @@ def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
 
 def _rows(tuning: Any) -> list[tuple[int, Rows]]:
     """Return the objects in rows, each with the index of the leaf that is their address."""
-    found, leaf = list[tuple[int, Rows]](), 0
+    arrays, leaf = list[tuple[int, Rows]](), 0
 
     def walk(node: Any) -> None:
         nonlocal leaf
@@ -101,19 +101,21 @@ def _rows(tuning: Any) -> list[tuple[int, Rows]]:
                 walk(child)
             return
         if isinstance(node, Rows) and isinstance(node[0], model.Entry | model.Material | model.Texture):
-            found.append((leaf, node))
+            arrays.append((leaf, node))
         leaf += 1
 
     walk(tuning)
-    return found
+    return arrays
 
 
 def _kinds(node: Any, kind: int) -> list[int]:
     """Return the kind of each leaf of a tree, in the order of `flatten`; `kind` is inherited from the parent field."""
     if not isinstance(node, tuple):
         return [AT_ONCE if isinstance(node, ReadOnly) else kind]  # the leaf of an array is its address
-    named = dict(zip(getattr(node, "_fields", range(len(node))), node, strict=True))
-    return [each for name, child in named.items() for each in _kinds(child, _kind_of(node, name, kind))]
+    children = dict(zip(getattr(node, "_fields", range(len(node))), node, strict=True))
+    return [
+        kind_of_leaf for name, child in children.items() for kind_of_leaf in _kinds(child, _kind_of(node, name, kind))
+    ]
 
 
 def _kind_of(node: Any, field: Any, kind: int) -> int:
