@@ -35,7 +35,7 @@ class FaultyConfig(ConfigError):
     """ConfigError for callers that list the faults.
 
     faults  all of them, with their source
-    config  the scene, rig or experiment with UNSET in the place of what is unusable, for further checks
+    config  the scene, rig or experiment with UNSET for unusable values, for further checks
     """
 
     def __init__(self, faults: Sequence[Fault | str], config: Any = None) -> None:

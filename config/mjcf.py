@@ -146,7 +146,7 @@ def _remove_pictures(spec: mujoco.MjSpec) -> None:
 
 
 def _state(file: str) -> Any:
-    """Return what changes when a file does."""
+    """Return device, inode, size and modification time of a file, None if it is missing."""
     try:
         status = os.stat(file)
     except OSError:

@@ -1,4 +1,4 @@
-"""Largest numbers in the elements of a MuJoCo model, with which a line of MJCF asks for memory."""
+"""Limits of the numbers in MJCF attributes that determine how much memory MuJoCo allocates."""
 
 from __future__ import annotations
 

@@ -41,8 +41,8 @@ def check_flexes(folder: str, folders: Iterable[str], flexes: Iterable[str], hom
 def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
     """Give every mesh and height field of a model that has a file its absolute path, and yield the paths.
 
-    `listed` are the files of which MuJoCo says that the model depends on them: the files of attached models are in
-    other folders, which only they tell.
+    `listed` are the files that MuJoCo reports as dependencies of the model; files of attached models are found in their
+    folders.
     """
     strips, spec.strippath = spec.strippath, False
     for asset in (*spec.meshes, *spec.hfields):

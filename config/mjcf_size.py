@@ -40,7 +40,7 @@ ROWS_PER_BYTE: Final = 1 / 50
 
 
 class Names(NamedTuple):
-    """Names in a model with which it asks for files.
+    """Names of files, folders and elements in a model that refer to other files.
 
     parts     XML files, without folders
     folders   values of meshdir and assetdir

@@ -149,7 +149,7 @@ def _read_untagged(
     key: str,
     report: FaultCollector,
 ) -> Any:
-    """Read what is certain of a table whose kind is unknown, for the checks across tables."""
+    """Read the fields that all possible kinds of a table share, for the checks across tables."""
     start = len(report.faults)
     cls, values = read_untagged(Untagged(structs, matching), value, key, report, _value)
     return UNSET if cls is None else _create(cls, values, key, report, start)

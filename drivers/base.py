@@ -76,7 +76,7 @@ class LeadableHand(Protocol):
         """Set the target: position (3,) m and unit quaternion (None: unchanged), device frame."""
 
     def hold(self) -> None:
-        """Hold the present intention, even on the way to an earlier target."""
+        """Hold the present intention, also during a motion to an earlier target."""
 
     def release(self) -> None:
         """End the lead: the hand resumes its configured behaviour."""

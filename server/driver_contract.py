@@ -1,6 +1,6 @@
 """Requirements of every driver as one class of pytest tests, for the drivers of this package and of other packages.
 
-A test module subclasses `DriverContract` and defines a fixture `bench`. The bench stands in for the hardware: it opens
+A test module subclasses `DriverContract` and defines a fixture `bench`. The bench replaces the hardware: it opens
 the device and causes its failures. The tests call the C functions as the servo does. docs/devices/writing-a-driver.md
 has an example. Only tests import this module: the package does not require pytest.
 """
@@ -316,7 +316,7 @@ class DriverContract:
                 run_for(servo, 100)
                 until = time.monotonic() + 30.0  # on a busy machine a withheld force fades in again
                 while math.hypot(*bench.displayed()) <= 0.5:
-                    assert servo.running and time.monotonic() < until, case
+                    assert servo.is_running and time.monotonic() < until, case
                     servo.records.wait()
                 bench.make(case)
                 end = servo.join(30.0)
@@ -331,7 +331,7 @@ class DriverContract:
 def run_for(servo: Loop, ticks: int) -> None:
     """Wait until a loop has run `ticks` ticks; fail if it ends before, because no further record would arrive."""
     while servo.ticks < ticks:
-        assert servo.running, f"the loop ended after {servo.ticks} ticks of {ticks}"
+        assert servo.is_running, f"the loop ended after {servo.ticks} ticks of {ticks}"
         servo.records.wait()
 
 

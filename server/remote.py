@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside, telemetry_of
+from softfinger.config.schema import commands_address_for, telemetry_of
 from softfinger.server.gateway.addresses import Addresses, find_addresses
 from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.client import Subscription, Window, subscribe
@@ -57,7 +57,7 @@ class Client(Control):
         self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
         self.telemetry = telemetry_of(telemetry)
-        super().__init__(commands_beside(self.telemetry) if commands is None else commands, timeout_s)
+        super().__init__(commands_address_for(self.telemetry) if commands is None else commands, timeout_s)
         self._verified = commands is not None
         self._opened: Final = list[Subscription | Window]()
 

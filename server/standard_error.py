@@ -20,7 +20,7 @@ _lost_lines = 0
 
 
 def write_line(text: str, wait_s: float = 0.0) -> None:
-    """Write a line, or drop what standard error does not take within `wait_s`; a later line counts dropped lines."""
+    """Write a line, or drop it if it is not accepted within `wait_s`; a later line counts the dropped ones."""
     global _lost_lines
     notice = f"({_lost_lines} lines are missing here: they were not read in time)\n" if _lost_lines else ""
     line = f"{notice}{text}\n"

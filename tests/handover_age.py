@@ -2,8 +2,8 @@
 tests/handover_age.py`, `make handover-age`.
 
 For drivers that exchange poses and forces with a thread or a vendor's library, and for boards on a serial port, which
-answer each frame or send unprompted. Devices on stand-ins are read and written by one compiled loop, called like in the
-servo, without the interpreter lock. The stand-in's pose contains the time at which it was made, by a clock that all
+answer each frame or send unprompted. Devices on stubs are read and written by one compiled loop, called like in the
+servo, without the interpreter lock. The stub's pose contains the time at which it was made, by a clock that all
 processes share, and its log has the arrival time of each force. Both ages therefore include messages, sockets, threads
 and their delays.
 """
@@ -157,7 +157,7 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
 
 
 def force_ages(taken: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the time (s) from each write (n,) until the stand-in first had its force; NaN if a newer force replaced
+    """Return the time (s) from each write (n,) until the stub first had its force; NaN if a newer force replaced
     it."""
     found = np.full(len(written), np.nan)
     ticks = np.arange(len(written))

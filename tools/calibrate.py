@@ -51,7 +51,7 @@ Array = NDArray[np.float64]
 
 
 class HoldController:
-    """Controller that holds the knob and records time (s) and vertical force (N) of every exchange."""
+    """Position controller of the knob that records time (s) and vertical force (N) of every exchange."""
 
     def __init__(self, device: Device) -> None:
         io = device.io()

@@ -320,7 +320,7 @@ class Exchange:
                 break
             ticks = int(self._words[_TICKS])
             done(ticks - first)
-            if idle_s := watchdog.stalled_s(ticks, self._armed):
+            if idle_s := watchdog.measure_stall_s(ticks, self._armed):
                 stalled = SafetyStop(
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
                     "zero force was commanded; the device hangs, or this machine starves the thread"

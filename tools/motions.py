@@ -138,7 +138,7 @@ def open_a_drawer() -> list[Move]:
 
 
 def open_a_door() -> list[Move]:
-    """Return a motion straight against the door, a wait, and the way back; the door follows."""
+    """Return a motion straight against the door, a pause, and the return motion; the door follows."""
     push = (0.0, 0.085, 0.0)
     return [hold(0.3), Move(1.4, push), hold(0.6), Move(1.4, opposite(push)), hold(1.0)]
 

@@ -1,6 +1,6 @@
 """Options of the verbs in this folder, and those that several measurements have.
 
-The modules of the verbs import what they measure, which takes longer than a help text.
+The modules of the verbs import the code that they measure, which would delay a help text.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def insert(page: str, tables: Mapping[str, str]) -> str:
 
 
 def run(*words: str) -> bytes:
-    """Return the output of a command of the program, run as by its users; its progress goes to the terminal."""
+    """Return the output of a command of the program, run as its users do; its progress is printed to the terminal."""
     print(f"study: softfinger {' '.join(words)}", file=sys.stderr, flush=True)
     process = subprocess.run([*PROGRAM, *words], stdout=subprocess.PIPE, check=False)
     if process.returncode != 0:

@@ -27,7 +27,7 @@ log: Final = logging.getLogger(__name__)
 
 
 class StoredResults:
-    """Results by the key of their case: `done` has those of the file, and `append` adds new ones."""
+    """Results by the key of their case: `done` contains the results in the file, `append` adds new ones."""
 
     def __init__(self, done: dict[str, Any], file: _File | None) -> None:
         self.done = done

@@ -24,7 +24,7 @@ from softfinger.config.fields import (
 )
 from softfinger.config.schema.addresses import (
     COMMANDS_SUFFIX,
-    commands_beside,
+    commands_address_for,
     endpoint_complaint,
     is_public,
     runtime_folder,
@@ -173,7 +173,7 @@ __all__ = [
     "Workspace",
     "World",
     "add_shape",
-    "commands_beside",
+    "commands_address_for",
     "doc",
     "endpoint_complaint",
     "is_public",

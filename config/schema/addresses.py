@@ -30,7 +30,7 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
 
 
-def commands_beside(telemetry: str) -> str:
+def commands_address_for(telemetry: str) -> str:
     """Return the default address for commands of a daemon with this telemetry address.
 
     The default is a socket that only this user can reach: for a path, the path with .commands appended; for a port on

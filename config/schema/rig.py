@@ -9,7 +9,7 @@ import msgspec
 
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Component, Table, TopicPart, doc, is_usable, sized, within
-from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_beside, endpoint_complaint, is_public
+from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_address_for, endpoint_complaint, is_public
 from softfinger.config.schema.guard import Arm, Guard
 
 RealtimeMode = Literal["auto", "require", "off"]
@@ -203,7 +203,7 @@ class Rig(Table, frozen=True, kw_only=True):
         endpoint = self.commands.endpoint
         if endpoint is not None:
             return None if endpoint == OFF else endpoint
-        return commands_beside(self.telemetry.endpoint)
+        return commands_address_for(self.telemetry.endpoint)
 
     def faults(self) -> Iterator[Complaint]:
         yield from self._device_faults()

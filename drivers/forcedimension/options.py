@@ -18,7 +18,7 @@ STATUS_S: Final = Range(0.001, 1.0, "polled at most every tick; after a second a
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """Which device, which library, and what may be done to it. What moves the device or its weight is off."""
+    """Selection of device and library, and permitted operations. Options that move the device are off by default."""
 
     library_file: (
         Annotated[str, doc("file of libdrd; absent: searched for, see docs/devices/forcedimension.md")] | None

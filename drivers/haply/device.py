@@ -79,7 +79,9 @@ class HaplyDevice(BlockDevice):
             os.eventfd_write(int(word[AT.wake]), 1)
         was_logged = bool(self._zero_failure)
         until = time.monotonic() + (0.0 if was_logged else STOP_WAIT_S)
-        while self._thread.running and word[AT.stops_answered] < word[AT.stops_requested] and time.monotonic() < until:
+        while (
+            self._thread.is_running and word[AT.stops_answered] < word[AT.stops_requested] and time.monotonic() < until
+        ):
             time.sleep(POLL_S)
         self._zero_failure = self._explain_unconfirmed()
         if self._zero_failure and not was_logged:
@@ -102,13 +104,13 @@ class HaplyDevice(BlockDevice):
     def is_settled(self) -> bool:
         """Return True if the service has answered the message with the latest wrench, or cannot any more."""
         word = self._block.word
-        return bool(word[AT.answered] >= word[AT.written]) or not self._thread.running
+        return bool(word[AT.answered] >= word[AT.written]) or not self._thread.is_running
 
     def _explain_unconfirmed(self) -> str:
         """Return why a stop's zero is unconfirmed; empty if its answer or the end of the connection confirms it."""
         if self._block.word[AT.stops_answered] == self._block.word[AT.stops_requested] or self._thread.ended_by_service:
             return ""
-        if self._thread.running:
+        if self._thread.is_running:
             return f"the Inverse Service has not answered it for {STOP_WAIT_S:g} s"
         return f"the Inverse Service has not read it ({self._thread.failure})"
 

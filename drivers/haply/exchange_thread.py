@@ -79,7 +79,7 @@ class ExchangeThread:
         self._thread.start()
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         return self._thread.is_alive()
 
     @property

@@ -178,7 +178,7 @@ def _choose_version(options: Options, until: float) -> tuple[int, int]:
         reported = _version(options.port, until)
         differs = force_key(parse_version(reported)) != force_key(version)
     except DeviceError:
-        return version  # the service does not say
+        return version  # the service does not report it
     if differs:
         raise DeviceError(
             f"version = {options.version} under [device], but the Inverse Service is version {reported}, which ignores "

@@ -25,7 +25,7 @@ OLD_FORMAT_PORT: Final = 10000
 
 
 class Filters(Table, frozen=True, kw_only=True):
-    """What the service does to a force; the defaults are the service's, and are set whenever a device is opened."""
+    """Force processing by the service. The defaults are those of the service; they are set when a device is opened."""
 
     force_gate: Annotated[float, within(GAIN, "gain of the guard against oscillation", 0.3)] = 0.3
     damping: Annotated[float, within(DAMPING, "damping that the service adds; unit not published", 0.0)] = 0.0

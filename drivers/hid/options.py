@@ -38,7 +38,7 @@ LIBRARY: Final = Path(__file__).with_name("reports.toml")
 
 
 class InputReport(Table, frozen=True, kw_only=True):
-    """What the device sends."""
+    """Report that the device sends."""
 
     bytes: Annotated[int, within(BYTES, "length without the report id, as in the descriptor", 8)]
     id: Annotated[int, within(REPORT_ID, "report id; 0: the device does not number its reports", 0)] = 0
@@ -52,7 +52,7 @@ class InputReport(Table, frozen=True, kw_only=True):
 
 
 class OutputReport(Table, frozen=True, kw_only=True):
-    """What the device is sent; bytes of no field are 0."""
+    """Report that the device receives; bytes without a field are 0."""
 
     bytes: Annotated[int, within(BYTES, "length without the report id, as in the descriptor", 8)]
     id: Annotated[int, within(REPORT_ID, "report id; 0: the device does not number its reports", 0)] = 0

@@ -170,4 +170,4 @@ class ReportThreads:
             try:
                 return self._threads_end.recv(REPORT_MAX)
             except ConnectionResetError:
-                pass  # raised once if the driver closed its end before reading all; what it sent remains
+                pass  # raised once if the driver closed its end before reading all; queued reports can still be read

@@ -38,7 +38,7 @@ Friction = Annotated[float, Meta(ge=limits.DEVICE_FRICTION_N.low, le=limits.DEVI
 
 
 class Hand(Table, frozen=True, kw_only=True):
-    """The hand that holds the handle: its mass moves with it, spring and damper pull towards what it intends."""
+    """Hand on the handle: a mass that moves with the handle, and a spring and damper towards the intended pose."""
 
     mass_kg: Annotated[float, within(limits.HAND_MASS_KG, "mass that moves with the handle", 0.1)] = 0.1
     damping_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "damping against the intended speed", 8.0)] = 8.0
@@ -48,7 +48,7 @@ class Hand(Table, frozen=True, kw_only=True):
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """Keys of a rig's [device] with `driver = "simulated"`; what is left out is the preset's."""
+    """Keys of a rig's [device] with `driver = "simulated"`; missing keys take the values of the preset."""
 
     preset: Annotated[Literal["omega.3", "omega.6", "falcon"], doc("device whose data are used", "omega.6")] = "omega.6"
     mass_kg: Annotated[tuple[Mass, Mass, Mass], doc("apparent mass along x, y, z")] | None = None

@@ -45,7 +45,7 @@ def udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
     for claim in (*claims(), *_claims_of_devices(devices)):
         if claim.driver == "haply":  # the maker's service opens it, and installs rules for it
             continue
-        # libusb is used if there is no hidraw node; 3D Systems' library opens the Touch HID in a way that is not public
+        # libusb is used if there is no hidraw node; how 3D Systems' library opens the Touch HID is not public
         for bus in (claim.bus, *(["usb"] if claim.bus == "hid" and claim.driver != "spacemouse" else [])):
             vendor_products = products.setdefault((claim.driver, bus, claim.vendor), set())
             vendor_products |= set() if claim.product is None else {claim.product}

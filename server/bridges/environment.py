@@ -65,7 +65,7 @@ class EnvironmentParameters:
 
 
 class Touch(LedHands):
-    """Fingertip that the agent leads to a scene's objects; for scenes with one finger.
+    """Fingertip that the agent moves along a scene's objects; for scenes with one finger.
 
     scene    as for `load_scene`
     setup    parameters; keywords of `EnvironmentParameters` may be given instead: Touch("sphere", goal_n=1.0)

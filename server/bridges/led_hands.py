@@ -69,7 +69,7 @@ def plan_goals(goals: Array, velocities: Array, lowest: Array, highest: Array, d
 
 
 class LedHands(gymnasium.Env[Observation, Array], ABC):
-    """Simulated hands that an agent leads, one per finger of a scene. Subclasses define observation and reward.
+    """Simulated hands that an agent moves, one per finger of a scene. Subclasses define observation and reward.
 
     scene     as for `load_scene`; ConfigError if its number of fingers differs
     setup     dataclass of the subclass

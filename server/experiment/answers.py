@@ -152,7 +152,7 @@ class Participant:
         return Answer(prompted.answer, prompted.after_s)
 
     def _wait_for_release(self, keys: Callable[[], str]) -> None:
-        """Wait until no key of the terminal is held, because a held key would answer every question."""
+        """Wait until no key of the terminal is pressed: a repeating key would answer every question."""
         is_told = False
         while True:
             self._haptics.wait(POLL_S)

@@ -107,7 +107,7 @@ class _Checks:
         return None
 
     def check_conditions(self) -> None:
-        """Check what belongs to a condition, a question or a finger."""
+        """Check the tables of conditions, questions and fingers."""
         experiment = self.experiment
         if self._are_sound(*CONDITION_TABLES, "scene"):
             self._faults += self._parameter_faults()

@@ -72,11 +72,11 @@ def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
     own = {name for name in scenes if name.endswith(".toml")}
     names = {*own, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
     for name in own:
-        names |= {os.path.relpath(file, folder) for file in _named_files(load_scene(folder / name))}
+        names |= {os.path.relpath(file, folder) for file in _list_files(load_scene(folder / name))}
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
 
 
-def _named_files(scene: Scene) -> Iterator[str]:
+def _list_files(scene: Scene) -> Iterator[str]:
     """Yield the paths of the model, meshes, maps, textures and solutions of a scene."""
     if scene.world is not None:
         yield scene.world.model

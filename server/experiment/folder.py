@@ -129,7 +129,7 @@ class ParticipantFolder:
 
 
 def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
-    """Return the trials as designed, one row each; without columns for what the design does not have."""
+    """Return the designed trials, one row each; columns of unused features are omitted."""
     unused = {name for name in ("catch", "staircase") if not any(getattr(trial, name) for trial in trials)}
     return [
         {key: value for key, value in trial._asdict().items() if key not in unused}

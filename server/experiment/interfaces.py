@@ -1,4 +1,4 @@
-"""What a session exchanges with the apparatus that presents stimuli and the source of answers, and their protocols."""
+"""Protocols of the apparatus that presents stimuli and of the source of answers, and the data exchanged with them."""
 
 from __future__ import annotations
 

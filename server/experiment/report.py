@@ -215,7 +215,7 @@ def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
 
 
 def _starts(root: Path) -> list[dict[str, Any]]:
-    """Return what is stored about each start of a session, with `simulated` for dry runs."""
+    """Return the stored data of each start of a session, with `simulated` for dry runs."""
     starts = []
     for path in sorted(root.glob("sub-*/sub-*_run-*_about.json")):
         journal = read(path.parent / f"{path.parent.name}_journal.jsonl")

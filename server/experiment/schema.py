@@ -41,7 +41,7 @@ class Trial(Table, frozen=True, kw_only=True):
 
 
 class Observer(Table, frozen=True, kw_only=True):
-    """The simulated observer of a dry run: what a real one is thought to be like.
+    """Simulated observer of a dry run, with the parameters expected of a real one.
 
     A comparison is right with probability 1/2 + (1/2 - lapse) (1 - exp(-(level / threshold)^slope)) (Weibull); a number
     or a duration is scale level^exponent exp(noise n), n standard normal (Stevens 1957).
@@ -67,7 +67,7 @@ class Observer(Table, frozen=True, kw_only=True):
 
 
 class ExperimentFile(Table, frozen=True, kw_only=True):
-    """What all trials share."""
+    """Experiment file: properties shared by all trials."""
 
     title: Annotated[str, sized(Range(1, 200, ""), "title of the page and of the figures", "Stiffness discrimination")]
     scene: Annotated[

@@ -25,7 +25,7 @@ Bound = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 class Question(Table, frozen=True, kw_only=True):
-    """A question of a survey, asked on a screen of its own. The kinds are those of jsPsych."""
+    """Question of a survey, shown alone on a screen. The kinds are those of jsPsych."""
 
     name: Annotated[Label, doc("name of the question in the table of answers", "age")]
     kind: Annotated[
@@ -70,7 +70,7 @@ class Question(Table, frozen=True, kw_only=True):
 
 
 class SurveyFile(Table, frozen=True, kw_only=True):
-    """Questions in a file of their own, such as a published questionnaire."""
+    """Questions in a separate file, such as a published questionnaire."""
 
     title: Annotated[str, sized(Range(0, 200, ""), "title of its screens and in the report", "NASA-TLX")] = ""
     reference: Annotated[str, sized(TEXT, "publication, quoted in the report")] = ""
@@ -110,7 +110,7 @@ class Survey(SurveyFile, frozen=True, kw_only=True):
 
 
 class CatchTrials(Table, frozen=True, kw_only=True):
-    """Trials with an obvious answer, among the others. Procedures and fits do not use them."""
+    """Trials with an obvious answer, mixed with the regular trials. Procedures and fits do not use them."""
 
     rate: Annotated[
         float, within(Range(0.0, 1.0, "one catch trial per trial"), "catch trials per other trial of a condition", 0.1)
@@ -150,7 +150,7 @@ class Confidence(Table, frozen=True, kw_only=True):
 
 
 class Screen(Table, frozen=True, kw_only=True):
-    """What the participant's page shows and plays in the trials."""
+    """Content and sound of the participant's page during trials."""
 
     masking_noise: Annotated[
         Literal["none", "white", "pink"], doc("noise that masks the sound of the device, made by the page")

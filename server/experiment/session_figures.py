@@ -17,7 +17,7 @@ from softfinger.server.experiment.schema import ExperimentFile
 def draw_session(
     experiment: ExperimentFile, rows: Sequence[Entry], table: Sequence[Entry], groups: Sequence[Group], out: Path
 ) -> list[Path]:
-    """Draw what the experiment has of interleaved staircases, confidence and surveys; return the files.
+    """Draw interleaved staircases, confidence and surveys, if the experiment has them; return the files.
 
     Parameters
     ----------

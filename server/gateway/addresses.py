@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.config.schema import COMMANDS_SUFFIX, commands_beside, is_public, telemetry_of
+from softfinger.config.schema import COMMANDS_SUFFIX, commands_address_for, is_public, telemetry_of
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -54,14 +54,14 @@ def find_addresses(
     within_s    time limit of the search if something listens at the address; the machine may be busy
 
     By default, and for an address that other machines can reach, the command endpoint follows from the telemetry
-    endpoint (`commands_beside`). Otherwise the daemon is queried. If it does not answer, because it is not running yet,
-    the default is returned.
+    endpoint (`commands_address_for`). Otherwise the daemon is queried. If it does not answer, for
+    example because it has not started yet, the default is returned.
     """
     if commands is not None:
         return Addresses(telemetry_of(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(COMMANDS_SUFFIX):
         return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
-    neighbour = commands_beside(endpoint)
+    neighbour = commands_address_for(endpoint)
     if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, neighbour)
     suggestion = Addresses(endpoint, endpoint if to_command else neighbour)
@@ -91,7 +91,7 @@ def _query_telemetry(endpoint: str, keys: ClientKeys | None, wait_s: float) -> A
     """Return both addresses if an endpoint is telemetry: its first message has the command endpoint."""
     with subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples, suppress(ProtocolError):
         if (sample := samples.receive(wait_s)) is not None:
-            return Addresses(endpoint, sample.data.get("commands", commands_beside(endpoint)) or None)
+            return Addresses(endpoint, sample.data.get("commands", commands_address_for(endpoint)) or None)
     return None
 
 

@@ -42,7 +42,7 @@ class TelemetryProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._started_s = time.monotonic()
-        # In a session of its own: Ctrl-C reaches the gateway, which then closes the standard input of this process.
+        # In a separate session: Ctrl-C reaches the gateway, which then closes the standard input of this process.
         return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
     def keep_running(self) -> bool:

@@ -94,7 +94,7 @@ def make_device_buffers(record: NDArray[np.float64], max_ignored_ticks: int) -> 
 
 
 @jit
-def checked_status(status: int) -> int:
+def check_status(status: int) -> int:
     """Return a driver's status; an unknown one counts as a protocol error."""
     return PROTOCOL if status > HELD else status
 
@@ -118,7 +118,7 @@ def read_one(
     pose becomes nan.
     """
     # Not into the sample: a driver without new data may leave the buffer as it is.
-    status = checked_status(call_device(io.read, io.handle, device.raw))
+    status = check_status(call_device(io.read, io.handle, device.raw))
     if status == WITHHELD:
         hand = reset_guard(start, hand)
     for i in range(SAMPLE_SIZE):
@@ -147,7 +147,7 @@ def write_one(
     FingerMemory and record follow the force that the hand receives.
     """
     put_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
-    status = checked_status(call_device(io.write, io.handle, device.wrench))
+    status = check_status(call_device(io.write, io.handle, device.wrench))
     device.ignored_ticks[0] = device.ignored_ticks[0] + 1 if status == HELD else 0
     if device.ignored_ticks[0] > device.ignored_ticks[1]:
         status = TIMEOUT
@@ -158,21 +158,21 @@ def write_one(
 
 
 @jit
-def first_ended(statuses: Any) -> tuple[int, int]:
+def find_first_ended(statuses: Any) -> tuple[int, int]:
     """Return the index of the first device that failed or finished, -1 if there is none, and its status.
 
     Without one, the status is that of the first device.
     """
-    return fold_each(first_ended_from, statuses, (-1, 0))
+    return fold_each(pick_first_ended, statuses, (-1, 0))
 
 
 @jit
-def first_ended_from(status: int, others: tuple[int, int]) -> tuple[int, int]:
-    """Return `first_ended` of a device and those after it, given that of those after it."""
+def pick_first_ended(status: int, later: tuple[int, int]) -> tuple[int, int]:
+    """Return `find_first_ended` of a device and those after it, given that of those after it."""
     has_ended = status < 0 or status == END
-    if has_ended or others[0] < 0:
+    if has_ended or later[0] < 0:
         return (0 if has_ended else -1), status
-    return others[0] + 1, others[1]
+    return later[0] + 1, later[1]
 
 
 @jit
@@ -192,15 +192,15 @@ def stamp_one(device: Any, status_in: int, status_out: int, stamp: Stamp) -> Non
 
 
 @jit
-def guarded_bits(buffers: Any) -> tuple[int, int]:
+def collect_guard_bits(buffers: Any) -> tuple[int, int]:
     """Return the bits of all guards combined, and the first finger with a rejected pose, 0 if there is none."""
-    return fold_each(guarded_bits_from, buffers, (0, 0))
+    return fold_each(add_guard_bits, buffers, (0, 0))
 
 
 @jit
-def guarded_bits_from(device: Any, others: tuple[int, int]) -> tuple[int, int]:
-    """Return `guarded_bits` of a finger and those after it, given those of the fingers after it."""
-    own, (bits, index) = int(device.record[AT.servo_guard]), others
+def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
+    """Return `collect_guard_bits` of a finger and those after it, given those of the fingers after it."""
+    own, (bits, index) = int(device.record[AT.servo_guard]), later
     return own | bits, 0 if own & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
 
 

@@ -100,7 +100,7 @@ class Watchdog:
     def __init__(self) -> None:
         self._last_ticks, self._idle = -1, 0
 
-    def stalled_s(self, ticks: int, due: bool, polls: int = STALL_POLLS) -> float:
+    def measure_stall_s(self, ticks: int, due: bool, polls: int = STALL_POLLS) -> float:
         """Return for how long (s) the loop has stalled, 0 if it has not.
 
         ticks  done so far

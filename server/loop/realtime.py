@@ -94,7 +94,7 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> AppliedSettings:
         applied.settings.append(Setting("off", True, "as requested: the servo has normal priority", ""))
         return applied
     if sys.platform != "linux":
-        applied.settings.extend(refused_elsewhere(sys.platform, cpu))
+        applied.settings.extend(list_refused_settings(sys.platform, cpu))
     else:
         # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores its request.
         applied.settings.append(_set_timer_slack(applied))
@@ -126,7 +126,7 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
     return Setting(setting, True, f"priority {clamped}", "")
 
 
-def refused_elsewhere(platform: str, cpu: int | None) -> list[Setting]:
+def list_refused_settings(platform: str, cpu: int | None) -> list[Setting]:
     """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
     advice = "run on Linux, or set --realtime off"

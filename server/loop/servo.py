@@ -22,8 +22,8 @@ from softfinger.server.loop.all_devices import (
     DeviceBuffers,
     Io,
     Stamp,
-    first_ended,
-    guarded_bits,
+    collect_guard_bits,
+    find_first_ended,
     read_one,
     stamp_one,
     write_one,
@@ -175,7 +175,7 @@ def servo_loop(
         version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
         reads = ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers
         befores, statuses = unzip(map_each(read_one, reads, dt))
-        index, status = first_ended(statuses)
+        index, status = find_first_ended(statuses)
         if index >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, index
             break
@@ -186,7 +186,7 @@ def servo_loop(
         hands, statuses_out = unzip(map_each(write_one, writes))
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
-        index, status_out = first_ended(statuses_out)
+        index, status_out = find_first_ended(statuses_out)
         if index >= 0:
             ending, status, finger = WRITE_FAILED, status_out, index
             break
@@ -198,7 +198,7 @@ def servo_loop(
         number += 1
         publish_record(shared, scratch.row, number)
         busy, pace = schedule_next(shared, schedule, pace, woke, timespec)
-        bits, index = guarded_bits(buffers)
+        bits, index = collect_guard_bits(buffers)
         health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
         if fault != 0:
             ending, finger = fault, index

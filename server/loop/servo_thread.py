@@ -31,7 +31,7 @@ from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
-from softfinger.server.loop.tick import Tuning, begin, continued_memory
+from softfinger.server.loop.tick import Tuning, begin, continue_memory
 from softfinger.server.loop.tuning import has_same_structure
 
 log: Final = logging.getLogger(__name__)
@@ -206,7 +206,7 @@ class Servo:
 
     def _with_continued_limits(self, loop: Loop) -> Loop:
         """Return the loop with the state of the limits after the last tick."""
-        start = continued_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
+        start = continue_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
         return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 
     def replace(self, make: Callable[[], Loop], keeps_devices: bool) -> int:
@@ -286,16 +286,16 @@ class Servo:
         return self._ended
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         return not self._done.is_set()
 
     @property
     def is_ticking(self) -> bool:
-        """Whether ticks will follow; after the last one the devices are stopped, and then `running` becomes false."""
+        """Whether ticks will follow. After the last tick the devices are stopped, then `is_running` becomes false."""
         return self._ended is None
 
     @property
-    def armed(self) -> bool:
+    def is_armed(self) -> bool:
         """Whether the devices have been armed; from then on a tick is due."""
         return self._armed
 

@@ -84,7 +84,7 @@ def begin(scene: Scene) -> Memory:
     return Memory(state.world, fingers)
 
 
-def continued_memory(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
+def continue_memory(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memory:
     """Return the state before the first tick of a loop that continues another one.
 
     row  records of the last tick, one finger after the other

@@ -191,7 +191,7 @@ class CommandService:
     def _check_heartbeat(self) -> None:
         """Record a missed heartbeat, if it is missed.
 
-        The loop has already turned the force off, and a request alone does not turn it on again.
+        The loop has already turned the force off, and the next request does not turn it on again.
         """
         if self._heartbeat_s is None or time.monotonic() - self._last_request_s <= self._heartbeat_s:
             return

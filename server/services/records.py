@@ -93,7 +93,9 @@ class RecordService(Worker):
 
     def stop(self) -> None:
         # A servo that was never started, or that hangs, produces no last record.
-        failed = shutdown.run_all_steps(*([self._abandon] if self._servo.running else []), super().stop, self._release)
+        failed = shutdown.run_all_steps(
+            *([self._abandon] if self._servo.is_running else []), super().stop, self._release
+        )
         if self._thread.ident is None:
             self._tap.close()
         if failed is not None:
@@ -104,5 +106,5 @@ class RecordService(Worker):
         self._tap.wake()
 
     def _release(self) -> None:
-        if not self._servo.running and not self._thread.is_alive():  # a reader that did not end in time still reads
+        if not self._servo.is_running and not self._thread.is_alive():  # a reader that did not end in time still reads
             self._servo.close()

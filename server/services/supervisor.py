@@ -30,7 +30,7 @@ class Supervisor(Worker):
             ticks = self._servo.ticks
             has_force = any(device.info.has_persistent_force for device in self._servo.devices)
             polls = health.STALL_POLLS if has_force else health.STALL_POLLS_WITHOUT_HAND
-            idle_s = watchdog.stalled_s(ticks, self._servo.armed, polls)
+            idle_s = watchdog.measure_stall_s(ticks, self._servo.is_armed, polls)
             if idle_s and self._servo.is_ticking:
                 self._stop_stalled(idle_s, ticks)
                 return

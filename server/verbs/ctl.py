@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside
+from softfinger.config.schema import commands_address_for
 from softfinger.config.sources import read_toml
 from softfinger.config.words import format_value, near
 from softfinger.server import keys
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     within_s = BUSY_S if args.timeout is None else args.timeout
     with ExitStack() as early:
         if args.method == "disarm":  # the search waits for a daemon that is slow to describe itself
-            for address in {args.endpoint, commands_beside(args.endpoint)}:
+            for address in {args.endpoint, commands_address_for(args.endpoint)}:
                 early.enter_context(Control(address, args.timeout, lock)).post(args.method)
         addresses = find_addresses(args.endpoint, lock, to_command=args.endpoint != DEFAULT_ENDPOINT, within_s=within_s)
         with (

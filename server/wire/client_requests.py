@@ -11,7 +11,7 @@ import numpy as np
 import zmq
 
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
-from softfinger.config.schema import Telemetry, commands_beside, runtime_folder
+from softfinger.config.schema import Telemetry, commands_address_for, runtime_folder
 from softfinger.server.keys import ClientKeys
 from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import check_runtime_folder
@@ -37,7 +37,7 @@ class NoAnswer(HapticError):
 
 def default_commands() -> str:
     """Return the default command endpoint of a daemon of this user."""
-    return commands_beside(Telemetry().endpoint)
+    return commands_address_for(Telemetry().endpoint)
 
 
 def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:

@@ -155,7 +155,7 @@ class SocketProcess:
             own_end, child_end = map(undo.enter_context, socket.socketpair())
             # A separate session: Ctrl-C and the end of a terminal are handled by the daemon; this process ends with the
             # channel.
-            # Standard error in memory: a pipe that nobody reads would block the process in its last message.
+            # Standard error in memory: a pipe without a reader would block the process in its last message.
             errors = undo.enter_context(open(os.memfd_create("softfinger-errors"), "r+b", buffering=0))
             process = subprocess.Popen(
                 [sys.executable, "-m", MODULE, self.name, str(child_end.fileno())],
@@ -266,7 +266,7 @@ class SocketProcess:
         return True
 
     def _log_errors(self) -> None:
-        """Log the end of what the process has written to its standard error, and free that memory."""
+        """Log the last part of the standard error of the process, and free its memory."""
         with self._errors:
             self._errors.seek(max(0, os.fstat(self._errors.fileno()).st_size - ERRORS_MAX))
             if text := self._errors.read().decode(errors="replace").strip():

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_beside
+from softfinger.config.schema import commands_address_for
 from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, columns
@@ -99,7 +99,7 @@ class Publisher(Closeable):
             "schema": SCHEMA,
             "timestamp": now_s(),
             "topics": self._topics,
-            "commands": commands_beside(self.endpoint) if is_standalone else self._endpoints.announced_commands,
+            "commands": commands_address_for(self.endpoint) if is_standalone else self._endpoints.announced_commands,
             "messages": wire_schema()["messages"],
         }
         self._greeting = encode(content)
@@ -269,7 +269,7 @@ class Publisher(Closeable):
                 self._send(EVENT, event)
 
     def send_message(self, topic: str, message: dict[str, Any]) -> None:
-        """Send a message of one of SCENE_TOPICS, of which a new subscriber gets the newest; from any thread."""
+        """Send a message of one of SCENE_TOPICS, of which a new subscriber receives the latest; from any thread."""
         with self._lock:
             if not self._closed:
                 self._send(topic, message)

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config import schema
-from softfinger.config.schema import commands_beside, is_public
+from softfinger.config.schema import commands_address_for, is_public
 from softfinger.server.publishing.setup import ListeningSocket
 from softfinger.server.wire.endpoint import listen
 
@@ -93,7 +93,7 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
         if commands is not None:
             is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
             # The port chosen for the telemetry, if the rig does not set one.
-            commands_endpoint = commands_beside(endpoints.telemetry) if is_beside else commands
+            commands_endpoint = commands_address_for(endpoints.telemetry) if is_beside else commands
             endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, own=is_beside)
         undo.pop_all()
     return endpoints

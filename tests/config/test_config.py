@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene
-from softfinger.config.schema import Rig, Scene, commands_beside
+from softfinger.config.schema import Rig, Scene, commands_address_for
 from softfinger.config.schema.pairing import pair, single_device
 from softfinger.config.sources import list_shipped, read_toml
 from softfinger.config.words import near
@@ -322,14 +322,14 @@ def test_command_endpoint_follows_from_the_telemetry_endpoint(
 )
 def test_commands_beside_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
     """Other machines cannot reach a Unix socket, so public telemetry has its commands on a neighbouring port."""
-    assert commands_beside(telemetry) == expected
+    assert commands_address_for(telemetry) == expected
 
 
 def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     """The folder is named after the user; a path too long for a socket is a fault that names the key to set."""
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
-    assert commands_beside("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
+    assert commands_address_for("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + 90 * "x")
     (fault,) = faults_of(Rig, put(rig(), "telemetry.endpoint", "tcp://127.0.0.1:5555"))
     assert "commands.endpoint: ipc:///xxx" in fault and "107 bytes" in fault and "give one" in fault

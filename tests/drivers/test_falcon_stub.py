@@ -1,4 +1,4 @@
-"""Falcon driver on a stand-in for libusb with adjustable delays; test_falcon_emulated.py uses the real libusb."""
+"""Falcon driver on a stub for libusb with adjustable delays; test_falcon_emulated.py uses the real libusb."""
 
 from __future__ import annotations
 
@@ -364,7 +364,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
 
 
 def test_the_daemon_itself(tmp_path: Path) -> None:
-    """`softfinger run` finds the stand-in where the loader expects libusb, renders contact, and releases everything."""
+    """`softfinger run` finds the stub where the loader expects libusb, renders contact, and releases everything."""
     words = ["run", "--rig", "falcon", "--scene", "paper-plane", "--endpoint", "tcp://127.0.0.1:*"]
     words += ["--realtime", "off", "--duration", "1.5"]
     done = run_program(

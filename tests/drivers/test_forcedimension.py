@@ -1,4 +1,4 @@
-"""Force Dimension's devices on a stand-in for the maker's library: contract, constants, opening, exchange."""
+"""Force Dimension's devices on a stub for the maker's library: contract, constants, opening, exchange."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ SIGMA_7 = {"type": 104, "wrist": 1, "active_wrist": 1, "gripper": 1}
 
 
 class TestContract(DriverContract):
-    """The contract over the stand-in."""
+    """The contract over the stub."""
 
 
 # --- constants of the header ---
@@ -178,7 +178,7 @@ def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBenc
                 break
         assert stub["cause"] == 0
         time.sleep(0.1)
-        assert stub["cause"] == 3 and stub.norm() == 0.0, "the stand-in's watchdog does not bite"
+        assert stub["cause"] == 3 and stub.norm() == 0.0, "the stub's watchdog does not bite"
 
 
 def test_opening_disables_a_force_of_a_killed_program(stub: Stub, bench: StubBench) -> None:

@@ -108,7 +108,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
         servo = Servo(device, arm=False)
         until(lambda servo=servo: servo.read()[0] < 0)
         statuses.append(servo.read()[0])
-        until(lambda device=device: not device._thread.running)
+        until(lambda device=device: not device._thread.is_running)
     return statuses
 
 

@@ -1,4 +1,4 @@
-"""3D Systems' devices on a stand-in for the maker's library with a real thread and a journal of the motors' ticks."""
+"""3D Systems' devices on a stub for the maker's library with a real thread and a journal of the motors' ticks."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def bench(touch: TouchBench) -> TouchBench:
 
 
 class TestContract(DriverContract):
-    """The contract over the stand-in."""
+    """The contract over the stub."""
 
 
 def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
@@ -465,7 +465,7 @@ def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
         hd["drop_at"] = 0
         hd.after(2)
         until(lambda: servo.read()[0] == TIMEOUT)
-        assert hd.wrench()[0] == 1.0, "the stand-in's motors do not keep their force"
+        assert hd.wrench()[0] == 1.0, "the stub's motors do not keep their force"
         device.stop()
         assert not any(hd.wrench())
 

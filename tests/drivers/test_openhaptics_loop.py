@@ -160,7 +160,7 @@ def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library:
     last = np.linalg.norm(journal_in(left)["force"], axis=1)
     assert last.max() > 0.5
     if number == signal.SIGKILL:
-        assert 0.0 < last[-1] <= 1.5, "the stand-in's motors do not keep their force"
+        assert 0.0 < last[-1] <= 1.5, "the stub's motors do not keep their force"
     else:
         assert process.returncode == (0 if number in (signal.SIGTERM, signal.SIGINT) else 128 + number), said
         assert last[-1] == 0.0

@@ -155,7 +155,7 @@ def test_no_libusb_at_all(tmp_path: Path) -> None:
     assert re.search(NEITHER, said) and len(said.strip().splitlines()) == 1, said
 
 
-@pytest.mark.skipif(COMPILER is None, reason="the stand-in for the maker's library is C, and there is no compiler")
+@pytest.mark.skipif(COMPILER is None, reason="the stub for the maker's library is C, and there is no compiler")
 def test_makers_library_that_sees_no_device(
     bare: tuple[list[str], dict[str, str]], stub_library: Path, tmp_path: Path
 ) -> None:

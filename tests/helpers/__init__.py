@@ -1,1 +1,1 @@
-"""What several test files share. No tests, and no stand-ins for devices."""
+"""What several test files share. No tests, and no stubs for devices."""

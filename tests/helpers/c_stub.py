@@ -1,4 +1,4 @@
-"""Stand-ins for vendor libraries in C: compiled by the test, controlled by named variables."""
+"""Stubs for vendor libraries in C: compiled by the test, controlled by named variables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-NO_COMPILER = "the stand-in for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
+NO_COMPILER = "the stub for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
 
 
 def compile_stub(source: Path, path: Path, *flags: str) -> Path:

@@ -1,4 +1,4 @@
-"""Stand-in for Force Dimension's library, compiled by the test, and USB devices for pyusb."""
+"""Stub of Force Dimension's library, compiled by the test, and USB devices for pyusb."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
 LOGGED = 1 << 14
-"""Length of the stand-in's log."""
+"""Length of the stub's log."""
 
 
 class Stub(CStub):
-    """Stand-in for Force Dimension's library."""
+    """Stub of Force Dimension's library."""
 
     def force(self) -> tuple[float, float, float]:
         """Return the present force of the motors in the library's frame (x towards the user, y right, z up)."""
@@ -53,7 +53,7 @@ class Stub(CStub):
 
 @pytest.fixture(scope="session")
 def stub_library() -> Iterator[Path]:
-    """Compile the stand-in in a folder that any user may enter."""
+    """Compile the stub in a folder that any user may enter."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="drd-") as folder:
@@ -116,7 +116,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
 
 
 class StubBench(Bench):
-    """Bench with an omega on the stand-in."""
+    """Bench with an omega on the stub."""
 
     def __init__(self, stub: Stub) -> None:
         self.stub = stub

@@ -48,7 +48,7 @@ class Far(NamedTuple):
     """Emulated device of a rig.
 
     rig         file of the rig
-    device      controlled by tests: stand-in, service, board or its port
+    device      controlled by tests: stub, service, board or its port
     given       received forces from that index on (-1: the latest), in order (n, 4): s of the monotonic clock, N
     press       put the hand some millimetres into a floor at z = 0
     unplug      pull the cable

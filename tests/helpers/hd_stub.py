@@ -1,4 +1,4 @@
-"""Stand-in for 3D Systems' library, compiled by the test."""
+"""Stub of 3D Systems' library, compiled by the test."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def journal_in(file: Path) -> NDArray[Any]:
 
 
 class HdStub(CStub):
-    """Stand-in for 3D Systems' library."""
+    """Stub of 3D Systems' library."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -96,7 +96,7 @@ PORT = SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM
 
 
 class TouchBench(Bench):
-    """Bench with a Touch on the stand-in."""
+    """Bench with a Touch on the stub."""
 
     def __init__(self, stub: HdStub, monkeypatch: pytest.MonkeyPatch) -> None:
         self.stub = stub

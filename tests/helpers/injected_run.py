@@ -95,7 +95,7 @@ def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[
     running = True
     while running:
         servo.records.wait()
-        running = servo.running
+        running = servo.is_running
         each(servo.ticks)
         while (count := servo.records.take(out)) > 0:
             take(out[:count])

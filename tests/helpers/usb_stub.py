@@ -1,4 +1,4 @@
-"""Stand-in for libusb with Falcons, compiled by the test and loaded by pyusb's loader."""
+"""Stub of libusb with Falcons, compiled by the test and loaded by pyusb's loader."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from softfinger.drivers.falcon.device import Falcon, Options, open_device
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "usb.c"
-NO_COMPILER = "the stand-in for libusb is C, and there is no compiler (cc, gcc, clang) to build it"
+NO_COMPILER = "the stub for libusb is C, and there is no compiler (cc, gcc, clang) to build it"
 SONAME = "libusb-1.0.so.0"
 
 Counts = ctypes.c_int64 * 9
 
 
 class UsbStub:
-    """Variables of the stand-in: `stub["steps"]` of the first Falcon, `stub[1, "steps"]` of the second."""
+    """Variables of the stub: `stub["steps"]` of the first Falcon, `stub[1, "steps"]` of the second."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -136,7 +136,7 @@ def stub(usb_library: Path) -> Iterator[UsbStub]:
 
 
 def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
-    """Return the environment for a process that finds the stand-in in `folder` instead of libusb."""
+    """Return the environment for a process that finds the stub in `folder` instead of libusb."""
     compile_stub(SOURCE, folder / SONAME, f"-Wl,-soname,{SONAME}")
     settings = ",".join(f"{name}={value}" for name, value in knobs.items())
     return {
@@ -159,7 +159,7 @@ def options(**changes: Any) -> Options:
 
 
 class FalconBench(Bench):
-    """Bench with a Falcon on the stand-in."""
+    """Bench with a Falcon on the stub."""
 
     # Half a motor count at each leg is 4 mN at the knob; it moves for a millisecond before the reading.
     force_step_n = 0.01

@@ -26,7 +26,7 @@ BUILT: list[int] = []
 
 
 class Tree(NamedTuple):
-    """Stand-in for a real tree: arrays of several types, and numbers."""
+    """Stub of a real tree: arrays of several types, and numbers."""
 
     boxes: np.ndarray
     corners: np.ndarray

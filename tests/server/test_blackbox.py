@@ -167,7 +167,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
         found = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
-        assert daemon.publisher.restarts == 1 and daemon.servo.running
+        assert daemon.publisher.restarts == 1 and daemon.servo.is_running
     (path,) = found
     ticks = ticks_in(path)
     assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]

@@ -35,7 +35,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
-from softfinger.tools.pages.hazards import starved_s
+from softfinger.tools.pages.hazards import starvation_time_s
 
 pytestmark = pytest.mark.real_time
 
@@ -298,11 +298,11 @@ def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog)
         assert not faulty.device.wrenches[-1].any()
         with pytest.raises(SafetyStop, match="no tick for"), running:
             running.wait(60.0)
-        assert running.servo.running  # still in the read
+        assert running.servo.is_running  # still in the read
         assert ("could not be stopped (OSError: the port has gone)" in caplog.text) == stop_fails
     finally:
         faulty.device.release()  # the memory it reads must outlive the read
-        assert eventually(lambda: not running.servo.running)
+        assert eventually(lambda: not running.servo.is_running)
 
 
 def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
@@ -317,7 +317,7 @@ def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
     assert [act for act, *_ in faulty.device.acts] == ["arm", "stop", "close", "stop"]
     assert not faulty.device.wrenches[-1].any() and faulty.device.wrenches.any()
     assert not Path(f"/proc/{running.publisher.pids['telemetry']}").exists()
-    assert not running.servo.running and running.servo.records.wake_fd == -1
+    assert not running.servo.is_running and running.servo.records.wake_fd == -1
     assert "could not be closed" in caplog.text
 
 
@@ -344,7 +344,7 @@ def test_repeated_stalls_end_the_run(faulty):
         with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
-    reads = round(starved_s(hang_s) / (hang_s + 1e-3))
+    reads = round(starvation_time_s(hang_s) / (hang_s + 1e-3))
     assert not faulty.device.wrenches[200 + reads :].any()
 
 

@@ -5,7 +5,7 @@ import pytest
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import health as h
 from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING
-from softfinger.tools.pages.hazards import stall_range_s, starved_s
+from softfinger.tools.pages.hazards import stall_range_s, starvation_time_s
 
 T = 0.001
 
@@ -59,7 +59,7 @@ def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
         _, fault, _, gone = after([(0, 0.0, gap + T)] * 100)
         assert fault == h.STARVED
-        assert gone == pytest.approx(starved_s(gap), rel=1e-9)  # sums of many periods
+        assert gone == pytest.approx(starvation_time_s(gap), rel=1e-9)  # sums of many periods
         assert shortest - T <= gone <= longest + T  # the range of `stall_range_s`
     assert after([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
 

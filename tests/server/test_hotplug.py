@@ -114,7 +114,7 @@ def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
                     if len(events) == 2:
                         break
                     shutil.rmtree(quick / name)
-        assert daemon.servo.running
+        assert daemon.servo.is_running
     attached, detached = events
     assert attached["name"] == "attached" and detached["name"] == "detached"
     for event in events:

@@ -25,7 +25,7 @@ from softfinger.server.loop import guard as g
 from softfinger.server.loop import limits as lim
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, output_wrench
 from softfinger.server.loop.passivity import Motion
-from softfinger.server.loop.tick import begin, continued_memory
+from softfinger.server.loop.tick import begin, continue_memory
 from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
@@ -416,7 +416,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
-    first, other = continued_memory(begin(tuning.scene), tuning.guards, row).fingers
+    first, other = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
     assert first.limit_state == lim.INITIAL_LIMITS
     assert other.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 

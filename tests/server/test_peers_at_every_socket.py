@@ -76,7 +76,7 @@ def child_of(parent: int, word: bytes) -> int:
     while time.monotonic() < until:
         for children in Path(f"/proc/{parent}/task").glob("*/children"):
             for child in children.read_text().split():
-                with contextlib.suppress(OSError):  # it has ended
+                with contextlib.suppress(OSError):  # it has exited
                     if word in Path(f"/proc/{child}/cmdline").read_bytes():
                         return int(child)
         time.sleep(0.01)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from helpers.programs import run_program
 
-from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, refused_elsewhere
+from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, list_refused_settings
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(sys.platform != "linux", reason="Linux calls")]
 
@@ -326,11 +326,11 @@ def test_a_missing_processor_is_refused() -> None:
 
 def test_other_systems_are_refused_by_name() -> None:
     """On other systems every setting is refused with that reason."""
-    settings = refused_elsewhere("darwin", cpu=0)
+    settings = list_refused_settings("darwin", cpu=0)
     assert [s.name for s in settings] == ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"]
     assert not any(s.ok for s in settings)
     assert all("darwin" in s.detail and s.advice for s in settings)
-    assert "affinity" not in [s.name for s in refused_elsewhere("darwin", cpu=None)]
+    assert "affinity" not in [s.name for s in list_refused_settings("darwin", cpu=None)]
 
 
 def test_off_in_this_process() -> None:

@@ -180,7 +180,7 @@ def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
 def test_no_tick_is_due_before_devices_are_armed() -> None:
     """The wait for a button is unlimited; after arming, a quarter of a second without a tick is a stall."""
     watchdog = Watchdog()
-    assert [watchdog.stalled_s(0, due=False) for _ in range(100)] == [0.0] * 100
-    looks = [watchdog.stalled_s(0, due=True) for _ in range(STALL_POLLS)]
+    assert [watchdog.measure_stall_s(0, due=False) for _ in range(100)] == [0.0] * 100
+    looks = [watchdog.measure_stall_s(0, due=True) for _ in range(STALL_POLLS)]
     assert looks == [0.0] * (STALL_POLLS - 1) + [STALL_POLLS * STALL_POLL_S]
-    assert watchdog.stalled_s(1, due=True) == 0.0
+    assert watchdog.measure_stall_s(1, due=True) == 0.0

@@ -17,7 +17,7 @@ from helpers.programs import Program
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import load_rig, load_scene
-from softfinger.config.schema import commands_beside
+from softfinger.config.schema import commands_address_for
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import find_addresses
@@ -59,7 +59,7 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
     for daemon in daemons:
         port = daemon.publisher.endpoint.rpartition(":")[2]
         socket = folder / f"{port}.commands"
-        assert daemon.commands_endpoint == f"ipc://{socket}" == commands_beside(daemon.publisher.endpoint)
+        assert daemon.commands_endpoint == f"ipc://{socket}" == commands_address_for(daemon.publisher.endpoint)
         assert stat.S_IMODE(socket.stat().st_mode) == 0o600
         with Client(daemon.publisher.endpoint, timeout_s=WAIT_S) as client:
             assert client.describe()["endpoints"]["telemetry"] == daemon.publisher.endpoint
@@ -203,7 +203,7 @@ def test_another_user_cannot_connect_to_the_socket(monkeypatch: pytest.MonkeyPat
 
 def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
     """The socket of a running daemon is not touched."""
-    endpoint = commands_beside(TELEMETRY)
+    endpoint = commands_address_for(TELEMETRY)
     killed = (
         "import os, sys; from softfinger.server.wire.endpoint import listen; "
         "bound = listen(sys.argv[1], 'commands', own=True); os._exit(0)"
@@ -248,12 +248,12 @@ def test_a_folder_of_another_user_is_refused(folder: Path, plant, said: str) -> 
     """The daemon's socket could be replaced there, and clients could command another user's daemon."""
     plant(folder)
     with pytest.raises(ConfigError, match=said):
-        listen(commands_beside(TELEMETRY), KEY, own=True)
+        listen(commands_address_for(TELEMETRY), KEY, own=True)
     with pytest.raises(ConfigError, match=said):
-        Control(commands_beside(TELEMETRY))
+        Control(commands_address_for(TELEMETRY))
 
 
 def test_a_missing_runtime_folder_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
     with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
-        listen(commands_beside(TELEMETRY), KEY, own=True)
+        listen(commands_address_for(TELEMETRY), KEY, own=True)

@@ -73,7 +73,7 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
         running.start()
         for tick, height in heights(running.publisher.endpoint):
             seen.append((tick, height + 0.01))
-            if not running.servo.running or tick > ticks - 60:
+            if not running.servo.is_running or tick > ticks - 60:
                 break
         assert running.wait(60.0)
     order = [tick for tick, _ in seen]
@@ -247,7 +247,7 @@ def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path:
                 assert len(quiet) > 1000
                 assert not quiet[:, [AT.contact_mode, AT.force, AT.force + 1, AT.force + 2]].any()
             wait_for(running, resets[-1] + 1500)
-            assert running.servo.running
+            assert running.servo.is_running
     together = np.concatenate(rows)
     force, tick = together[:, AT.force + 2], together[:, AT.tick]
     assert np.abs(np.diff(force)).max() <= SLEW * 1e-3 + 1e-12
@@ -260,7 +260,7 @@ def wait_for(running: Daemon, ticks: int) -> None:
     """Wait until the servo has run this many ticks."""
     until = time.monotonic() + 60.0
     while running.servo.ticks < ticks:
-        assert running.servo.running and time.monotonic() < until
+        assert running.servo.is_running and time.monotonic() < until
         time.sleep(0.01)
 
 

@@ -1,4 +1,4 @@
-/* A stand-in for Force Dimension's libdrd: the semantics of its public header, with a simulated handle behind it.
+/* A stub for Force Dimension's libdrd: the semantics of its public header, with a simulated handle behind it.
  *
  * Written from the header's rules, not from the driver. Frame of the library: x towards the user, y right, z up.
  * A hand holds the handle by a spring and follows a path; the handle weighs, and falls if nobody carries it.

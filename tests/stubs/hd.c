@@ -1,4 +1,4 @@
-/* A stand-in for 3D Systems' libHD: what the headers of OpenHaptics 3 and the programs that use it say of it, with two
+/* A stub for 3D Systems' libHD: what the headers of OpenHaptics 3 and the programs that use it say of it, with two
  * simulated handles behind it. Written before the driver, from these words and not from the driver:
  *
  *  - The library has a thread of its own, the scheduler, which calls what was scheduled once a millisecond, until that

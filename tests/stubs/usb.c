@@ -1,4 +1,4 @@
-/* A stand-in for libusb-1.0 with two Falcons behind it, of which tests attach as many as they want.
+/* A stub for libusb-1.0 with two Falcons behind it, of which tests attach as many as they want.
  *
  * Written from libusb's public interface, not from the driver. A transfer is submitted and completes in a later
  * handling of events, by its call back, as in libusb; handling events serves every transfer of the context, whosever it

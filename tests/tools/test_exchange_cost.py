@@ -1,4 +1,4 @@
-"""The measurement of a driver's tick exchanges with every stand-in and reports correct numbers."""
+"""The measurement of a driver's tick exchanges with every stub and reports correct numbers."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ CELL = CellResult("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
     """Forces on fingers and body are opposite, nothing slips, and the hands did work against the dampers."""
     cell = Cell("hold", 0.1, 1000.0)
-    there = bodies.way_there(cell)
+    there = bodies.approach_path(cell)
     way = np.concatenate([there, there[::-1]])
     played = bodies.play(bodies.begin(cell, tmp_path), way)
     carried = played.force[len(there) - 1].sum(axis=0)
@@ -42,7 +42,7 @@ def test_a_body_comes_to_rest(case: str) -> None:
 def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
     """An undamped plate whose centre is h above a ball of radius r rolls with omega^2 = g (r - h) / (I / m + h^2)."""
     cell, h = Cell("balance", 0.01, 3000.0), bodies.PLATE_HALF_M
-    engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.way_there(cell)[:1], 100, axis=0)
+    engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.approach_path(cell)[:1], 100, axis=0)
     engine.run(bodies.poses_of(hold))
     engine.data.qvel[3] = 0.02
     turning = []

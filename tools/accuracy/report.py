@@ -44,7 +44,7 @@ def write_report(result: dict[str, Any], path: Path) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> Any:
-    """Return a table whose first `text_columns` columns have words, the others numbers; long names break at `_`."""
+    """Return a table with text in the first `text_columns` columns, then numbers; long names break at `_`."""
     from rich import box
     from rich.table import Table
 

@@ -100,7 +100,7 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
         running = True
         while running:
             servo.records.wait()
-            running = servo.running
+            running = servo.is_running
             while (count := servo.records.take(batch)) > 0:
                 parts.append(batch[:count, FIGURES].copy())
         ended = servo.join()

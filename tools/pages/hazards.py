@@ -67,7 +67,7 @@ def by_driver(seconds: Mapping[str, float]) -> str:
     )
 
 
-def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
+def starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
     """Return the time (s) after which stalls of `gap_s`, one after the other with a tick between, end the run.
 
     Notes
@@ -80,7 +80,7 @@ def starved_s(gap_s: float, period_s: float = TICK_S) -> float:
 
 def stall_range_s() -> tuple[float, float]:
     """Return the shortest and the longest time (s) of consecutive stalls, of every length that counts."""
-    times = [starved_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
+    times = [starvation_time_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
     return min(times), max(times)
 
 

@@ -193,7 +193,7 @@ def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
     }
 
 
-def way_there(cell: Cell) -> Array:
+def approach_path(cell: Cell) -> Array:
     """Return the centres of both fingertips (n, 2, 3) m, from their start to their final position."""
     moved, near, pressed = MOVES_M[cell.case], RADIUS_M + 0.001, RADIUS_M - force(cell) / cell.stiffness
     if cell.case == "drag":
@@ -260,7 +260,7 @@ def measure(cell: Cell) -> CellResult:
     result = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if result.depth_m > 2.0 * RADIUS_M:
         return result._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
-    forward = way_there(cell)
+    forward = approach_path(cell)
     stay = np.repeat(forward[-1:], round(STAY_S / DT), axis=0)
     with tempfile.TemporaryDirectory() as folder:
         try:

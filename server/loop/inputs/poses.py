@@ -56,8 +56,8 @@ def check_pose(guard: Guard, memory: NDArray[np.float64], raw: Any, status: int,
     if same:
         if status == OK:
             memory[_AGE] = 0.0
-        return _repeated(guard, memory, force, dt)
-    jumps = _jumps(guard, memory, raw)
+        return _check_repeated(guard, memory, force, dt)
+    jumps = _has_jumped(guard, memory, raw)
     for i in range(POSE_SIZE):
         memory[i] = raw[i]
     memory[_AGE] = memory[_REPEATED] = 0.0
@@ -65,7 +65,7 @@ def check_pose(guard: Guard, memory: NDArray[np.float64], raw: Any, status: int,
 
 
 @jit
-def _repeated(guard: Guard, memory: NDArray[np.float64], force: Vec3, dt: float) -> int:
+def _check_repeated(guard: Guard, memory: NDArray[np.float64], force: Vec3, dt: float) -> int:
     if guard.frozen == 0.0:
         return 0
     # A frozen pose turns the force off, so it remains frozen until the pose changes.
@@ -77,7 +77,7 @@ def _repeated(guard: Guard, memory: NDArray[np.float64], force: Vec3, dt: float)
 
 
 @jit
-def _jumps(guard: Guard, memory: NDArray[np.float64], raw: Any) -> bool:
+def _has_jumped(guard: Guard, memory: NDArray[np.float64], raw: Any) -> bool:
     """Return whether a pose is farther from the last one than the limits allow; False for the first pose."""
     displacement = (raw[0] - memory[0], raw[1] - memory[1], raw[2] - memory[2])
     if vec3.norm(displacement) > guard.speed_max * memory[_AGE]:

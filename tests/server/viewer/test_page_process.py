@@ -38,7 +38,7 @@ def child_of(process: subprocess.Popen[str]) -> int:
     while process.poll() is None:
         for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
             for child in children.read_text().split():
-                with suppress(OSError):  # it has ended
+                with suppress(OSError):  # it has exited
                     if b"\0view\0" in Path(f"/proc/{child}/cmdline").read_bytes():
                         return int(child)
         time.sleep(0.01)
@@ -94,7 +94,7 @@ def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
         page = Path(f"/proc/{child_of(process)}")
         process.kill()
         until = time.monotonic() + WAIT_S
-        with suppress(OSError):  # it has ended
+        with suppress(OSError):  # it has exited
             while "State:\tZ" not in (page / "status").read_text():  # a zombie if no process reaps it
                 assert time.monotonic() < until
                 time.sleep(0.01)
