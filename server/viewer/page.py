@@ -112,7 +112,7 @@ class Page:
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=1.1)
         self._camera: Camera | None = None
-        self.server.on_client_connect(self._place_camera)
+        self.server.on_client_connect(self._follow_camera)
         self._scene: schema.Scene | None = None
         self._file_vertices: Final[dict[int, Array]] = {}
         self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
@@ -182,6 +182,7 @@ class Page:
                 nodes = self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
                 if finger.name in devices:
                     nodes.displayed_force = devices[finger.name].displayed_force
+        self._plots.name_finger(next(iter(self.fingers)))
         self._scene, self._low_dof_devices, self._awaits_body_poses = scene, devices, scene.world is not None
         self._file_vertices.clear()
         self._set_camera()
@@ -204,6 +205,16 @@ class Page:
             setattr(self.server.initial_camera, name, value)
         for client in self.server.get_clients().values():
             self._place_camera(client)
+
+    def _follow_camera(self, client: viser.ClientHandle) -> None:
+        """Place the camera of a new browser, again if its page applies the initial camera after that."""
+        self._place_camera(client)
+
+        def place_again(camera: viser.CameraHandle) -> None:
+            if self._camera is not None and np.allclose(camera.position, self._camera.position):
+                self._place_camera(client)
+
+        client.camera.on_update(place_again)
 
     def _place_camera(self, client: viser.ClientHandle) -> None:
         """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""
@@ -321,7 +332,7 @@ def format_tick_html(name: str, row: Array, state: ContactState, gap_m: float | 
         ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )
-    cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
+    cells = "".join(f'<span style="opacity: 0.75">{word}</span><span>{figure}</span>' for word, figure in figures)
     gap = "" if gap_m is None else f" · gap {1e3 * max(gap_m, 0.0):.1f} mm"
     off = " · <b>force off</b>" if is_off else ""
     head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b>{off} · tick {row[AT.tick]:.0f}{gap}'

@@ -50,7 +50,7 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
             f'<rect x="{first}" width="{end - first}" height="1" fill="{_css(state)}"/>'
             for (first, state), end in zip(runs, ends, strict=True)
         )
-        title = f'<div style="opacity: 0.6">{html.escape(name)}</div>' if name else ""
+        title = f'<div style="opacity: 0.75">{html.escape(name)}</div>' if name else ""
         lines.append(
             f'{title}<svg viewBox="0 0 {count} 1" preserveAspectRatio="none" '
             f'style="display: block; width: 100%; height: {HEIGHT}px">{boxes}</svg>'

@@ -33,9 +33,10 @@ from softfinger.server.viewer.nodes.glyphs import (
     rotate,
     rotation_to,
 )
-from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
+from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
 from softfinger.server.viewer.nodes.unlit import squares
+from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
 pytestmark = pytest.mark.plain
@@ -308,6 +309,21 @@ def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: C
             ContactState.STICKING
         }
     assert set(COLOURS) == set(ContactState) and len(set(COLOURS.values())) == len(COLOURS)
+
+
+@pytest.mark.parametrize("background", [(255, 255, 255), (36, 36, 36)])
+def test_colours_are_visible_in_both_looks(background: tuple[int, int, int]) -> None:
+    """Contrast of colours with a meaning to the panel: at least 3 to 1, by WCAG 2.2, 1.4.11."""
+    lines = [tuple(bytes.fromhex(line[1:])) for line in LINES]
+    for colour in (*COLOURS.values(), *lines, TORSION, PLUMB):
+        darker, brighter = sorted(luminance(each) for each in (colour, background))
+        assert (brighter + 0.05) / (darker + 0.05) >= 3.0, colour
+
+
+def luminance(colour: tuple[int, ...]) -> float:
+    """Return the relative luminance of an sRGB colour, by WCAG 2.2."""
+    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (each / 255.0 for each in colour)]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))

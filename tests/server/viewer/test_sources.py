@@ -28,6 +28,7 @@ from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
+from softfinger.server.viewer.nodes.camera import initial_camera
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
 from softfinger.server.wire.client_requests import NoAnswer
@@ -101,6 +102,34 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
     assert player._time.content == f"{end} of {end}"
     player.advance(0.1)
     assert player.take_rows()[0][""][:, 1].tolist() == [0]
+
+
+def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_the_initial_camera_later(
+    page: Page,
+) -> None:
+    """A window of 100 x 200 pixels has twice the distance; an orbit of its user remains."""
+    scene = load_scene("paper-plane")
+    page.add_views()
+    page.change(scene, BEGAN)
+    near = initial_camera(scene)
+    updates: list[Any] = []
+    camera = SimpleNamespace(image_height=200, image_width=100, on_update=updates.append)
+    page._follow_camera(SimpleNamespace(camera=camera))  # type: ignore[arg-type]
+    far = np.array(near.look_at) + 2.0 * np.subtract(near.position, near.look_at)
+    assert camera.position == pytest.approx(far)
+    camera.position = np.array(near.position)
+    updates[0](camera)
+    assert camera.position == pytest.approx(far)
+    camera.position = np.array(near.position) + 0.1
+    updates[0](camera)
+    assert camera.position == pytest.approx(np.array(near.position) + 0.1)
+
+
+def test_plots_have_the_name_of_their_finger_if_there_are_several(page: Page) -> None:
+    page.add_views()
+    for scene, title in (("pinch", "thumb: depth, mm"), ("paper-plane", "depth, mm")):
+        page.change(load_scene(scene), BEGAN)
+        assert page._plots._plots[0].title == title
 
 
 def fed(live: LivePage, until: Any) -> bool:
