@@ -1,5 +1,5 @@
 // What viser 1.1 has no setting for: the sheet of controls on a phone, its note about WebGL, titles of plots, the contrast
-// of labels and buttons, the state of the theme switch, names of sliders for screen readers, and held keys.
+// of labels and buttons, the state of the theme switch, names of controls for screen readers, and held keys.
 const SHEET = "[style*='max-height: 60%']"; // viser shows it in narrow windows instead of the docked panel
 const NOTE = "Software WebGL";
 const NOTE_MS = 8000;
@@ -24,6 +24,9 @@ function closeNote() {
 }
 
 function nameControls() {
+  for (const icon of doc.querySelectorAll(".mantine-ActionIcon-root")) {
+    icon.ariaLabel ??= icon.querySelector(".tabler-icon-list-search") ? "commands" : "settings";
+  }
   for (const label of doc.querySelectorAll("label[for]")) {
     const row = label.parentElement.parentElement.parentElement;
     for (const each of row.querySelectorAll("[role='slider'], input")) each.ariaLabel = label.textContent;
@@ -39,6 +42,7 @@ ${SHEET} { max-height: 42% !important; } /* the fingertip is in the middle of th
   --mantine-color-blue-filled: var(--mantine-color-blue-8) !important;
   --mantine-primary-color-filled: var(--mantine-color-blue-8) !important; }
 :root[data-mantine-color-scheme="dark"] [role="tab"] { --mantine-primary-color-filled: var(--mantine-color-blue-4); }
+.mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
 [data-theme-switch]::before { content: ""; display: inline-block; width: 2em; height: 1.1em; margin-right: 0.5em;
   box-sizing: border-box; border: 1px solid; border-radius: 1em; vertical-align: -0.15em;
   background: radial-gradient(circle at 0.5em, currentColor 0.3em, transparent 0.36em); }

@@ -25,12 +25,12 @@ from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.theme import Theme
 
@@ -118,7 +118,7 @@ class Page:
         self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
-        self.bodies: Bodies | None = None
+        self.bodies: BodyNodes | None = None
         self._newest: dict[str, Array] = {}
         self._largest_n, self._newtons_per_cm = 0.0, self.looks.newtons_per_cm
         self._text_updated_s, self._plotted_s, self._shown_s, self._closed = 0.0, 0.0, 0.0, False
@@ -129,7 +129,7 @@ class Page:
         """Text of the latest notification."""
         self.preparing = ""
         """Progress of what the daemon prepares, shown below the values of the tick."""
-        self._state_text = gui.add_html(TEXT_HTML.format("waiting for the first tick"))
+        self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
@@ -175,7 +175,7 @@ class Page:
                 nodes.remove()
             if self.bodies is not None:
                 self.bodies.remove()
-            self.bodies = Bodies(self.server.scene, scene, start)
+            self.bodies = BodyNodes(self.server.scene, scene, start)
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
@@ -316,7 +316,7 @@ def _bind(control: Any, looks: Looks, name: str) -> None:
     control.on_update(store_value)
 
 
-def format_tick_html(name: str, row: Array, state: ContactState, gap_m: float | None) -> str:
+def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | None) -> str:
     """Return the values of a tick as HTML, with the gap between the fingertip and the object below.
 
     If the force is off, the forces are those that the hand feels, zero, although the contact is still computed.

@@ -24,7 +24,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_results
 from softfinger.server.viewer.driven import ObjectControls
-from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
+from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
@@ -307,7 +307,7 @@ def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
     commands = HandCommands(lambda finger, target: asked.append(target), hold)
-    hand = Hand(page.server.gui, page.server.scene, commands)
+    hand = HandControls(page.server.gui, page.server.scene, commands)
     hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
     row[AT.probe_orientation] = 1.0
