@@ -33,6 +33,8 @@ from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, Telemetry
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
+SILENT: Final = "no tick for 3 s: the picture shows the last one. Has `softfinger run` ended?"
+SILENCE_S: Final = 3.0
 PREPARING: Final = "the scene is prepared; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
@@ -63,7 +65,7 @@ class LivePage:
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()
         """Fingers with devices that sense orientation."""
-        self._since_request_s = 0.0
+        self._since_request_s = self._silent_s = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._commands, self._show_refusal, can_answer=allowed_methods is None)
         control_tabs = page.tabs if allowed_methods is None else gui.add_tab_group(visible=False)
@@ -85,6 +87,7 @@ class LivePage:
     def step(self, dt: float) -> None:
         """Show the data received in the last `dt` s."""
         received = self._telemetry.take()
+        self._report_silence(dt, bool(received.ticks))
         if self._has_new_description.is_set():
             self._has_new_description.clear()
             self._show_description()
@@ -112,6 +115,13 @@ class LivePage:
         self._page.preparing = received.preparing
         self._page.move_bodies(received.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first_tick] for finger, rows in received.ticks.items()})
+
+    def _report_silence(self, dt: float, has_ticks: bool) -> None:
+        """Show a message from SILENCE_S after the last tick until the next one."""
+        was_silent = self._silent_s > SILENCE_S
+        self._silent_s = 0.0 if has_ticks else self._silent_s + dt
+        if self._scene is not None and (self._silent_s > SILENCE_S) != was_silent:
+            self._page.show_message("" if was_silent else SILENT)
 
     def _request_description(self) -> None:
         """Request the daemon's description."""

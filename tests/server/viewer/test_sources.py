@@ -26,11 +26,12 @@ from softfinger.server.recording.results import write_results
 from softfinger.server.viewer.driven import ObjectControls
 from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.live import LivePage
+from softfinger.server.viewer.live import SILENCE_S, SILENT, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.nodes.camera import initial_camera
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
+from softfinger.server.viewer.wire import ReceivedData
 from softfinger.server.wire.client_requests import NoAnswer
 
 pytestmark = pytest.mark.real_time
@@ -186,6 +187,23 @@ def test_a_page_catches_up_after_lost_messages(
         samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
         assert fed(live, lambda: knob.value == 640.0) and not failures
         assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
+    finally:
+        live.close()
+
+
+def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
+    page: Page, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = LivePage(page, Addresses(*endpoints))
+    try:
+        assert fed(live, lambda: page._newest) and not page._message.visible
+        with monkeypatch.context() as silence:
+            silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+            live.step(0.5 * SILENCE_S)
+            assert not page._message.visible
+            live.step(SILENCE_S)
+            assert page._message.visible and page._message.content == SILENT
+        assert fed(live, lambda: not page._message.visible)
     finally:
         live.close()
 
