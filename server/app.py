@@ -21,7 +21,8 @@ from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
-from softfinger.server.services.commands import CommandService, DaemonInterface
+from softfinger.server.services.command_handlers import DaemonInterface
+from softfinger.server.services.commands import CommandService
 from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.device_warnings import DeviceWarnings

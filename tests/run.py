@@ -35,11 +35,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 HERE: Final = Path(__file__).parent
-NICE: Final = 19
+NICE: Final = 7
 """Niceness of computing parts: real-time code runs first when it wakes, and so do the kernel threads that pass on the
-bytes of a pseudo terminal. Linux compares sessions before the niceness within one (`autogroup` in sched(7)), so each of
-these parts is a session."""
-LESS_NICE: Final = 10
+bytes of a pseudo terminal. With 19, other programs on the machine would leave these parts 1.5 % of a processor. Linux
+compares sessions before the niceness within one (`autogroup` in sched(7)), so each of these parts is a session."""
+LESS_NICE: Final = 5
 """Niceness of the part that would otherwise run last, on one of two processors."""
 WELL: Final = (0, 5)
 """Exit codes of pytest without a failed test; 5: no test was selected."""

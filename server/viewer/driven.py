@@ -19,7 +19,7 @@ CONTROL_SIZE_CM: Final = 3.0
 """Distance from the centre of an object to the tips of its arrows."""
 
 
-class Drive(NamedTuple):
+class DriveEvent(NamedTuple):
     """Tick, index of the driven object, and its new pose: position (3,) m and orientation; None: unchanged."""
 
     tick: int
@@ -28,7 +28,7 @@ class Drive(NamedTuple):
     orientation: Quaternion | None
 
 
-def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
+def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> DriveEvent | None:
     """Return the drive in an event; None for other events and for objects that the scene does not have."""
     if (event["kind"], event["name"]) != ("command", "drive"):
         return None
@@ -40,7 +40,9 @@ def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> Drive | None:
     if scene_index is None:  # an object of another scene
         return None
     orientation = command.orientation_wxyz
-    return Drive(event["tick"], scene_index, command.position_m, None if orientation is msgspec.UNSET else orientation)
+    return DriveEvent(
+        event["tick"], scene_index, command.position_m, None if orientation is msgspec.UNSET else orientation
+    )
 
 
 def initial_poses(scene: schema.Scene) -> dict[int, PoseTuple]:

@@ -61,7 +61,7 @@ class Stage(NamedTuple):
     height: Callable[[Array], float | None]
 
 
-class Box(NamedTuple):
+class LiftedBox(NamedTuple):
     """Box to lift: current centre `centre()` (3,) m, half width along x (m), and a function that resets its pose."""
 
     centre: Callable[[], Array]
@@ -134,7 +134,7 @@ ONE_FINGER: Final = {"press": press, "roll": roll, "slide": slide, "spin": spin}
 """Gestures of one finger on the object below it."""
 
 
-def lift(stage: Stage, left: str, right: str, box: Box) -> Gesture:
+def lift(stage: Stage, left: str, right: str, box: LiftedBox) -> Gesture:
     """Open, grip the box from both sides, lift it, hold it, put it down, and open."""
     distances = {name: box.half_m + stage.radius(name) + HOVER_M for name in (left, right)}
     sides = {left: np.array([-1.0, 0.0, 0.0]), right: np.array([1.0, 0.0, 0.0])}

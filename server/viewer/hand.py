@@ -78,7 +78,7 @@ class HandCommands(NamedTuple):
     hold: Callable[[str, Callable[[Target], None], Callable[[], None]], None]
 
 
-class Hand:
+class HandControls:
     """Controls of all fingers that can be moved."""
 
     def __init__(self, gui: Any, api: Any, commands: HandCommands) -> None:

@@ -1,7 +1,9 @@
-// What viser 1.1 has no setting for: the sheet of controls on a phone, its note about WebGL, titles of plots, and held keys.
+// What viser 1.1 has no setting for: the sheet of controls on a phone, its note about WebGL, titles of plots, the contrast
+// of labels and buttons, the state of the theme switch, names of controls for screen readers, and held keys.
 const SHEET = "[style*='max-height: 60%']"; // viser shows it in narrow windows instead of the docked panel
 const NOTE = "Software WebGL";
 const NOTE_MS = 8000;
+const NAMES_MS = 500;
 const doc = page.document;
 
 function fold(tries) {
@@ -21,11 +23,34 @@ function closeNote() {
   }
 }
 
+function nameControls() {
+  for (const icon of doc.querySelectorAll(".mantine-ActionIcon-root")) {
+    icon.ariaLabel ??= icon.querySelector(".tabler-icon-list-search") ? "commands" : "settings";
+  }
+  for (const label of doc.querySelectorAll("label[for]")) {
+    const row = label.parentElement.parentElement.parentElement;
+    for (const each of row.querySelectorAll("[role='slider'], input")) each.ariaLabel = label.textContent;
+  }
+}
+
 const style = doc.createElement("style");
 style.textContent = `${SHEET}, ${SHEET} [style*="width: 20em"] { width: 100% !important; }
-.u-title { line-height: 18px; padding: 0 !important; }`; // three plots fit into a window of 800 pixels
+${SHEET} { max-height: 42% !important; } /* the fingertip is in the middle of the picture */
+.u-title { line-height: 18px; padding: 0 !important; } /* three plots fit into a window of 800 pixels */
+:root { --mantine-color-dimmed: color-mix(in srgb, currentColor 75%, transparent) !important; }
+:root[data-mantine-color-scheme="light"] { --mantine-color-blue-outline: var(--mantine-color-blue-8) !important;
+  --mantine-color-blue-filled: var(--mantine-color-blue-8) !important;
+  --mantine-primary-color-filled: var(--mantine-color-blue-8) !important; }
+:root[data-mantine-color-scheme="dark"] { --mantine-primary-color-filled: var(--mantine-color-blue-4) !important; }
+.mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
+[data-theme-switch]::before { content: ""; display: inline-block; width: 2em; height: 1.1em; margin-right: 0.5em;
+  box-sizing: border-box; border: 1px solid; border-radius: 1em; vertical-align: -0.15em;
+  background: radial-gradient(circle at 0.5em, currentColor 0.3em, transparent 0.36em); }
+[data-theme-switch][aria-checked="true"]::before {
+  background: radial-gradient(circle at calc(100% - 0.5em), transparent 0.3em, currentColor 0.36em); }`;
 doc.head.append(style);
 fold(20);
+setInterval(nameControls, NAMES_MS);
 setTimeout(closeNote, doc.querySelector(SHEET) ? 0 : NOTE_MS);
 
 // A held key answers one question of an experiment. Fields and the keys of the hand repeat.

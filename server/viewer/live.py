@@ -20,7 +20,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import ObjectControls, initial_poses, parse_drive
-from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
+from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.page import Page, parse_scene, parse_scene_start
@@ -28,11 +28,13 @@ from softfinger.server.viewer.play import ORIENTATION_DOF, PageActions, Play
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
-from softfinger.server.viewer.tuning import Tuning
-from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver, ignore
+from softfinger.server.viewer.tuning import SceneControls
+from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, TelemetryReceiver, ignore
 from softfinger.server.wire.commands import Held, Triangles
 
 WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
+SILENT: Final = "no tick for 3 s: the picture shows the last one. Has `softfinger run` ended?"
+SILENCE_S: Final = 3.0
 PREPARING: Final = "the scene is prepared; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
@@ -63,12 +65,12 @@ class LivePage:
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()
         """Fingers with devices that sense orientation."""
-        self._since_request_s = 0.0
+        self._since_request_s = self._silent_s = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._commands, self._show_refusal, can_answer=allowed_methods is None)
         control_tabs = page.tabs if allowed_methods is None else gui.add_tab_group(visible=False)
         with control_tabs.add_tab("Hand"):
-            self._hand = Hand(gui, page.server.scene, HandCommands(self._lead_hand, self._hold_hand))
+            self._hand = HandControls(gui, page.server.scene, HandCommands(self._lead_hand, self._hold_hand))
             actions = PageActions(
                 page.show_message, self._reset_world, lambda name: self._set_scene("scene", {"scene": name})
             )
@@ -77,7 +79,7 @@ class LivePage:
             self._object_controls = ObjectControls(gui, page.server.scene, self._drive_object)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch_force)
         with control_tabs.add_tab("Feel"):
-            self._tuning = Tuning(gui, self._set_params, self._set_scene)
+            self._tuning = SceneControls(gui, self._set_params, self._set_scene)
         page.add_views()
         self._gamepad, self._two_hands = Gamepad(gui), TwoHands(gui)
         page.show_message(WAITING)
@@ -85,6 +87,7 @@ class LivePage:
     def step(self, dt: float) -> None:
         """Show the data received in the last `dt` s."""
         received = self._telemetry.take()
+        self._report_silence(dt, bool(received.ticks))
         if self._has_new_description.is_set():
             self._has_new_description.clear()
             self._show_description()
@@ -113,11 +116,18 @@ class LivePage:
         self._page.move_bodies(received.bodies)
         self._page.show({finger: rows[rows[:, AT.tick] >= self._first_tick] for finger, rows in received.ticks.items()})
 
+    def _report_silence(self, dt: float, has_ticks: bool) -> None:
+        """Show a message from SILENCE_S after the last tick until the next one."""
+        was_silent = self._silent_s > SILENCE_S
+        self._silent_s = 0.0 if has_ticks else self._silent_s + dt
+        if self._scene is not None and (self._silent_s > SILENCE_S) != was_silent:
+            self._page.show_message("" if was_silent else SILENT)
+
     def _request_description(self) -> None:
         """Request the daemon's description."""
         self._since_request_s, self._is_outdated = 0.0, False
         self._prompt.request()
-        self._commands.submit("describe", Request("describe", {}, self._store_description, self._set_outdated))
+        self._commands.submit("describe", QueuedCommand("describe", {}, self._store_description, self._set_outdated))
 
     def _store_description(self, description: dict[str, Any]) -> None:
         if description != self._description:
@@ -149,7 +159,7 @@ class LivePage:
         for scene_index, obj in enumerate(scene.object):
             if isinstance(obj, Filed):
                 on_mesh = partial(self._store_mesh, self._scene_number, scene_index)
-                request = Request("mesh", {"object": scene_index}, on_mesh, self._page.show_message)
+                request = QueuedCommand("mesh", {"object": scene_index}, on_mesh, self._page.show_message)
                 self._commands.submit(f"mesh {scene_index}", request)
         self._orientable_fingers = {
             finger["name"] for finger in description["fingers"] if finger["device"]["sensed_dof"] >= ORIENTATION_DOF
@@ -202,7 +212,7 @@ class LivePage:
 
     def _send(self, name: str, method: str, params: dict[str, Any], on_result: Callable[[Any], None] = ignore) -> None:
         """Queue a command whose refusal is shown."""
-        self._commands.submit(name, Request(method, params, on_result, self._show_refusal))
+        self._commands.submit(name, QueuedCommand(method, params, on_result, self._show_refusal))
 
     def _lead_hand(self, finger: str, target: Target | None) -> None:
         params: dict[str, Any] = {"finger": finger} if finger else {}
@@ -223,20 +233,20 @@ class LivePage:
             self._show_refusal(text)
 
         params = {"finger": finger} if finger else {}
-        self._commands.submit(f"hold {finger}", Request("hold", params, on_held, on_refused))
+        self._commands.submit(f"hold {finger}", QueuedCommand("hold", params, on_held, on_refused))
 
     def _drive_object(self, scene_index: int, pose: PoseTuple) -> None:
         params = {"object": scene_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
         self._send(f"drive {scene_index}", "drive", params)
 
     def _reset_world(self) -> None:
-        self._scene_commands.submit("world", Request("reset_world", {}, lambda result: None, self._show_refusal))
+        self._scene_commands.submit("world", QueuedCommand("reset_world", {}, lambda result: None, self._show_refusal))
 
     def _switch_force(self, event: Any) -> None:
         method = "arm" if event.target.value == "on" else "disarm"
         self._force_commands.submit(
             "force",
-            Request(
+            QueuedCommand(
                 method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
             ),
         )
@@ -246,7 +256,7 @@ class LivePage:
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
         self._page.show_message(PREPARING)
-        request = Request("set_scene", values, lambda _: self._page.show_message(""), self._show_refusal)
+        request = QueuedCommand("set_scene", values, lambda _: self._page.show_message(""), self._show_refusal)
         self._scene_commands.submit(name, request)
 
     def _show_refusal(self, text: str) -> None:

@@ -25,12 +25,12 @@ from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.theme import Theme
 
@@ -112,13 +112,13 @@ class Page:
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.server.scene.add_light_hemisphere("/light", ground_color=(190, 196, 206), intensity=1.1)
         self._camera: Camera | None = None
-        self.server.on_client_connect(self._place_camera)
+        self.server.on_client_connect(self._follow_camera)
         self._scene: schema.Scene | None = None
         self._file_vertices: Final[dict[int, Array]] = {}
         self._low_dof_devices, self._awaits_body_poses = NO_DEVICES, False
         self.looks: Final = Looks()
         self.fingers: Final[dict[str, FingerNodes]] = {}
-        self.bodies: Bodies | None = None
+        self.bodies: BodyNodes | None = None
         self._newest: dict[str, Array] = {}
         self._largest_n, self._newtons_per_cm = 0.0, self.looks.newtons_per_cm
         self._text_updated_s, self._plotted_s, self._shown_s, self._closed = 0.0, 0.0, 0.0, False
@@ -129,7 +129,7 @@ class Page:
         """Text of the latest notification."""
         self.preparing = ""
         """Progress of what the daemon prepares, shown below the values of the tick."""
-        self._state_text = gui.add_html(TEXT_HTML.format("waiting for the first tick"))
+        self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
         Theme(gui)
@@ -175,13 +175,14 @@ class Page:
                 nodes.remove()
             if self.bodies is not None:
                 self.bodies.remove()
-            self.bodies = Bodies(self.server.scene, scene, start)
+            self.bodies = BodyNodes(self.server.scene, scene, start)
             self.fingers.clear()
             self._newest.clear()
             for finger in scene.fingers:
                 nodes = self.fingers[finger.name] = FingerNodes(self.server.scene, scene, finger, self.bodies)
                 if finger.name in devices:
                     nodes.displayed_force = devices[finger.name].displayed_force
+        self._plots.name_finger(next(iter(self.fingers)))
         self._scene, self._low_dof_devices, self._awaits_body_poses = scene, devices, scene.world is not None
         self._file_vertices.clear()
         self._set_camera()
@@ -204,6 +205,16 @@ class Page:
             setattr(self.server.initial_camera, name, value)
         for client in self.server.get_clients().values():
             self._place_camera(client)
+
+    def _follow_camera(self, client: viser.ClientHandle) -> None:
+        """Place the camera of a new browser, again if its page applies the initial camera after that."""
+        self._place_camera(client)
+
+        def place_again(camera: viser.CameraHandle) -> None:
+            if self._camera is not None and np.allclose(camera.position, self._camera.position):
+                self._place_camera(client)
+
+        client.camera.on_update(place_again)
 
     def _place_camera(self, client: viser.ClientHandle) -> None:
         """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""
@@ -305,7 +316,7 @@ def _bind(control: Any, looks: Looks, name: str) -> None:
     control.on_update(store_value)
 
 
-def format_tick_html(name: str, row: Array, state: ContactState, gap_m: float | None) -> str:
+def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | None) -> str:
     """Return the values of a tick as HTML, with the gap between the fingertip and the object below.
 
     If the force is off, the forces are those that the hand feels, zero, although the contact is still computed.
@@ -321,7 +332,7 @@ def format_tick_html(name: str, row: Array, state: ContactState, gap_m: float | 
         ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )
-    cells = "".join(f'<span style="opacity: 0.6">{word}</span><span>{figure}</span>' for word, figure in figures)
+    cells = "".join(f'<span style="opacity: 0.75">{word}</span><span>{figure}</span>' for word, figure in figures)
     gap = "" if gap_m is None else f" · gap {1e3 * max(gap_m, 0.0):.1f} mm"
     off = " · <b>force off</b>" if is_off else ""
     head = f'<span style="color: rgb{COLOURS[state]}">&#9632;</span> <b>{state}</b>{off} · tick {row[AT.tick]:.0f}{gap}'

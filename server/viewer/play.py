@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.gestures import ONE_FINGER, Box, Gesture, Stage, half_width, lift
-from softfinger.server.viewer.hand import Hand
-from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.gestures import ONE_FINGER, Gesture, LiftedBox, Stage, half_width, lift
+from softfinger.server.viewer.hand import HandControls
+from softfinger.server.viewer.nodes.bodies import BodyNodes
 
 Array = NDArray[np.float64]
 
@@ -40,18 +40,18 @@ class PageActions(NamedTuple):
 class Play:
     """Gesture buttons; call `update` for each tick of a finger and `step` for each frame."""
 
-    def __init__(self, gui: Any, hand: Hand, actions: PageActions) -> None:
+    def __init__(self, gui: Any, hand: HandControls, actions: PageActions) -> None:
         self._hand, self._actions = hand, actions
         gui.add_button_group("play", (*ONE_FINGER, LIFT), order=BUTTON_ORDER).on_click(self._on_click)
         hand.on_interrupt = self.stop
         self._scene: schema.Scene | None = None
-        self._bodies: Bodies | None = None
+        self._bodies: BodyNodes | None = None
         self._sensed_dof: dict[str, int] = {}
         self._rows: dict[str, Array] = {}
         self._gesture: Gesture | None = None
         self._queued = self._after_scene = ""
 
-    def change(self, scene: schema.Scene, bodies: Bodies | None, description: dict[str, Any]) -> None:
+    def change(self, scene: schema.Scene, bodies: BodyNodes | None, description: dict[str, Any]) -> None:
         """Set a new scene, with the daemon's description."""
         scene_gesture = self._after_scene if description["scene_name"] == LIFT_SCENE else ""
         if scene != self._scene:  # otherwise its bodies were reset, possibly by the gesture itself
@@ -150,7 +150,7 @@ class Play:
         for scene_index, obj in enumerate(self._scene.object):
             if len(sides) > 1 and isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body):
                 half = half_width(obj.size_m, self._bodies.poses[scene_index][1])
-                box = Box(partial(self._box_centre, scene_index), half, self._actions.reset_world)
+                box = LiftedBox(partial(self._box_centre, scene_index), half, self._actions.reset_world)
                 self._start(lift(stage, sides[0], sides[1], box))
                 return ""
         return self._request_box_scene()

@@ -34,7 +34,7 @@ EVENTS: Final = ("previous", "next")
 DEFAULT_SCENE: Final = "paper-plane"
 
 
-class Recording(NamedTuple):
+class LoadedRecording(NamedTuple):
     """Contents of a recording.
 
     fingers  records (n, RECORD_SIZE) by finger, the same number of each
@@ -57,7 +57,7 @@ class Recording(NamedTuple):
     notes: Mapping[str, Any] = MappingProxyType({})
 
 
-def load(recording: str, scene: str | None) -> Recording:
+def load(recording: str, scene: str | None) -> LoadedRecording:
     """Load a recording to show.
 
     Parameters
@@ -105,7 +105,7 @@ def load(recording: str, scene: str | None) -> Recording:
         )
     rate_hz, name = float(notes.get("rate_hz", 1000.0)), str(notes.get("scene_name", scene or DEFAULT_SCENE))
     start = _find_scene_start(notes, fingers, rate_hz)
-    return Recording(fingers, rendered_scene, name, rate_hz, start, tuple(events), tuple(worlds), notes)
+    return LoadedRecording(fingers, rendered_scene, name, rate_hz, start, tuple(events), tuple(worlds), notes)
 
 
 def _find_scene_start(notes: dict[str, Any], fingers: dict[str, Array], rate_hz: float) -> SceneStart:
@@ -119,7 +119,7 @@ def _find_scene_start(notes: dict[str, Any], fingers: dict[str, Array], rate_hz:
 class Player:
     """Playback controls: play, pause, seek, and jump between events."""
 
-    def __init__(self, gui: Any, recording: Recording, tick: int) -> None:
+    def __init__(self, gui: Any, recording: LoadedRecording, tick: int) -> None:
         self._fingers, self._rate_hz = recording.fingers, recording.rate_hz
         self._count = len(next(iter(self._fingers.values())))
         self._last_drawn, self._row = -TRACE_TICKS, float(min(max(tick, 0), self._count - 1))
@@ -169,7 +169,7 @@ class Player:
         return {name: rows[first : current + 1] for name, rows in self._fingers.items()}, is_seek
 
 
-def _radii(recording: Recording) -> dict[str, float]:
+def _radii(recording: LoadedRecording) -> dict[str, float]:
     """Return the largest radius of each finger, m, by its name in the records."""
     radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
     return radii if len(radii) > 1 else dict.fromkeys(recording.fingers, next(iter(radii.values())))
@@ -178,7 +178,7 @@ def _radii(recording: Recording) -> dict[str, float]:
 class RecordedPage:
     """Data source of a page from a recording; call `step` for each frame."""
 
-    def __init__(self, page: Page, recording: Recording, tick: int) -> None:
+    def __init__(self, page: Page, recording: LoadedRecording, tick: int) -> None:
         self._page = page
         with page.tabs.add_tab("Recording"):
             self._player = Player(page.server.gui, recording, tick)

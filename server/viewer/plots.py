@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
 
 POINTS: Final = 250
 POINT_PERIOD_S: Final = 0.04
 """Time between two points; POINTS of them are the last 10 s."""
 SPAN_S: Final = POINTS * POINT_PERIOD_S
-LINES: Final = ("#1f6feb", "#d1242f")
-BANDS: Final = tuple(state for state in ContactState if state != ContactState.FREE)
+LINES: Final = ("#1f6feb", "#e5484d")
+BANDS: Final = tuple(state for state in VisibleState if state != VisibleState.FREE)
 BAND_OPACITY: Final = 0.22
 HEIGHT: Final = 66
 """Height of a plot, pixels: three fit below the controls of a window of 800."""
@@ -51,6 +51,12 @@ class Plots:
                 _plot(gui, "spin, degrees; roll (red)", ("spin", "roll"), 1.0, has_time=True),
                 _plot(gui, "woken late, us; step (red)", ("woken late", "step"), 100.0, has_time=True),
             ]
+        self._titles = [str(plot.title) for plot in self._plots]
+
+    def name_finger(self, name: str) -> None:
+        """Add the finger's name to the titles; empty: no name."""
+        for plot, title in zip(self._plots, self._titles, strict=True):
+            plot.title = f"{name}: {title}" if name else title
 
     def add(self, rows: NDArray[np.float64], radius: float) -> None:
         """Add ticks (n, RECORD_SIZE) of the finger, whose radius is in m; earlier ticks than the last start again."""
@@ -95,7 +101,7 @@ def _plot(
     title: str,
     names: tuple[str, ...],
     reach: float,
-    bands: tuple[ContactState, ...] = (),
+    bands: tuple[VisibleState, ...] = (),
     has_time: bool = False,
 ) -> Any:
     """Add a plot of lines over coloured bands of the states of the contact, which are 0 or 1.

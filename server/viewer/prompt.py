@@ -13,7 +13,7 @@ from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.scripts import run_script
-from softfinger.server.viewer.wire import CommandQueue, Request, TelemetryReceiver
+from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, TelemetryReceiver
 from softfinger.server.wire.client_requests import parse_number
 from softfinger.server.wire.commands import Prompt, Prompted
 from softfinger.server.wire.protocol import EVENT
@@ -76,7 +76,7 @@ class PromptPanel:
 
     def request(self) -> None:
         """Request the prompt; `step` shows it."""
-        self._commands.submit("prompt", Request("get_prompt", {}, self._store))
+        self._commands.submit("prompt", QueuedCommand("get_prompt", {}, self._store))
 
     def handle_event(self, event: dict[str, Any]) -> None:
         """Request the prompt again after an event about a new prompt, an answer, or a new daemon."""
@@ -133,7 +133,7 @@ class PromptPanel:
     def _send_answer(self, value: str | float, number: int) -> None:
         """Send the answer unchecked: the daemon validates it."""
         self._commands.submit(
-            "answer", Request("answer", {"value": value, "prompt": number}, on_error=self._on_refused)
+            "answer", QueuedCommand("answer", {"value": value, "prompt": number}, on_error=self._on_refused)
         )
 
 

@@ -11,7 +11,7 @@ SETTINGS: Final[dict[str, Any]] = {"show_logo": False, "show_share_button": Fals
 SWITCH: Final = (
     '<div style="padding: 0 0.75em 0.5em; text-align: right"><button type="button" role="switch" data-theme-switch '
     'aria-checked="false" style="font: inherit; font-size: 0.85em; color: inherit; background: none; cursor: pointer; '
-    'border: 1px solid currentColor; border-radius: 4px; padding: 0 0.6em">dark look</button></div>'
+    'border: none; padding: 0.2em">dark look</button></div>'
 )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
 from softfinger.server.wire.events import RecordEvents
 
 Array = NDArray[np.float64]
@@ -25,10 +25,10 @@ LISTED_EVENTS: Final = 4
 HEIGHT: Final = 14
 
 
-def find_state_runs(rows: Array, radius: float) -> list[tuple[int, ContactState]]:
+def find_state_runs(rows: Array, radius: float) -> list[tuple[int, VisibleState]]:
     """Return the contact's states, each with its first row (n, RECORD_SIZE); a column with any slip is sliding."""
     wide = max(1, len(rows) // COLUMNS)
-    runs: list[tuple[int, ContactState]] = []
+    runs: list[tuple[int, VisibleState]] = []
     for first in range(0, len(rows), wide):
         column = rows[first : first + wide]
         slides = np.flatnonzero(column[:, AT.contact_mode] == SLIDING)
@@ -50,12 +50,12 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
             f'<rect x="{first}" width="{end - first}" height="1" fill="{_css(state)}"/>'
             for (first, state), end in zip(runs, ends, strict=True)
         )
-        title = f'<div style="opacity: 0.6">{html.escape(name)}</div>' if name else ""
+        title = f'<div style="opacity: 0.75">{html.escape(name)}</div>' if name else ""
         lines.append(
             f'{title}<svg viewBox="0 0 {count} 1" preserveAspectRatio="none" '
             f'style="display: block; width: 100%; height: {HEIGHT}px">{boxes}</svg>'
         )
-    legend = " ".join(f'<span style="color: {_css(state)}">&#9632;</span> {state}' for state in ContactState)
+    legend = " ".join(f'<span style="color: {_css(state)}">&#9632;</span> {state}' for state in VisibleState)
     return f'<div style="padding: 0 0.75em; font-size: 0.75em">{"".join(lines)}{legend}</div>'
 
 
@@ -68,7 +68,7 @@ def pointer(share: float) -> str:
     )
 
 
-def _css(state: ContactState) -> str:
+def _css(state: VisibleState) -> str:
     return f"rgb{COLOURS[state]}"
 
 

@@ -38,7 +38,7 @@ def _friction(material: schema.Material, static: float) -> dict[str, float]:
     return {"friction.static": static, "friction.kinetic": static * share}
 
 
-class Tuning:
+class SceneControls:
     """Controls of a scene; `params(name, values)` and `scene(name, values)` send commands to the daemon."""
 
     def __init__(self, gui: Any, params: Change, scene: Change) -> None:

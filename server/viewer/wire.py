@@ -94,7 +94,7 @@ def ignore(answer: Any) -> None:
     """Ignore a result or an error."""
 
 
-class Request(NamedTuple):
+class QueuedCommand(NamedTuple):
     """Command, and the functions to call with its result or its error."""
 
     method: str
@@ -118,13 +118,13 @@ class CommandQueue:
     ) -> None:
         self._allowed_methods = allowed_methods
         self._control = Control(endpoint, timeout_s, keys)
-        self._pending: dict[str, Request] = {}
+        self._pending: dict[str, QueuedCommand] = {}
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="commands", daemon=True)
         self._thread.start()
 
-    def submit(self, name: str, request: Request) -> None:
+    def submit(self, name: str, request: QueuedCommand) -> None:
         """Queue a command; it replaces a waiting one of the same name."""
         if self._allowed_methods is not None and request.method not in self._allowed_methods:
             request.on_error(f"{request.method}: this page has a --role that may not")

@@ -12,7 +12,7 @@ from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.elastic import step
+from softfinger.proxy.kernels.elastic import spots, step
 from softfinger.proxy.kernels.elastic.spots import compliance_of, compute_node_rows, spot_on
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -169,6 +169,23 @@ def test_a_sliding_contact_is_solved_in_three_rounds(monkeypatch: pytest.MonkeyP
         found.append(Engine(scene(friction=True)).run(poses)[40:])
     assert (found[1]["contact.mode"] == 2).all()
     assert found[0]["force"] == pytest.approx(found[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
+
+
+@pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
+def test_the_surface_below_a_free_finger_is_searched_once_a_tick_and_only_while_the_other_presses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found: list[Any] = []
+    nearest = spots.nearest_spot
+    monkeypatch.setattr(spots, "nearest_spot", lambda *given: (found.append(nearest(*given)), found[-1])[1])
+    config, count = scene(friction=True, fingers=2), 30
+    angle = 0.006 * np.arange(count)
+    slid = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
+    away = np.tile(at(0.005, 0.001, -0.02), (count, 1))
+    Engine(config).run({"a": slid, "b": away})
+    assert len(found) == count
+    Engine(config).run({"a": away, "b": away})
+    assert len(found) == count
 
 
 def test_two_fingers_feel_each_other_through_the_body() -> None:

@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
 from softfinger.server import cli, surface_meshes
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 
 pytestmark = pytest.mark.plain
 
@@ -183,7 +183,7 @@ def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # rotate the body so that the geom has the same orientation in the world as in its frame
         turn, back = np.empty(4), np.empty(4)

@@ -46,7 +46,8 @@ from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
-from softfinger.server.services.commands import EVENT_BYTES_MAX, CommandService
+from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
+from softfinger.server.services.commands import CommandService
 from softfinger.server.services.records import Sink
 from softfinger.server.states import SILENT
 from softfinger.server.wire import link

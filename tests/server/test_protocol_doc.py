@@ -26,7 +26,7 @@ from softfinger.server.publishing.peer_socket import FILES_MAX, HANDSHAKE_MS, ME
 from softfinger.server.publishing.process import QUIET_S
 from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
-from softfinger.server.services.commands import EVENT_BYTES_MAX
+from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import event_fields
 from softfinger.server.services.world import body_maps
 from softfinger.server.wire import commands, envelope

@@ -237,12 +237,25 @@ def nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
 
 @jit
 def spot_of(
-    elastic: Elastic, objects: Any, finger: Finger, last: FingerState, after: FingerState, contact: Contact, dt: float
+    elastic: Elastic,
+    objects: Any,
+    finger: Finger,
+    last: FingerState,
+    after: FingerState,
+    contact: Contact,
+    known: Spot,
+    dt: float,
 ) -> Spot:
-    """Return the spot of a finger, with or without contact."""
-    if contact.mode == FREE:
+    """Return the spot of a finger, with or without contact.
+
+    known  of the previous round of the tick: a finger without contact remains there. A search in each round costs more
+           than the step, and its result hardly changes.
+    """
+    if contact.mode != FREE:
+        return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
+    if known.weights == ZERO:
         return nearest_spot(elastic, objects, after.probe.position)
-    return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
+    return Spot(known.nodes, known.weights, mat3.ZEROS, ZERO, mat3.ZEROS)
 
 
 @jit

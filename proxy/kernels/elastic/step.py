@@ -218,11 +218,13 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     u, v = extrapolate(last[0], state.fingers[0], poses[0]), extrapolate(last[1], state.fingers[1], poses[1])
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
+    x, y = empty_spot(), empty_spot()
     for left in range(ROUNDS - 1, -1, -1):
         one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
         two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
-        x = spot_of(elastic, objects, fingers[0], before_one, one, first, dt)
-        y = spot_of(elastic, objects, fingers[1], before_two, two, second, dt)
+        is_loaded = first.mode != FREE or second.mode != FREE
+        x = spot_of(elastic, objects, fingers[0], before_one, one, first, x, dt) if is_loaded else empty_spot()
+        y = spot_of(elastic, objects, fingers[1], before_two, two, second, y, dt) if is_loaded else empty_spot()
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
         coupling = compliance_of(x, rows[1])
         goal_u = vec3.add(mat3.times(compliance_of(x, rows[0]), x.load), mat3.times(coupling, y.load))

@@ -25,7 +25,7 @@ class Projection(NamedTuple):
     point   (3,) m
     normal  (3,)  unit normal of the surface, upwards
     flat          whether the surface is flat
-    scene_index   index of the object in `Bodies.poses`
+    scene_index   index of the object in `BodyNodes.poses`
     """
 
     point: Array

@@ -47,7 +47,7 @@ class SceneStart(NamedTuple):
         return float(row[AT.tick] - self.tick + 1 + missed) * self.period_s
 
 
-class Bodies:
+class BodyNodes:
     """Nodes `/objects/N`: a frame with a surface for each object. `start` determines the time of moving objects."""
 
     def __init__(self, api: Any, scene: schema.Scene, start: SceneStart) -> None:
@@ -183,7 +183,7 @@ def _colour(scene_index: int, obj: Any) -> Colour:
 
 
 def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> None:
-    if isinstance(obj, Filed):  # `Bodies.draw` is called if the triangles arrive
+    if isinstance(obj, Filed):  # `BodyNodes.draw` is called if the triangles arrive
         return
     mesh = surface_mesh(obj)
     if mesh is None:

@@ -13,11 +13,11 @@ from softfinger.config import schema
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import cone
 from softfinger.server.viewer.nodes.below import UP
-from softfinger.server.viewer.nodes.bodies import Bodies
+from softfinger.server.viewer.nodes.bodies import BodyNodes
 from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def _xyz(at: int) -> slice:
     return slice(at, at + 3)
 
 
-class Patch(NamedTuple):
+class PatchColumns(NamedTuple):
     """First columns of a patch in a record."""
 
     object: int
@@ -67,7 +67,9 @@ class Patch(NamedTuple):
     mode: int
 
 
-_PATCHES: Final = [Patch(*(NAMED[f"contacts{k}.{name}"].at for name in Patch._fields)) for k in range(PATCHES)]
+_PATCHES: Final = [
+    PatchColumns(*(NAMED[f"contacts{k}.{name}"].at for name in PatchColumns._fields)) for k in range(PATCHES)
+]
 
 
 class FingerNodes:
@@ -79,7 +81,7 @@ class FingerNodes:
         Objects; the traces on them are in their frames.
     """
 
-    def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: Bodies) -> None:
+    def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
         self._api, self._scene, self._bodies = api, scene, bodies
         self._node = f"/fingers/{parts.name or 'finger'}"
         self._radii = parts.radii_m or (parts.radius_m,) * 3
@@ -118,7 +120,7 @@ class FingerNodes:
         self._object_traces: dict[int, tuple[Trace, Any]] = {}
         self._touched_object = -1
         self._last_row: Array | None = None
-        self.state = ContactState.FREE
+        self.state = VisibleState.FREE
         """State of the contact."""
         self.displayed_force: Callable[[Array], Array] | None = None
         """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
@@ -213,8 +215,8 @@ class FingerNodes:
     def _patch_colour(self, mode: int) -> Colour:
         """Return the colour of a patch: a patch that sticks has the contact's state, unless another patch slides."""
         if mode == SLIDING:
-            return COLOURS[ContactState.SLIDING]
-        return COLOURS[ContactState.STICKING if self.state == ContactState.SLIDING else self.state]
+            return COLOURS[VisibleState.SLIDING]
+        return COLOURS[VisibleState.STICKING if self.state == VisibleState.SLIDING else self.state]
 
     def _show_gap(self, centre: Array) -> None:
         """Draw a vertical line from the fingertip to the object below it, and its shadow there."""

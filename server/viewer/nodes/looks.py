@@ -11,7 +11,7 @@ CM: Final = 100.0
 
 Colour = tuple[int, int, int]
 
-TORSION: Final[Colour] = (235, 130, 0)
+TORSION: Final[Colour] = (215, 115, 0)
 SKIN: Final[Colour] = (226, 168, 138)
 NAIL: Final[Colour] = (250, 214, 206)
 PLUMB: Final[Colour] = (128, 134, 146)

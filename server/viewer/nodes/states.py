@@ -21,7 +21,7 @@ MAX_GAP_S: Final = 0.5
 """Maximum time between two compared ticks; farther apart, as in a scrubbed recording, they are unrelated."""
 
 
-class ContactState(StrEnum):
+class VisibleState(StrEnum):
     """Motion of a contact between two ticks."""
 
     FREE = "free"
@@ -31,26 +31,27 @@ class ContactState(StrEnum):
     SLIDING = "sliding"
 
 
-COLOURS: Final[dict[ContactState, Colour]] = {
-    ContactState.FREE: (130, 140, 150),
-    ContactState.STICKING: (25, 45, 180),
-    ContactState.ROLLING: (20, 90, 235),
-    ContactState.SPINNING: (120, 60, 235),
-    ContactState.SLIDING: (225, 35, 25),
+COLOURS: Final[dict[VisibleState, Colour]] = {
+    VisibleState.FREE: (130, 140, 150),
+    VisibleState.STICKING: (55, 92, 255),
+    VisibleState.ROLLING: (20, 150, 240),
+    VisibleState.SPINNING: (145, 80, 235),
+    VisibleState.SLIDING: (225, 40, 30),
 }
+"""Colours with a contrast of at least 3 in the light and in the dark look (WCAG 2.2, 1.4.11)."""
 
 
-def classify_contact(before: Array, row: Array, radius: float) -> ContactState:
+def classify_contact(before: Array, row: Array, radius: float) -> VisibleState:
     """Return the state of the contact in a tick (RECORD_SIZE,), compared with an earlier one; `radius` in m."""
     if row[AT.contact_mode] == FREE:
-        return ContactState.FREE
+        return VisibleState.FREE
     if row[AT.contact_mode] == SLIDING:
-        return ContactState.SLIDING
+        return VisibleState.SLIDING
     elapsed_s = float(row[AT.timestamp] - before[AT.timestamp])
     if before[AT.contact_mode] == FREE or not 0.0 < elapsed_s <= MAX_GAP_S:
-        return ContactState.STICKING
+        return VisibleState.STICKING
     if radius * abs(row[AT.contact_rolled] - before[AT.contact_rolled]) > MIN_ROLL_SPEED_M_PER_S * elapsed_s:
-        return ContactState.ROLLING
+        return VisibleState.ROLLING
     if abs(row[AT.contact_spin] - before[AT.contact_spin]) > MIN_SPIN_RATE_RAD_PER_S * elapsed_s:
-        return ContactState.SPINNING
-    return ContactState.STICKING
+        return VisibleState.SPINNING
+    return VisibleState.STICKING

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.viewer.hand import BOTH, Hand, HandCommands, MovableFinger
+from softfinger.server.viewer.hand import BOTH, HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import MAX_STEP_M, Nudge, TwoHands
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import Target, mirror_motion, move_towards
@@ -24,7 +24,7 @@ PLACES = {"thumb": (-0.04, 0.0, 0.02), "index": (0.04, 0.0, 0.02)}
 
 
 @pytest.fixture
-def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
+def led() -> Iterator[tuple[HandControls, dict[str, Target | None]]]:
     """Return a hand with two fingers on a page without viewers, and their last targets, GRIP m below when held."""
     server = viser.ViserServer(port=0, verbose=False)
     sent: dict[str, Target | None] = {}
@@ -33,7 +33,7 @@ def led() -> Iterator[tuple[Hand, dict[str, Target | None]]]:
         def hold(finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
             done(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
 
-        hand = Hand(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
+        hand = HandControls(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
         hand.change([MovableFinger(name, 0.01, -reach, reach) for name in PLACES])
         for name, place in PLACES.items():
@@ -57,7 +57,7 @@ def test_a_motion_is_mirrored_along_the_line_between_fingers() -> None:
     assert move_towards(np.array([1.0, 0.0, 0.0]), np.zeros(3), 2.0).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_keys_close_two_fingers_and_move_both(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_keys_close_two_fingers_and_move_both(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """Closing moves both fingers; a vertical step moves both, or only the chosen one."""
     hand, sent = led
     hand.nudge(Nudge(close=0.001))
@@ -69,7 +69,7 @@ def test_keys_close_two_fingers_and_move_both(led: tuple[Hand, dict[str, Target 
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.02], "index": [0.039, 0.0, 0.019]}
 
 
-def test_each_hand_moves_one_finger(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_each_hand_moves_one_finger(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """The left hand moves the left finger and the wheel moves both, regardless of the chosen finger."""
     hand, sent = led
     hand._finger.value = "index"
@@ -80,7 +80,7 @@ def test_each_hand_moves_one_finger(led: tuple[Hand, dict[str, Target | None]]) 
     assert places(sent)["index"][0] == pytest.approx(0.039, abs=2e-6)
 
 
-def test_moving_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_moving_one_finger_holds_the_other(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """Otherwise a hand that follows a recording would continue with it; both start at their targets."""
     hand, sent = led
     hand._finger.value = "index"
@@ -89,7 +89,7 @@ def test_moving_one_finger_holds_the_other(led: tuple[Hand, dict[str, Target | N
     assert hand.target("thumb").position == pytest.approx([-0.04, 0.0, 0.018])
 
 
-def test_a_slider_moves_the_target_by_its_change(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_a_slider_moves_the_target_by_its_change(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """A slider shows the finger's position; a change of 5 mm shifts the target by 5 mm."""
     hand, sent = led
     assert hand._finger.value == BOTH and hand._sliders[2].value == pytest.approx(20.0)
@@ -100,7 +100,7 @@ def test_a_slider_moves_the_target_by_its_change(led: tuple[Hand, dict[str, Targ
     assert places(sent) == {"thumb": [-0.035, 0.0, 0.018]}
 
 
-def test_steps_before_the_hands_are_held_are_queued(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_steps_before_the_hands_are_held_are_queued(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """Key strokes before the daemon's answer are applied, after a refusal none is."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
@@ -119,7 +119,7 @@ def test_steps_before_the_hands_are_held_are_queued(led: tuple[Hand, dict[str, T
     assert list(sent.values()) == [None, None]
 
 
-def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
+def drag(hand: HandControls, phase: str, end: np.ndarray, how: str) -> None:
     """Drag the thumb, with the camera above."""
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
@@ -127,7 +127,9 @@ def drag(hand: Hand, phase: str, end: np.ndarray, how: str) -> None:
     hand.hold_then(partial(hand._on_drag, "thumb", event, how))
 
 
-def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(
+    led: tuple[HandControls, dict[str, Target | None]],
+) -> None:
     """Both move 10 mm to the right and 5 mm sideways; closing by the wheel during the drag remains in effect."""
     hand, sent = led
     ball = CM * np.array(PLACES["thumb"])
@@ -141,7 +143,7 @@ def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(led: tuple[Hand, di
     assert places(sent)["index"] == pytest.approx([0.036, 0.005, 0.018])
 
 
-def test_a_pinch_drag_moves_both_fingers_together(led: tuple[Hand, dict[str, Target | None]]) -> None:
+def test_a_pinch_drag_moves_both_fingers_together(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     """Touch screens have no wheel: a drag by 10 mm inwards and 5 mm sideways mirrors the other finger."""
     hand, sent = led
     ball = CM * np.array(PLACES["thumb"])

@@ -21,7 +21,7 @@ from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.viewer.displayed import find_low_dof_devices
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import dashes, rotate
 from softfinger.server.viewer.nodes.looks import Looks
@@ -72,7 +72,7 @@ def test_the_arrow_shows_the_displayed_force_and_dashes_the_rest() -> None:
     try:
         scene = load_scene("paper-plane")
         nodes = FingerNodes(
-            server.scene, scene, scene.fingers[0], Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+            server.scene, scene, scene.fingers[0], BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         )
         (handle,) = find_low_dof_devices({"rig": describe(load_rig("haply-2diy"))}).values()
         nodes.displayed_force = handle.displayed_force

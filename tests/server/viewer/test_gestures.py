@@ -25,7 +25,7 @@ from softfinger.server.viewer.gestures import (
     ROLL_M,
     SLIDE_M,
     SPIN_RAD,
-    Box,
+    LiftedBox,
     Stage,
     half_width,
     lift,
@@ -131,7 +131,7 @@ def test_a_lift_raises_a_box_and_puts_it_down() -> None:
         lambda point: 0.0,
     )
     back: list[bool] = []
-    box = Box(lambda: hands.data.qpos[:3].copy(), 0.02, lambda: back.append(True))
+    box = LiftedBox(lambda: hands.data.qpos[:3].copy(), 0.02, lambda: back.append(True))
     gesture, heights, tilts, most = lift(stage, "thumb", "index", box), [], [], 0.0
     goals = next(gesture)
     with suppress(StopIteration):

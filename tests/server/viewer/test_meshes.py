@@ -22,7 +22,7 @@ from softfinger.server.publishing.setup import ANSWER_MAX
 from softfinger.server.surface_meshes import decode_mesh
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
-from softfinger.server.viewer.playback import RecordedPage, Recording
+from softfinger.server.viewer.playback import LoadedRecording, RecordedPage
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.envelope import encode_answer
 
@@ -85,7 +85,7 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     """The mesh is drawn in centimetres as the second object; a missing file gives a message, and the rest is shown."""
     path = scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
-    RecordedPage(page, Recording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)
+    RecordedPage(page, LoadedRecording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)
     drawn = surfaces(page)["/objects/1/surface"]
     np.testing.assert_allclose(
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
@@ -95,5 +95,5 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     gone = parse_scene(tmp_path / "gone.ply")
     page.change(gone, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
-    RecordedPage(page, Recording(records, gone, "part", 1000.0, BEGAN), 0)
+    RecordedPage(page, LoadedRecording(records, gone, "part", 1000.0, BEGAN), 0)
     assert "No such file" in page._message.content and "/objects/0/surface" in surfaces(page)

@@ -18,7 +18,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.surface_meshes import SurfaceMesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingertip import finger, nail
 from softfinger.server.viewer.nodes.glyphs import (
     ARC_MAX,
@@ -33,9 +33,10 @@ from softfinger.server.viewer.nodes.glyphs import (
     rotate,
     rotation_to,
 )
-from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, Looks
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState, classify_contact
+from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
 from softfinger.server.viewer.nodes.unlit import squares
+from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
 pytestmark = pytest.mark.plain
@@ -191,7 +192,7 @@ def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> N
     way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
     scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
     engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
-    bodies = Bodies(Frames(), scene, SceneStart(begun, missed, period, own_clock))
+    bodies = BodyNodes(Frames(), scene, SceneStart(begun, missed, period, own_clock))
     random = np.random.default_rng(3)
     for tick in range(begun, begun + 400):
         skipped = int(random.integers(0, 8)) if random.random() < 0.1 and tick > begun else 0
@@ -209,7 +210,7 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
     ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
-    bodies = Bodies(Frames(), build(schema.Scene, mapping, "test scene"), SceneStart(0, 0, 1e-3, True))
+    bodies = BodyNodes(Frames(), build(schema.Scene, mapping, "test scene"), SceneStart(0, 0, 1e-3, True))
     half = np.sqrt(0.5).item()
     bodies.move_bodies(
         {"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))}
@@ -232,7 +233,7 @@ def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float
     ]
     planes = [{"shape": "plane", "material": material} | plane for plane in planes]
     scene = build(schema.Scene, paper_mapping() | {"object": planes}, "test scene")
-    bodies, point = Bodies(Frames(), scene, SceneStart(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
+    bodies, point = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
     up = rotate(turn, UP)
     slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
     expected = slope if -0.1 < slope <= point[2] else -0.1
@@ -252,7 +253,7 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
     material = {"stiffness_n_per_m": 1000.0}
     scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
-    bodies = Bodies(Frames(), scene, SceneStart(0, 0, 1e-3, True))
+    bodies = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True))
     way = share * radius * np.array([cos(turn), sin(turn), 0.0])
     exact = np.array([*way[:2], sqrt(radius**2 - way @ way)])
     foot = bodies.below(centre + way + 0.1 * UP)
@@ -269,7 +270,7 @@ def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
     floor = {"shape": "plane", "name": "floor"}
     things = [each | {"material": material} for each in (floor, box | {"motion": {"kind": "driven"}})]
-    bodies = Bodies(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), SceneStart(0, 0, 1e-3, True))
+    bodies = BodyNodes(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), SceneStart(0, 0, 1e-3, True))
     point = np.array([0.005, -0.005, 0.1])
     for place, height in (((0.0, 0.0, 0.01), 0.02), ((0.0, 0.0, 0.05), 0.06), ((0.03, 0.0, 0.01), 0.0)):
         bodies.drive(1, place)
@@ -290,24 +291,39 @@ def tick(**values: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("after", "state"),
     [
-        ({"contact_mode": 0}, ContactState.FREE),
-        ({"contact_mode": 1}, ContactState.STICKING),
-        ({"contact_mode": 1, "contact_rolled": 0.1}, ContactState.ROLLING),
-        ({"contact_mode": 1, "contact_spin": -0.1}, ContactState.SPINNING),
-        ({"contact_mode": 1, "contact_rolled": 1e-3, "contact_spin": 1e-3}, ContactState.STICKING),
-        ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, ContactState.SLIDING),
+        ({"contact_mode": 0}, VisibleState.FREE),
+        ({"contact_mode": 1}, VisibleState.STICKING),
+        ({"contact_mode": 1, "contact_rolled": 0.1}, VisibleState.ROLLING),
+        ({"contact_mode": 1, "contact_spin": -0.1}, VisibleState.SPINNING),
+        ({"contact_mode": 1, "contact_rolled": 1e-3, "contact_spin": 1e-3}, VisibleState.STICKING),
+        ({"contact_mode": 2, "contact_rolled": 0.1, "contact_spin": 0.1}, VisibleState.SLIDING),
     ],
 )
-def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: ContactState) -> None:
+def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: VisibleState) -> None:
     """Two ticks 0.1 s apart give the state; a new contact, or a single tick, is sticking."""
     before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
     assert classify_contact(before, now, 0.01) == state
-    if state in (ContactState.ROLLING, ContactState.SPINNING):
+    if state in (VisibleState.ROLLING, VisibleState.SPINNING):
         late = tick(timestamp=9.0, **after)
         assert {classify_contact(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {
-            ContactState.STICKING
+            VisibleState.STICKING
         }
-    assert set(COLOURS) == set(ContactState) and len(set(COLOURS.values())) == len(COLOURS)
+    assert set(COLOURS) == set(VisibleState) and len(set(COLOURS.values())) == len(COLOURS)
+
+
+@pytest.mark.parametrize("background", [(255, 255, 255), (36, 36, 36)])
+def test_colours_are_visible_in_both_looks(background: tuple[int, int, int]) -> None:
+    """Contrast of colours with a meaning to the panel: at least 3 to 1, by WCAG 2.2, 1.4.11."""
+    lines = [tuple(bytes.fromhex(line[1:])) for line in LINES]
+    for colour in (*COLOURS.values(), *lines, TORSION, PLUMB):
+        darker, brighter = sorted(luminance(each) for each in (colour, background))
+        assert (brighter + 0.05) / (darker + 0.05) >= 3.0, colour
+
+
+def luminance(colour: tuple[int, ...]) -> float:
+    """Return the relative luminance of an sRGB colour, by WCAG 2.2."""
+    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (each / 255.0 for each in colour)]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))

@@ -24,12 +24,14 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_results
 from softfinger.server.viewer.driven import ObjectControls
-from softfinger.server.viewer.hand import Hand, HandCommands, MovableFinger
+from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.live import LivePage
+from softfinger.server.viewer.live import SILENCE_S, SILENT, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
+from softfinger.server.viewer.nodes.camera import initial_camera
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
+from softfinger.server.viewer.wire import ReceivedData
 from softfinger.server.wire.client_requests import NoAnswer
 
 pytestmark = pytest.mark.real_time
@@ -103,6 +105,34 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
     assert player.take_rows()[0][""][:, 1].tolist() == [0]
 
 
+def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_the_initial_camera_later(
+    page: Page,
+) -> None:
+    """A window of 100 x 200 pixels has twice the distance; an orbit of its user remains."""
+    scene = load_scene("paper-plane")
+    page.add_views()
+    page.change(scene, BEGAN)
+    near = initial_camera(scene)
+    updates: list[Any] = []
+    camera = SimpleNamespace(image_height=200, image_width=100, on_update=updates.append)
+    page._follow_camera(SimpleNamespace(camera=camera))  # type: ignore[arg-type]
+    far = np.array(near.look_at) + 2.0 * np.subtract(near.position, near.look_at)
+    assert camera.position == pytest.approx(far)
+    camera.position = np.array(near.position)
+    updates[0](camera)
+    assert camera.position == pytest.approx(far)
+    camera.position = np.array(near.position) + 0.1
+    updates[0](camera)
+    assert camera.position == pytest.approx(np.array(near.position) + 0.1)
+
+
+def test_plots_have_the_name_of_their_finger_if_there_are_several(page: Page) -> None:
+    page.add_views()
+    for scene, title in (("pinch", "thumb: depth, mm"), ("paper-plane", "depth, mm")):
+        page.change(load_scene(scene), BEGAN)
+        assert page._plots._plots[0].title == title
+
+
 def fed(live: LivePage, until: Any) -> bool:
     """Step until a condition is true; return False after WAIT_S."""
     end = time.monotonic() + WAIT_S
@@ -157,6 +187,23 @@ def test_a_page_catches_up_after_lost_messages(
         samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
         assert fed(live, lambda: knob.value == 640.0) and not failures
         assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
+    finally:
+        live.close()
+
+
+def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
+    page: Page, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = LivePage(page, Addresses(*endpoints))
+    try:
+        assert fed(live, lambda: page._newest) and not page._message.visible
+        with monkeypatch.context() as silence:
+            silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+            live.step(0.5 * SILENCE_S)
+            assert not page._message.visible
+            live.step(SILENCE_S)
+            assert page._message.visible and page._message.content == SILENT
+        assert fed(live, lambda: not page._message.visible)
     finally:
         live.close()
 
@@ -278,7 +325,7 @@ def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
     commands = HandCommands(lambda finger, target: asked.append(target), hold)
-    hand = Hand(page.server.gui, page.server.scene, commands)
+    hand = HandControls(page.server.gui, page.server.scene, commands)
     hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
     row[AT.probe_orientation] = 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
-from softfinger.server.viewer.nodes.states import COLOURS, ContactState
+from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.timeline import COLUMNS, Events, band, describe_event, find_state_runs, pointer
 
 pytestmark = pytest.mark.plain
@@ -29,9 +29,9 @@ def test_a_band_has_each_state_where_it_is() -> None:
     made = rows([FREE] * 200 + [ROLLING] * 400)
     made[400:, AT.contact_rolled] = 0.01 * np.arange(200)
     assert find_state_runs(made, RADIUS) == [
-        (0, ContactState.FREE),
-        (200, ContactState.STICKING),
-        (403, ContactState.ROLLING),
+        (0, VisibleState.FREE),
+        (200, VisibleState.STICKING),
+        (403, VisibleState.ROLLING),
     ]
 
 
@@ -39,14 +39,14 @@ def test_a_slide_shorter_than_a_column_is_visible() -> None:
     modes = [ROLLING] * (20 * COLUMNS)
     modes[5555] = SLIDING
     found = find_state_runs(rows(modes), RADIUS)
-    assert [state for _, state in found] == [ContactState.STICKING, ContactState.SLIDING, ContactState.STICKING]
+    assert [state for _, state in found] == [VisibleState.STICKING, VisibleState.SLIDING, VisibleState.STICKING]
     assert found[1][0] <= 5555 < found[2][0] <= found[1][0] + 20
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
     """Each run is a box as wide as it is long; names are escaped; the pointer is in the middle."""
     drawn = band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
-    free, sliding = (f"rgb{COLOURS[state]}" for state in (ContactState.FREE, ContactState.SLIDING))
+    free, sliding = (f"rgb{COLOURS[state]}" for state in (VisibleState.FREE, VisibleState.SLIDING))
     assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
     assert f'fill="{sliding}"' in drawn and "a&lt;b" in drawn and "a<b" not in drawn
     assert "margin-left: 50.00%" in pointer(0.5)

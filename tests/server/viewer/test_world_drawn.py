@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.load import load_scene
-from softfinger.server.viewer.nodes.bodies import Bodies, SceneStart, visual_geoms
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart, visual_geoms
 
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
@@ -20,7 +20,7 @@ def test_boxes_without_contacts_are_drawn_at_their_poses() -> None:
     assert [thing.name for thing in visual_geoms(scene)] == ["bottom", "middle"]
     server = viser.ViserServer(port=0, verbose=False)
     try:
-        bodies = Bodies(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
         upright = (1.0, 0.0, 0.0, 0.0)
         bodies.move_bodies(dict.fromkeys(("bottom", "middle"), ((0.0, 0.1, 0.2), upright)))
         assert [place[0] for place in bodies.poses[2:]] == [(0.0, 0.1, 0.2)] * 2

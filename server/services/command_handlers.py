@@ -1,0 +1,306 @@
+"""Handlers of the methods of the command endpoint. The file is as long as the list of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config import schema
+from softfinger.config.errors import HapticError
+from softfinger.config.load import add_objects_of_world, apply_overrides, build, describe, load_scene
+from softfinger.config.overrides import index_entries, value_at
+from softfinger.config.sources import list_shipped
+from softfinger.config.words import format_value, near
+from softfinger.drivers.simulated.lead import RequestedPose, hand_of
+from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server.services.compilation import SceneChanges, SceneRequest
+from softfinger.server.services.description import describe_daemon
+from softfinger.server.services.prompts import Prompts
+from softfinger.server.services.recordings import Recordings
+from softfinger.server.services.records import Sink
+from softfinger.server.services.rendering import Rendering
+from softfinger.server.states import COMMANDED, FAST, SILENT, UNARMED
+from softfinger.server.wire import commands as wire
+from softfinger.server.wire.envelope import Declined, Request
+from softfinger.server.wire.link import RequestHandlers
+from softfinger.server.wire.protocol import encode, wire_schema
+
+EVENT_BYTES_MAX: Final = 1024
+"""Largest part of a request that is copied into an event: the publisher stores 40 000 messages for slow subscribers."""
+
+Done = Callable[[Any], None]
+"""Callback with the result of a deferred method, or the exception that ended it."""
+
+
+class DaemonInterface(NamedTuple):
+    """Interface of the commands to the daemon, other than the rendering.
+
+    replace     renders a scene under a name, and returns its first tick
+    ring        returns where local readers find every tick, in the format of `describe`
+    telemetry   endpoint of the telemetry
+    serve       sets the handler of requests; None removes it
+    reply       sends a deferred answer to a client
+    event       publishes an event
+    stop        ends the run in order
+    fail        ends the run with an error
+    recordings  service that records
+    report      publishes the progress of a scene in preparation; empty: there is none
+    """
+
+    replace: Callable[[schema.Scene, str], int]
+    ring: Callable[[], dict[str, Any]]
+    telemetry: str
+    serve: Callable[[RequestHandlers | None], None]
+    reply: Callable[[bytes, bytes], None]
+    event: Callable[..., None]
+    stop: Callable[[], None]
+    fail: Callable[[HapticError], None]
+    recordings: Recordings
+    report: Callable[[str], None]
+
+
+class CommandHandlers:
+    """Handlers of all methods, each named as its method. They return the result or raise an exception.
+
+    `set_scene` and `reset_world` return before the scene is compiled, and call `done` later.
+
+    endpoint    of the commands
+    scene_name  name of the initial scene
+    """
+
+    def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
+        self._endpoint, self._rendering, self._daemon, self._scene_name = endpoint, rendering, daemon, scene_name
+        self._latest: NDArray[np.float64] | None = None
+        self._led_fingers: Final = set[int]()
+        """Indices of the fingers with hands moved by a program."""
+        self.scenes: Final = SceneChanges(daemon.replace, daemon.report)
+        prompts = Prompts(self.publish_change, lambda: rendering.servo.ticks)
+        self.get_prompt, self.set_prompt, self.answer = prompts.get, prompts.set, prompts.answer
+        self.sink: Final = Sink("commands", self._store_latest)
+
+    def _store_latest(self, records: NDArray[np.float64], drops: int) -> None:
+        self._latest = records[-1].copy()
+
+    def publish_change(self, name: str, command_id: str, change: Mapping[str, Any]) -> None:
+        """Publish a change, shortened if it is too long to store for all subscribers."""
+        content = dict(change)
+        if len(encode(content)) > EVENT_BYTES_MAX:
+            content = {"keys": len(change)}
+        self._daemon.event("command", name, command_id=command_id, what=content)
+
+    def get_state(self, request: Request) -> wire.State:
+        if self._latest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        return wire.state_of(self._latest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+
+    def heartbeat(self, request: Request) -> wire.Alive:
+        if self._rendering.force.is_inhibited_by(SILENT):
+            self._rendering.arm(SILENT)
+            self.publish_change("heartbeat", request.command_id, {"armed": self._rendering.force.is_requested})
+        return wire.Alive(round(1000 * (self._rendering.rig.commands.heartbeat_s or 0.0)))
+
+    def set_params(self, request: Request) -> wire.Changed:
+        before, after, tick = self._rendering.set_parameters(request.params, "set_params")
+        old, new = describe(before), describe(after)
+        paths = {key: index_entries(old, key) for key in request.params}  # the change itself may rename the object
+        changes = {key: wire.Change(value_at(old, path), value_at(new, path)) for key, path in paths.items()}
+        changed = {key: change for key, change in changes.items() if change.before != change.after}
+        if changed:
+            self.publish_change("set_params", request.command_id, changed)
+        return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)
+
+    def set_scene(self, request: Request, done: Done) -> None:
+        params: wire.SetScene = request.params
+        name = params.name or (params.scene if isinstance(params.scene, str) else "unnamed")
+        if isinstance(params.scene, str) and params.scene not in list_shipped(schema.Scene):
+            raise Declined(
+                "bad_params",
+                f"no scene is called {format_value(params.scene)}{near(params.scene, list_shipped(schema.Scene))}; "
+                f"shipped are {', '.join(list_shipped(schema.Scene))}; send another one as a complete map",
+            )
+
+        def read() -> schema.Scene:
+            if isinstance(params.scene, str):
+                scene = load_scene(params.scene)
+            else:
+                scene = add_objects_of_world(build(schema.Scene, params.scene, "set_scene"))
+            return apply_overrides(scene, params.overrides, "set_scene") if params.overrides else scene
+
+        self._change_scene(read, name, request, lambda tick: wire.SceneSet(name, tick), done)
+
+    def reset_world(self, request: Request, done: Done) -> None:
+        scene = self._rendering.scene
+        if scene.world is None:
+            raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
+        self._change_scene(lambda: scene, self._scene_name, request, wire.Applied, done)
+
+    def _change_scene(
+        self, read: Callable[[], schema.Scene], name: str, request: Request, result: Callable[[int], Any], done: Done
+    ) -> None:
+        """Read, compile and render a scene from zero force; the result is of its first tick."""
+
+        def checked() -> schema.Scene:
+            scene = read()
+            self._rendering.check(scene, self._rendering.rig)  # before it is compiled
+            return scene
+
+        def finish(outcome: int | Exception) -> None:
+            if isinstance(outcome, Exception):
+                done(outcome)
+                return
+            self._scene_name = name
+            self.publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
+            done(result(outcome))
+
+        self.scenes.request(SceneRequest(checked, name, finish))
+
+    def drive(self, request: Request) -> wire.Applied:
+        params: wire.Drive = request.params
+        scene_index, obj = self._object(params.object)
+        if not isinstance(obj.motion, schema.Driven):
+            raise Declined("refused", f'object {obj.name} is not driven: it needs motion = {{ kind = "driven" }}')
+        pose: dict[str, Any] = {"position_m": list(params.position_m)}
+        if params.orientation_wxyz is not msgspec.UNSET:
+            pose["orientation_wxyz"] = list(params.orientation_wxyz)
+        _, _, tick = self._rendering.set_parameters({f"object.{scene_index}.{k}": v for k, v in pose.items()}, "drive")
+        self.publish_change("drive", request.command_id, {"object": obj.name} | pose)
+        return wire.Applied(tick)
+
+    def _object(self, key: str | int) -> tuple[int, schema.Object]:
+        """Return the index of an object, and the object."""
+        objects = self._rendering.scene.object
+        names = [obj.name for obj in objects]
+        scene_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
+        if scene_index >= len(names):
+            raise Declined("bad_params", f"no object is {format_value(key)}: there are {', '.join(names)}")
+        return scene_index, objects[scene_index]
+
+    def hand(self, request: Request) -> wire.Applied:
+        params: wire.Hand = request.params
+        finger_index = self._finger(params.finger)
+        if params.release == (params.position_m is not msgspec.UNSET):  # both, or neither
+            raise Declined("bad_params", "give either position_m, the goal of the hand, or release")
+        target = None
+        if params.position_m is not msgspec.UNSET:
+            turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
+            hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
+            target = RequestedPose(params.position_m, turn, self._orientation(finger_index))
+        self._rendering.lead_hand(finger_index, target)
+        self._publish_led(finger_index, not params.release, request)
+        return wire.Applied(self._rendering.servo.ticks)
+
+    def hold(self, request: Request) -> wire.Held:
+        finger_index = self._finger(request.params.finger)
+        goal = self._rendering.hold_hand(finger_index)
+        self._publish_led(finger_index, True, request)
+        return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
+
+    def _publish_led(self, finger_index: int, led: bool, request: Request) -> None:
+        """Publish when a program starts or stops moving a hand; every record has its pose."""
+        if (finger_index in self._led_fingers) != led:
+            (self._led_fingers.add if led else self._led_fingers.discard)(finger_index)
+            name = self._rendering.scene.fingers[finger_index].name
+            self.publish_change(request.method, request.command_id, {"finger": name, "led": led})
+
+    def _orientation(self, finger_index: int) -> wire.Quaternion:
+        """Return the orientation of a finger."""
+        if self._latest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        at = AT.probe_orientation
+        w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
+        return w, x, y, z
+
+    def _finger(self, key: str | int | msgspec.UnsetType) -> int:
+        """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""
+        names = [finger.name for finger in self._rendering.scene.fingers]
+        if key is msgspec.UNSET and len(names) > 1:
+            raise Declined("bad_params", f"there are several fingers: give finger, one of {', '.join(names)}")
+        selected = 0 if key is msgspec.UNSET else key
+        finger_index = (
+            selected if isinstance(selected, int) else names.index(selected) if selected in names else len(names)
+        )
+        if finger_index >= len(names):
+            choices = (
+                f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
+            )
+            raise Declined("bad_params", f"no finger is {format_value(selected)}: {choices}")
+        return finger_index
+
+    def arm(self, request: Request) -> wire.Armed:
+        before = self._rendering.force.is_requested
+        self._rendering.arm(COMMANDED, SILENT, UNARMED, FAST)
+        return self._publish_armed(request, before)
+
+    def disarm(self, request: Request) -> wire.Armed:
+        before = self._rendering.force.is_requested
+        self._rendering.disarm(COMMANDED)
+        return self._publish_armed(request, before)
+
+    def _publish_armed(self, request: Request, before: bool) -> wire.Armed:
+        if self._rendering.force.is_requested != before:
+            self.publish_change(request.method, request.command_id, {"armed": self._rendering.force.is_requested})
+        return wire.Armed(self._rendering.force.is_requested)
+
+    def zero(self, request: Request) -> wire.Zeroed:
+        params: wire.Zero = request.params
+        finger_index = self._finger(params.finger)
+        if self._rendering.force.is_requested:
+            raise Declined(
+                "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
+            )
+        if self._latest is None:
+            raise Declined("refused", "there has been no tick yet: ask again later")
+        record = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        tick = self._rendering.set_offset(finger_index, None if params.reset else params.position_m, record)
+        offset = self._rendering.offsets[finger_index]
+        self.publish_change(
+            "zero", request.command_id, {"finger": self._rendering.scene.fingers[finger_index].name, "offset_m": offset}
+        )
+        return wire.Zeroed(offset, tick)
+
+    def mark(self, request: Request) -> wire.Applied:
+        params: wire.Mark = request.params
+        if len(encode(params.data)) > EVENT_BYTES_MAX:
+            raise Declined(
+                "bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: store the data elsewhere, and mark its name"
+            )
+        tick = self._rendering.servo.ticks
+        self._daemon.event("mark", "mark", command_id=request.command_id, label=params.label, data=params.data)
+        return wire.Applied(tick)
+
+    def describe(self, request: Request) -> dict[str, Any]:
+        about = describe_daemon(self._rendering, self._scene_name)
+        endpoints = {"telemetry": self._daemon.telemetry, "commands": self._endpoint}
+        return {
+            "wire": wire_schema(), "ring": self._daemon.ring(), "commands": wire.schema(), "endpoints": endpoints,
+        } | about  # fmt: skip
+
+    def mesh(self, request: Request) -> wire.Triangles:
+        _, obj = self._object(request.params.object)
+        if not isinstance(obj, Filed):
+            raise Declined(
+                "refused", f"object {obj.name} is a {obj.shape} and no mesh: its table describes it completely"
+            )
+        (vertices, triangles), of = picture_of(obj)
+        return wire.Triangles(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes(), of)
+
+    def record_start(self, request: Request) -> wire.RecordStarted:
+        params: wire.RecordStart = request.params
+        file = str(self._daemon.recordings.begin(params.file, self._scene_name))
+        self.publish_change("record_start", request.command_id, {"file": file})
+        return wire.RecordStarted(file, self._rendering.servo.ticks)
+
+    def record_stop(self, request: Request) -> wire.RecordStopped:
+        file, recorded = self._daemon.recordings.end()
+        self.publish_change("record_stop", request.command_id, {"file": str(file), "ticks": recorded.ticks})
+        return wire.RecordStopped(str(file), *recorded)
+
+    def stop(self, request: Request) -> wire.Stopping:
+        self.publish_change("stop", request.command_id, {})
+        self._daemon.stop()
+        return wire.Stopping(True)
