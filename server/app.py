@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.blackbox import BlackBoxes
@@ -35,6 +34,7 @@ from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import TelemetryService
 from softfinger.server.services.world import WorldState
+from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import event_map

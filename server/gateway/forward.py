@@ -16,8 +16,8 @@ from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.requests import Commanders
 from softfinger.server.gateway.streams import QUEUE, Stream
 from softfinger.server.keys import ClientKeys
-from softfinger.server.publishing.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
-from softfinger.server.publishing.readers import Readers
+from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.readers import Readers
 from softfinger.server.wire.endpoint import BoundSocket
 
 KEY_CHECK_S: Final = 1.0

@@ -9,8 +9,8 @@ from typing import Final
 import zmq
 
 from softfinger.server.keys import ClientKeys
-from softfinger.server.publishing.peer_socket import KeyLock, PeerSocket, SocketContext
-from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext
+from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import BoundSocket
 
 CLIENTS_MAX: Final = 16

@@ -1,7 +1,7 @@
 """Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
 
 A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
-the force off while Python is busy, and so does a request that the publisher received (`publishing/brake.py`).
+the force off while Python is busy, and so does a request that the publisher received (`socket_process/brake.py`).
 """
 
 from __future__ import annotations

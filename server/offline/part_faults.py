@@ -42,7 +42,7 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
     if not isinstance(rig, Rig):
         return
     if rig.security is not None and is_complete(rig.security):
-        from softfinger.server.publishing.allowed import key_folders
+        from softfinger.server.socket_process.allowed import key_folders
 
         yield partial(key_folders, rig.security)
     rate_hz = rig.servo.rate_hz if is_complete(rig.servo) else Servo().rate_hz

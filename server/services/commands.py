@@ -18,11 +18,11 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.drivers import switch_interval
 from softfinger.server.loop import shutdown
-from softfinger.server.publishing.brake import SHORT
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.command_handlers import CommandHandlers, DaemonInterface
 from softfinger.server.services.compilation import NotCompiled, Superseded
 from softfinger.server.services.rendering import Rendering, Replacing
+from softfinger.server.socket_process.brake import SHORT
 from softfinger.server.states import SILENT
 from softfinger.server.wire.envelope import Declined, Request, encode_answer, encode_refusal, parse
 from softfinger.server.wire.link import RequestHandlers

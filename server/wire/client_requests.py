@@ -13,7 +13,7 @@ import zmq
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, commands_address_for, runtime_folder
 from softfinger.server.keys import ClientKeys
-from softfinger.server.publishing.setup import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import expiry
 

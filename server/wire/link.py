@@ -23,8 +23,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from softfinger.server.publishing.channel import Channel, Message
-from softfinger.server.publishing.setup import Figures, Kind
+from softfinger.server.socket_process.channel import Channel, Message
+from softfinger.server.socket_process.setup import Figures, Kind
 
 log: Final = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ SILENT_MAX_S: Final = 2.0
 """Time without a message, of which there is one in each PERIOD_S of the process, after which it hangs."""
 ERRORS_MAX: Final = 4096
 """Largest part of the standard error of a process that is logged, bytes."""
-MODULE: Final = "softfinger.server.publishing"
+MODULE: Final = "softfinger.server.socket_process"
 Send = Callable[[Kind, bytes, bytes], object]
 """Function that sends a message: kind, key and body."""
 

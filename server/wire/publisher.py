@@ -20,7 +20,7 @@ from softfinger.config.schema import commands_address_for
 from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, columns
-from softfinger.server.publishing.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
+from softfinger.server.socket_process.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
 from softfinger.server.wire.events import RecordEvents, event_map
 from softfinger.server.wire.health import HealthSummary, combine
 from softfinger.server.wire.link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess

@@ -13,7 +13,7 @@ from typing import Final
 
 from softfinger.config import schema
 from softfinger.config.schema import commands_address_for, is_public
-from softfinger.server.publishing.setup import ListeningSocket
+from softfinger.server.socket_process.setup import ListeningSocket
 from softfinger.server.wire.endpoint import listen
 
 TELEMETRY: Final = "telemetry"
@@ -103,7 +103,7 @@ def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
     """Return the secret key and the folder of public keys of each table."""
     if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
         return {}
-    from softfinger.server.publishing.allowed import key_folders  # imports libzmq, which takes time
+    from softfinger.server.socket_process.allowed import key_folders  # imports libzmq, which takes time
 
     assert rig.security is not None  # the rig is refused without it
     readers, commanders = key_folders(rig.security)

@@ -94,8 +94,8 @@ from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
 from softfinger.server.recording.results import read_results, write_results
-from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.messages import Messages
+from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import record_of
 from softfinger.server.wire.protocol import CONTACT, decode
 

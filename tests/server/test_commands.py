@@ -40,8 +40,6 @@ from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
-from softfinger.server.publishing.clients import BURST
-from softfinger.server.publishing.process import UNANSWERED_MAX
 from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
@@ -49,6 +47,8 @@ from softfinger.server.services import compilation
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.commands import CommandService
 from softfinger.server.services.records import Sink
+from softfinger.server.socket_process.clients import BURST
+from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import SILENT
 from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe

@@ -23,9 +23,9 @@ from helpers.waits import eventually
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
-from softfinger.server.publishing.brake import SHORT, Brake, takes_force_off
-from softfinger.server.publishing.clients import BURST
 from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
+from softfinger.server.socket_process.brake import SHORT, Brake, takes_force_off
+from softfinger.server.socket_process.clients import BURST
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.native.switch import SharedSwitch

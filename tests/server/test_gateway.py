@@ -28,8 +28,8 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.gateway.requests import CLIENTS_MAX, Commanders
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
-from softfinger.server.publishing.peer_socket import SocketContext
-from softfinger.server.publishing.readers import SUBSCRIPTIONS_PER_S
+from softfinger.server.socket_process.peer_socket import SocketContext
+from softfinger.server.socket_process.readers import SUBSCRIPTIONS_PER_S
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.publisher import Publisher
@@ -184,7 +184,7 @@ def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
         try:
             assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
             children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-            its = next(each for each in children if b"publishing" in Path(f"/proc/{each}/cmdline").read_bytes())
+            its = next(each for each in children if b"socket_process" in Path(f"/proc/{each}/cmdline").read_bytes())
         finally:
             daemon.kill()
         daemon.stderr.close()

@@ -27,7 +27,7 @@ from helpers.programs import Program
 from helpers.waits import eventually
 
 from softfinger.proxy.record import AT
-from softfinger.server.publishing.peer_socket import FILES_MAX, MEMORY_MAX
+from softfinger.server.socket_process.peer_socket import FILES_MAX, MEMORY_MAX
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher

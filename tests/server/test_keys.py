@@ -18,7 +18,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.server.keys import make_pair, read_pair, read_public
-from softfinger.server.publishing.allowed import Allowed
+from softfinger.server.socket_process.allowed import Allowed
 
 OTHER = 65534
 """User `nobody`."""
@@ -162,7 +162,7 @@ def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
 
 def test_a_key_written_after_the_folder_was_read_is_admitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rejected client does not reconnect, so the folder is read again for a recently changed file only."""
-    monkeypatch.setattr("softfinger.server.publishing.allowed.REREAD_MIN_S", 60.0)
+    monkeypatch.setattr("softfinger.server.socket_process.allowed.REREAD_MIN_S", 60.0)
     folder = tmp_path / "readers"
     folder.mkdir()
     public, _ = make_pair(tmp_path, "anna")

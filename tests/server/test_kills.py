@@ -32,8 +32,8 @@ pytestmark = pytest.mark.real_time
 KILLS = int(os.environ.get("SOFTFINGER_KILLS", "40"))
 VICTIMS = {
     "page": b"\0view\0",
-    "telemetry process": b"\0softfinger.server.publishing\0telemetry\0",
-    "commands process": b"\0softfinger.server.publishing\0commands\0",
+    "telemetry process": b"\0softfinger.server.socket_process\0telemetry\0",
+    "commands process": b"\0softfinger.server.socket_process\0commands\0",
     "daemon": b"\0run\0",
 }
 """Part of the command line of each process."""

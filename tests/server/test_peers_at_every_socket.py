@@ -32,8 +32,8 @@ from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from softfinger.server.publishing.peer_socket import SocketContext
-from softfinger.server.publishing.readers import TOPICS_MAX, Readers
+from softfinger.server.socket_process.peer_socket import SocketContext
+from softfinger.server.socket_process.readers import TOPICS_MAX, Readers
 from softfinger.server.viewer.door.access import BROWSERS_MAX
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.control import Control
@@ -120,15 +120,15 @@ def peers() -> Iterator[Peers]:
                     "daemon": daemon.pid,
                     "gateway": gateway.pid,
                     "gateway's telemetry": child_of(gateway.pid, b"\0--until-eof\0"),
-                    "publisher": child_of(daemon.pid, b"publishing\0telemetry"),
-                    "receiver": child_of(daemon.pid, b"publishing\0commands"),
+                    "publisher": child_of(daemon.pid, b"socket_process\0telemetry"),
+                    "receiver": child_of(daemon.pid, b"socket_process\0commands"),
                     "page": child_of(daemon.pid, b"\0view\0"),
                 }
                 try:
                     yield Peers(addresses, owners)
                     assert (daemon.poll(), gateway.poll()) == (None, None)
-                    assert owners["publisher"] == child_of(daemon.pid, b"publishing\0telemetry")
-                    assert owners["receiver"] == child_of(daemon.pid, b"publishing\0commands")
+                    assert owners["publisher"] == child_of(daemon.pid, b"socket_process\0telemetry")
+                    assert owners["receiver"] == child_of(daemon.pid, b"socket_process\0commands")
                     assert owners["page"] == child_of(daemon.pid, b"\0view\0")
                 finally:
                     gateway.terminate()

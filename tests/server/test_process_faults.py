@@ -56,7 +56,7 @@ def end(process: subprocess.Popen[str]) -> str:
 
 def process_of(pid: int, name: str) -> int:
     """Return the daemon's child process that has the endpoints `name`."""
-    words = f"publishing\0{name}".encode()
+    words = f"socket_process\0{name}".encode()
     (found,) = [each for each in children(pid) if words in Path(f"/proc/{each}/cmdline").read_bytes()]
     return found
 

@@ -21,14 +21,14 @@ from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.publishing.clients import BURST, BURST_S, WAITING_MAX
-from softfinger.server.publishing.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
-from softfinger.server.publishing.process import QUIET_S
-from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
-from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import event_fields
 from softfinger.server.services.world import body_maps
+from softfinger.server.socket_process.clients import BURST, BURST_S, WAITING_MAX
+from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
+from softfinger.server.socket_process.process import QUIET_S
+from softfinger.server.socket_process.readers import SUBSCRIPTION_MAX
+from softfinger.server.socket_process.setup import REQUEST_MAX
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S

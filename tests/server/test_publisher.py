@@ -24,9 +24,9 @@ from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.shared.broadcast import make_broadcast, make_read_position, read_rows, write_row
-from softfinger.server.publishing.process import QUIET_S
-from softfinger.server.publishing.setup import StateInfo
 from softfinger.server.recording.summary import summary
+from softfinger.server.socket_process.process import QUIET_S
+from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.wire import link
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native.memory import Local
@@ -382,6 +382,6 @@ def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
 
 def test_a_publisher_that_is_stuck_in_one_step_ends():
     """The system kills it after STUCK_S of CPU time."""
-    program = "from softfinger.server.publishing.process import limit_step\nlimit_step()\nwhile True: pass"
+    program = "from softfinger.server.socket_process.process import limit_step\nlimit_step()\nwhile True: pass"
     done = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
     assert done.returncode == -signal.SIGPROF

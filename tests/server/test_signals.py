@@ -95,7 +95,7 @@ def watcher_of(process: subprocess.Popen[str]) -> int:
 
     def watchers() -> list[int]:
         found = map(int, children.read_text().split())
-        return [each for each in found if b"publishing" not in Path(f"/proc/{each}/cmdline").read_bytes()]
+        return [each for each in found if b"socket_process" not in Path(f"/proc/{each}/cmdline").read_bytes()]
 
     until(lambda: bool(watchers()), END_S, "the watcher")
     (watcher,) = watchers()

@@ -28,8 +28,8 @@ from softfinger.proxy.record import AT, NAMED, PATCHES, RECORD_SIZE
 from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.messages import Messages
+from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import Array, microseconds, quantiles, show

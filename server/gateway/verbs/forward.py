@@ -19,8 +19,8 @@ from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.telemetry_process import TelemetryProcess
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
-from softfinger.server.publishing.allowed import Allowed
-from softfinger.server.publishing.peer_socket import KeyLock
+from softfinger.server.socket_process.allowed import Allowed
+from softfinger.server.socket_process.peer_socket import KeyLock
 from softfinger.server.wire.endpoint import BoundSocket, listen
 
 log: Final = logging.getLogger(__name__)

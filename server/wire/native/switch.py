@@ -7,7 +7,7 @@ from typing import Final
 
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
-from softfinger.server.publishing.brake import takes_force_off
+from softfinger.server.socket_process.brake import takes_force_off
 from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
 
 

@@ -18,7 +18,7 @@ from softfinger.config.load import build
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.publishing.setup import ANSWER_MAX
+from softfinger.server.socket_process.setup import ANSWER_MAX
 from softfinger.server.surface_meshes import decode_mesh
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page

@@ -10,8 +10,8 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.publishing.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
-from softfinger.server.publishing.setup import REQUEST_MAX, Kind
+from softfinger.server.socket_process.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
+from softfinger.server.socket_process.setup import REQUEST_MAX, Kind
 
 WAITING_MAX: Final = 64
 """Requests of a client, or answers to it, in the queue; further answers are dropped, because it does not read them."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.proxy.record import FIELDS, NAMED, PATCHES, RECORD_SIZE, Field
-from softfinger.server.publishing.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.setup import StateInfo, TickParameters
 
 _WORD: Final = 2.0**63
 _TICK: Final = NAMED["tick"].at

@@ -10,7 +10,7 @@ from typing import Final
 
 import zmq
 
-from softfinger.server.publishing.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
+from softfinger.server.socket_process.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
 
 log: Final = logging.getLogger(__name__)
 

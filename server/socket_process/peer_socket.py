@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
     from softfinger.server.keys import KeyPair
-    from softfinger.server.publishing.allowed import Allowed
+    from softfinger.server.socket_process.allowed import Allowed
 
 HANDSHAKE_MS: Final = 2000
 LINGER_MS: Final = 200

@@ -23,14 +23,14 @@ from typing import Any, Final
 import msgspec
 import zmq
 
-from softfinger.server.publishing.brake import Brake, takes_force_off
-from softfinger.server.publishing.channel import Channel, Message
-from softfinger.server.publishing.clients import Clients
-from softfinger.server.publishing.messages import Messages
-from softfinger.server.publishing.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
-from softfinger.server.publishing.readers import Readers
-from softfinger.server.publishing.setup import PERIOD_S, Figures, Kind, ListeningSocket, ProcessSetup, StateInfo
-from softfinger.server.publishing.ticks import RowReader
+from softfinger.server.socket_process.brake import Brake, takes_force_off
+from softfinger.server.socket_process.channel import Channel, Message
+from softfinger.server.socket_process.clients import Clients
+from softfinger.server.socket_process.messages import Messages
+from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.readers import Readers
+from softfinger.server.socket_process.setup import PERIOD_S, Figures, Kind, ListeningSocket, ProcessSetup, StateInfo
+from softfinger.server.socket_process.ticks import RowReader
 
 log: Final = logging.getLogger(__name__)
 
@@ -249,7 +249,7 @@ def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
 
 def _lock(listener: ListeningSocket) -> KeyLock:
     from softfinger.server.keys import read_pair
-    from softfinger.server.publishing.allowed import Allowed
+    from softfinger.server.socket_process.allowed import Allowed
 
     return KeyLock(read_pair(listener.key), Allowed(listener.folder))
 
