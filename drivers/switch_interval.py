@@ -26,7 +26,7 @@ def shorten() -> None:
 
 
 def restore() -> None:
-    """Undo one `shorten`; the last call restores the interval that the first `shorten` found."""
+    """Undo one `shorten`. The last call restores the interval from before the first `shorten`."""
     with _lock:
         previous = _previous_intervals.pop()
         if not _previous_intervals:

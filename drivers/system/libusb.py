@@ -31,7 +31,7 @@ def origin() -> str:
 
 
 def find(**ids: int) -> list[Any]:
-    """Return the devices of pyusb with these ids.
+    """Return pyusb's devices with these ids.
 
     Raises DeviceError if no libusb can be loaded, usb.core.USBError if the bus cannot be listed.
     """
