@@ -18,7 +18,7 @@ class ProductLimit(NamedTuple):
 
 
 PIXELS: Final = 1 << 24
-USERS: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+ELEMENTS_WITH_USER_DATA: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 TEXT: Final = 1 << 20
 BOUNDS: Final[Mapping[str, tuple[ProductLimit, ...]]] = {
     "hfield": (ProductLimit(("nrow", "ncol"), int(limits.GRID_VALUES.high)),),
@@ -30,10 +30,7 @@ BOUNDS: Final[Mapping[str, tuple[ProductLimit, ...]]] = {
     "size": tuple(
         ProductLimit((name,), most)
         for name, most in (
-            *(
-                (f"nuser_{kind}", 1000)
-                for kind in ["body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor"]
-            ),
+            *((f"nuser_{kind}", 1000) for kind in ELEMENTS_WITH_USER_DATA),
             ("nuserdata", 1 << 20),
             ("nkey", 1000),
         )

@@ -52,7 +52,7 @@ class Watcher:
 
 def zero_force(node: str, fd: int, zero: bytes) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
-    until, zeroed_count, detail = time.monotonic() + TRY_S, 0, "it took a part of it"
+    until, zeroed_count, detail = time.monotonic() + TRY_S, 0, "only part of it was accepted"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
     while zeroed_count < WRITES and time.monotonic() < until:

@@ -77,7 +77,7 @@ class Copy:
     """Copy of the program in `folder`, imported by tests that run there."""
 
     def __init__(self, folder: Path) -> None:
-        folder.chmod(0o755)  # some tests switch to another user, who needs access
+        folder.chmod(0o755)  # some tests switch to another user, which needs access
         self.folder = folder / "copy"
         copy_to(self.folder)
         self._environment = ENVIRONMENT | {

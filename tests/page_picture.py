@@ -38,7 +38,7 @@ def settled(screen: Screen, tick: int) -> None:
 
 
 def draw_page() -> Path:
-    """Draw the whole page, with panel and plots."""
+    """Draw the page with panel and plots."""
     file = FIGURES / "page.jpg"
     with served(RECORDING, "--tick", str(TICK)) as screen:
         settled(screen, TICK)
@@ -69,7 +69,7 @@ def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
 
 
 def main() -> None:
-    """Draw each page anew."""
+    """Redraw each page."""
     with tempfile.TemporaryDirectory() as folder:
         drawn = [draw_page(), *(draw_elastic(*each, Path(folder)) for each in ELASTIC.items())]
     for file in drawn:

@@ -112,7 +112,7 @@ REST: Final = (
 
 
 class Running:
-    """Process of a part, whose lines are put into a queue, followed by None."""
+    """Process of a part. Its lines are put into a queue, followed by None."""
 
     def __init__(self, part: Part, words: Sequence[str], lines: Lines, covered: bool = False) -> None:
         self.part = part

@@ -52,7 +52,7 @@ def test_exit_codes_are_those_of_the_errors():
 
 
 def commands(text: str) -> list[list[str]]:
-    """Return the words of each `softfinger ...` on its own line, without comments and redirections."""
+    """Return the arguments of each `softfinger ...` line, without comments and redirections."""
     found = re.findall(r"^    .*$", text, re.MULTILINE)
     for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
         found += body.splitlines()

@@ -1,4 +1,4 @@
-"""The programs of examples/ run unchanged, and print what theory predicts."""
+"""The programs of examples/ run unchanged, and print the values predicted by theory."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_notebook_shows_numbers_and_what_was_felt(tmp_path: Path) -> None:
+def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
     """A power law's exponent to the digits printed; means and paths of a folder in which somebody felt something."""
     Experiment("friction-magnitude").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     rows = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))

@@ -91,7 +91,7 @@ def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
     assert json.dumps(touch.mode) == "1" and msgpack.packb(touch.mode) == b"\x01"
 
 
-def test_what_is_printed_and_completed(client: partial[Client]) -> None:
+def test_repr_and_completion_of_an_engine(client: partial[Client]) -> None:
     """`repr` of each object is one line, and completion offers its fields."""
     engine = Engine("paper-plane")
     engine.step(PRESSED, UPRIGHT)

@@ -27,7 +27,7 @@ def name(path: Path) -> str:
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=name)
-def test_every_package_says_what_is_in_it_and_what_may_not_be(folder: Path) -> None:
+def test_every_package_documents_its_content_and_exclusions(folder: Path) -> None:
     """The docstring has a line for each, and neither is empty."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
     inside, _, outside = text.partition("\n\n")
@@ -128,7 +128,7 @@ def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
 
 
 def test_functions_are_found_although_the_collector_was_frozen() -> None:
-    """conftest.py freezes all imported objects, which `gc.get_objects` then leaves out."""
+    """conftest.py freezes all imported objects, which `gc.get_objects` then omits."""
     file = "config/load.py"
     assert functions_of(ROOT, {file})[file, "load_scene"] == [load.load_scene]
 
@@ -150,7 +150,7 @@ def test_the_index_lists_every_page() -> None:
     assert not {name(page) for page in pages - linked}
 
 
-def test_the_glossary_names_what_there_is() -> None:
+def test_names_in_the_glossary_exist() -> None:
     """Each file and each name of a field in the glossary exists."""
     rows = re.findall(r"^\| .* \| .* \| `([^`]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"), re.MULTILINE)
     sources = "\n".join(path.read_text("utf-8") for package in PACKAGES for path in (ROOT / package).rglob("*.py"))

@@ -23,7 +23,7 @@ SVG_MAX = 40_000
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_begins_with_three_sentences_and_a_picture(page: Path) -> None:
+def test_a_page_starts_with_three_sentences_and_a_figure(page: Path) -> None:
     """A title, a paragraph of three sentences, and a figure that a command draws, small and undated."""
     _, sentences, picture, *_ = page.read_text("utf-8").split("\n\n")
     assert len(re.findall(r"[.?!](?=\s|$)", sentences)) == 3, sentences
@@ -35,7 +35,7 @@ def test_a_page_begins_with_three_sentences_and_a_picture(page: Path) -> None:
 
 @pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each page; `make test` runs them")
 @pytest.mark.parametrize("page", [each for each in PAGES if each.stem != "conventions"], ids=lambda page: page.stem)
-def test_a_worked_example_gives_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worked_example_prints_its_lines(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The program prints the lines below it. The conventions have a table, whose rows tests/test_docs.py runs."""
     example = page.read_text("utf-8").split("\n## Worked example\n", 1)[1].split("\n## ", 1)[0]
     (program,) = re.findall(r"```python\n(.*?)```", example, re.DOTALL)

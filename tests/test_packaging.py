@@ -107,7 +107,7 @@ def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None
 
 
 @pytest.mark.exhaustive
-def test_the_types_of_the_installed_wheel_are_seen(installed: Path, tmp_path: Path) -> None:
+def test_the_types_of_the_installed_wheel_are_checked(installed: Path, tmp_path: Path) -> None:
     """mypy --strict over the examples and a program of a user: `Engine` is not `Any` to him."""
     program = tmp_path / "program.py"
     program.write_text('import softfinger\nreveal_type(softfinger.Engine("paper-plane").step)\n')
@@ -150,14 +150,14 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
     assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
 
 
-def test_the_installed_wheel_is_what_runs(installed: Path, tmp_path: Path) -> None:
+def test_the_installed_wheel_is_imported(installed: Path, tmp_path: Path) -> None:
     """In the clean environment, softfinger is imported from the wheel only."""
     code = "import json, softfinger, softfinger.server as s; print(json.dumps([*softfinger.__path__, s.__file__]))"
     for path in json.loads(run(installed / "python", "-c", code, cwd=tmp_path).stdout):
         assert Path(path).is_relative_to(installed.parent), path
 
 
-def test_the_installed_wheel_says_its_version(installed: Path, tmp_path: Path) -> None:
+def test_the_installed_wheel_prints_its_version(installed: Path, tmp_path: Path) -> None:
     """`softfinger --version` prints the version of pyproject.toml."""
     assert VERSION in run(installed / "softfinger", "--version", cwd=tmp_path).stdout
 
@@ -170,7 +170,7 @@ def test_the_version_is_an_attribute(where: str, installed: Path, tmp_path: Path
     assert run(python, "-c", code, cwd=tmp_path).stdout.split() == [VERSION, "False", "False"]
 
 
-def test_the_package_page_says_what_and_whose_it_is(wheel: Path) -> None:
+def test_the_package_page_has_authors_and_classifiers(wheel: Path) -> None:
     """Author, addresses, keywords and classifiers are in the wheel; all classifiers are ones that indexes know."""
     from trove_classifiers import classifiers
 
@@ -184,7 +184,7 @@ def test_the_package_page_says_what_and_whose_it_is(wheel: Path) -> None:
     assert pythons == {"3.11", "3.12", "3.13"} and metadata["Requires-Python"] == "<3.14,>=3.11"
 
 
-def test_the_package_page_needs_no_file_beside_it(wheel: Path) -> None:
+def test_the_package_page_has_no_relative_links(wheel: Path) -> None:
     """The package page has no links, since relative ones would be broken there. The README has only relative ones."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = [each for each in archive.namelist() if each.endswith(".dist-info/METADATA")]
@@ -208,7 +208,7 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_driver_of_another_package_is_held_to_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
+def test_a_driver_of_another_package_passes_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
     """The example package passes its tests with the wheel, without files of this checkout."""
     source = tmp_path / "source"
     shutil.copytree(ROOT / "tests" / "outside_driver", source, ignore=shutil.ignore_patterns("__pycache__"))

@@ -130,7 +130,7 @@ def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_files_to_save_are_whole(page: str) -> None:
+def test_files_to_save_are_used_and_valid(page: str) -> None:
     """Every file that a page has its reader save is used by a command of it, and TOML is read as such."""
     text = (DOCS / page).read_text()
     for kind, title, body in fences(page):

@@ -55,7 +55,7 @@ def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
     assert used and all(re.fullmatch(r"[\w-]+/[\w-]+@(v\d+|release/v\d+)", each) for each in used), used
 
 
-def test_ci_runs_what_is_supported() -> None:
+def test_ci_runs_supported_pythons_and_existing_targets() -> None:
     """Each Python of the classifiers, and `make` targets that exist: lint, the site of docs/, test and the wheel."""
     workflow = read(ROOT / ".github" / "workflows" / "ci.yml")
     pythons = [each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)]
@@ -102,7 +102,7 @@ def test_forms_ask_for_the_doctor() -> None:
 
 
 def test_the_citation_is_of_this_version() -> None:
-    """Version, licence and address equal those of pyproject.toml; the keys are those of the format."""
+    """Version, licence and address equal pyproject.toml; the keys are in the format."""
     cited = read(ROOT / "CITATION.cff")
     assert (cited["cff-version"], cited["version"]) == ("1.2.0", PROJECT["version"])
     assert cited["license"] == PROJECT["license"] and cited["repository-code"] == PROJECT["urls"]["Homepage"]

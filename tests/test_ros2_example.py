@@ -49,7 +49,7 @@ def imported(types: dict[str, type]) -> ModuleType:
 
 
 @pytest.mark.parametrize("release", [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
-def test_messages_say_what_the_telemetry_says(release: Stores) -> None:
+def test_ros_messages_equal_the_telemetry(release: Stores) -> None:
     """Pose and wrench of a tick, serialised and read again by an implementation of ROS 2's formats."""
     store = get_typestore(release)
     record = Records(run()[1000:1001])[0].copy()
@@ -67,9 +67,7 @@ def test_messages_say_what_the_telemetry_says(release: Stores) -> None:
 
 @pytest.mark.real_time
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the libraries below rclpy
-def test_a_subscriber_of_ros_gets_what_was_published(
-    endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """The node runs as a process, on this machine only; Ctrl-C ends it."""
     rclpy = pytest.importorskip("rclpy", reason="rclpy is ROS 2's (docs/operate/bridges.md says how it was had)")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

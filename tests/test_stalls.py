@@ -84,31 +84,31 @@ def test_no_result_where_the_host_took_the_processors(pytester: pytest.Pytester)
         run(pytester, overslept_s, NO_LUCK, of_it_taken_s).assert_outcomes(failed=1)
 
 
-def test_put_off_where_others_run_beside(pytester: pytest.Pytester) -> None:
+def test_a_failed_test_is_put_off_while_other_parts_run(pytester: pytest.Pytester) -> None:
     """By name, after three attempts with stalls or at once without; a passing test is not put off."""
     later = pytester.path / "later"
     for overslept_s, times in ((0.05, 3), (0.001, 1)):
         result = run(pytester, overslept_s, NO_LUCK, put_off=str(later))
         result.assert_outcomes(skipped=1)
-        assert later.read_text() == "test_put_off_where_others_run_beside.py::test_luck\n"
+        assert later.read_text() == "test_a_failed_test_is_put_off_while_other_parts_run.py::test_luck\n"
         assert result.stdout.str().count("::test_luck: overslept") == times
     run(pytester, 0.05, put_off=str(later)).assert_outcomes(passed=1)
     assert later.read_text() == ""
 
 
-def test_what_the_host_takes_is_counted() -> None:
+def test_steal_time_is_counted() -> None:
     """The time equals the kernel's count, which never decreases."""
     first = taken_s()
     assert 0.0 <= first <= taken_s()
 
 
-def test_failed_where_it_kept_time(pytester: pytest.Pytester) -> None:
+def test_a_test_without_stalls_fails(pytester: pytest.Pytester) -> None:
     """A test that passes on the second try has failed; so has one that does not wait for the clock."""
     run(pytester, 0.001).assert_outcomes(failed=1)
     run(pytester, 0.05, SECOND_TIME_LUCKY.replace("@pytest.mark.real_time", "")).assert_outcomes(failed=1)
 
 
-def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
+def test_garbage_collection_is_off_during_a_real_time_test(pytester: pytest.Pytester) -> None:
     """Only while a real-time test runs."""
     test = """
         import gc, pytest
@@ -123,7 +123,7 @@ def test_no_garbage_is_looked_for_meanwhile(pytester: pytest.Pytester) -> None:
     run(pytester, 0.001, test).assert_outcomes(passed=2)
 
 
-def test_a_stall_of_one_processor_is_told() -> None:
+def test_a_stall_of_one_processor_is_detected() -> None:
     """A program that is stopped for 50 ms oversleeps by as much, on whichever processor it is."""
     sleepers = Sleepers()
     try:

@@ -55,10 +55,10 @@ def octave(_: Path) -> list[str]:
 @pytest.mark.sampled(2)
 @pytest.mark.real_time
 @pytest.mark.parametrize("make", [python, cpp, javascript, octave])
-def test_a_program_prints_what_was_published(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
+def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
     """Each line is a tick with mode and force as another subscriber got them; each but the first is a change."""
     command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
-    apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the others read every tick
+    apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the other programs read every tick
     published: dict[int, tuple[str, list[float]]] = {}
     listens, over = threading.Event(), threading.Event()
 

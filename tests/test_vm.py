@@ -16,7 +16,7 @@ PROGRAMS = sorted((ROOT / "tests" / "vm").glob("*.py"))
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.name)
-def test_what_it_imports_is_there(program: Path) -> None:
+def test_imports_of_vm_programs_exist(program: Path) -> None:
     """Every name of ours that its programs import exists where they look for it."""
     for node in ast.walk(ast.parse(program.read_text("utf-8"))):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("softfinger"):
@@ -38,7 +38,7 @@ def test_its_command_is_one_that_pytest_takes() -> None:
 @pytest.mark.parametrize(
     "words", [[], ["-k", "unplugged"], ["tests/vm/under_systemd.py"], ["tests/vm/on_hid.py::TestV2"]]
 )
-def test_every_test_is_run_in_the_machine_it_is_for(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_vm_test_runs_on_its_machine(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests of the service run where systemd is, those of drivers where it is not, and no machine is without tests."""
     monkeypatch.chdir(ROOT)
     named = [word for word in words if word.startswith("tests/")]

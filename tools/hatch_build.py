@@ -13,7 +13,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
-class OwnFile(BuildHookInterface):  # type: ignore[type-arg]
+class PackageFile(BuildHookInterface):  # type: ignore[type-arg]
     """Hook that adds the files of the package to wheels, but not to editable installs."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:

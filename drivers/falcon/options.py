@@ -18,7 +18,7 @@ COUNTS_PER_NM: Final = 10000.0
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """Which device, its firmware, its motors."""
+    """Selection of the device, its firmware, and its motors."""
 
     serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
     firmware: (

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 
-class Limits(NamedTuple):
+class ModelLimits(NamedTuple):
     """Limits in N, N m (0: no motors turn the handle), N/m, N s/m, and the radius of the workspace, m."""
 
     force_max_n: float
@@ -25,16 +25,16 @@ class Model(NamedTuple):
 
     name: str
     full_name: str
-    limits: Limits
+    limits: ModelLimits
 
 
-OMEGA: Final = Limits(12.0, 0.0, 5000.0, 30.0, 0.075)
-DELTA: Final = Limits(20.0, 0.0, 5000.0, 30.0, 0.15)
-SIGMA_3: Final = Limits(12.0, 0.0, 4000.0, 30.0, 0.075)
+OMEGA: Final = ModelLimits(12.0, 0.0, 5000.0, 30.0, 0.075)
+DELTA: Final = ModelLimits(20.0, 0.0, 5000.0, 30.0, 0.15)
+SIGMA_3: Final = ModelLimits(12.0, 0.0, 4000.0, 30.0, 0.075)
 SIGMA_7: Final = SIGMA_3._replace(torque_max_nm=0.2)
-LAMBDA_3: Final = Limits(12.0, 0.0, 8000.0, 30.0, 0.1125)
+LAMBDA_3: Final = ModelLimits(12.0, 0.0, 8000.0, 30.0, 0.1125)
 LAMBDA_7: Final = LAMBDA_3._replace(torque_max_nm=0.2)
-UNKNOWN: Final = Limits(8.0, 0.0, 3000.0, 20.0, 0.04)
+UNKNOWN: Final = ModelLimits(8.0, 0.0, 3000.0, 20.0, 0.04)
 """Limits for unlisted numbers: the lowest in CHAI3D for a device of this library (its Falcon), without torque."""
 
 _SIGMA_6_RIGHT, _SIGMA_6_LEFT = (Model("sigma.6", f"sigma.6 {hand}", SIGMA_7) for hand in ("right", "left"))

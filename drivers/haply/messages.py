@@ -130,7 +130,7 @@ class Inventory(Struct):
     verse_grip: list[Listed] = []
     custom_verse_grip: list[Listed] = []
 
-    def of(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, Listed]]:
+    def list_devices(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, Listed]]:
         return [(DeviceRef(group, entry.device_id), entry) for group in groups for entry in getattr(self, group)]
 
 

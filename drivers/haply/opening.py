@@ -97,14 +97,16 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
     finally:
         link.close()
     names = {"devices": GROUPS, "grips": GRIPS}
-    return {"service": version_info} | {key: [str(ref) for ref, _ in inventory.of(of)] for key, of in names.items()}
+    return {"service": version_info} | {
+        key: [str(ref) for ref, _ in inventory.list_devices(groups)] for key, groups in names.items()
+    }
 
 
 def choose_device(
     inventory: Inventory, device_id: str | None, models: tuple[str, ...] | None
 ) -> tuple[DeviceRef, Listed]:
     """Return the device of `models` with the id, or the only one; raises DeviceNotFound."""
-    entries = inventory.of(GROUPS)
+    entries = inventory.list_devices(GROUPS)
     candidates = [entry for entry in entries if device_id in (None, entry[0].name)]
     matching = [entry for entry in candidates if models is None or _model(*entry) in models]
     if len(matching) == 1:
@@ -132,7 +134,7 @@ def _model(ref: DeviceRef, listed: Listed) -> str:
 
 def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
     """Return the grip with the id; for "auto" the only one, or None without any. Raises DeviceNotFound."""
-    entries = [ref for ref, _ in inventory.of(GRIPS)]
+    entries = [ref for ref, _ in inventory.list_devices(GRIPS)]
     if grip_id == "none":
         return None
     matching = [ref for ref in entries if grip_id in ("auto", ref.name)]

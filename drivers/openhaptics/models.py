@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 
-class Limits(NamedTuple):
+class ModelLimits(NamedTuple):
     """Limits in N, N m (0: no motors turn the handle), N/m, N s/m."""
 
     force_max_n: float
@@ -18,16 +18,16 @@ class Limits(NamedTuple):
     damping_max_ns_per_m: float
 
 
-TOUCH: Final = Limits(3.3, 0.0, 400.0, 4.0)
-DESKTOP: Final = Limits(7.9, 0.0, 1000.0, 5.0)
+TOUCH: Final = ModelLimits(3.3, 0.0, 400.0, 4.0)
+DESKTOP: Final = ModelLimits(7.9, 0.0, 1000.0, 5.0)
 
 MODELS: Final = {
     "Touch": TOUCH,
     "Touch X": DESKTOP,
-    "PHANTOM Omni": Limits(3.3, 0.0, 700.0, 5.0),
+    "PHANTOM Omni": ModelLimits(3.3, 0.0, 700.0, 5.0),
     "PHANTOM Desktop": DESKTOP,
-    "PHANTOM Premium 1.5 6DOF": Limits(8.5, 0.188, 800.0, 5.0),
-    "PHANTOM Premium 3.0 6DOF": Limits(22.0, 0.188, 1000.0, 5.0),
+    "PHANTOM Premium 1.5 6DOF": ModelLimits(8.5, 0.188, 800.0, 5.0),
+    "PHANTOM Premium 3.0 6DOF": ModelLimits(22.0, 0.188, 1000.0, 5.0),
 }
 """Limits by `HD_DEVICE_MODEL_TYPE`."""
 

@@ -118,7 +118,7 @@ class InputFrame(Frame, frozen=True, kw_only=True):
 class OutputFrame(Frame, frozen=True, kw_only=True):
     """Frame to the board.
 
-    `output` is sent on each tick, `setup` at opening until the board answers, and at closing. Bytes of no field are 0.
+    `output` is sent on each tick, `setup` at opening until the board answers, and at closing. Other bytes are 0.
     """
 
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
@@ -128,14 +128,14 @@ class OutputFrame(Frame, frozen=True, kw_only=True):
 
 
 class Resync(Table, frozen=True, kw_only=True):
-    """Bytes in front of a zero after a missing answer; they complete a torn frame, and mean nothing to the board."""
+    """Bytes in front of a zero after a missing answer; they complete a truncated frame, and the board ignores them."""
 
     byte: Annotated[Byte, doc("the byte", 3)]
     count: Annotated[int, within(RESYNC, "how often: the length of a frame", 9)]
 
 
 class Frames(Table, frozen=True, kw_only=True):
-    """Frames of the board; without them it speaks WoodenHaptics' text."""
+    """Frames of the board; without them it uses WoodenHaptics' text."""
 
     mode: Annotated[Mode, doc("answer: the board answers each frame; stream: it sends by itself", "answer")]
     order: Annotated[Order, doc("byte order of numbers", "little")] = "little"

@@ -142,7 +142,7 @@ def _check_ids(path: str, options: Options) -> None:
             "leave `path` out"
         )
     if port is not None and (product := describe_foreign_product(port)) is not None:
-        raise DeviceError(f"{path} is {product} ('{port.name}'), which speaks another language: name the right port")
+        raise DeviceError(f"{path} is {product} ('{port.name}'), which uses another protocol: name the right port")
 
 
 def _how_to_permit(path: str, options: Options) -> str:

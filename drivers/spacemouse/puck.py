@@ -16,9 +16,6 @@ from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import exp, multiply, normalize
 
-FULL_SCALE: Final = 350.0
-"""Counts of an axis at full deflection."""
-
 DEADBAND: Final = Range(0.0, 300.0, "an axis ends at 350 counts")
 GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection")
 GAIN_RAD_PER_S: Final = Range(0.0, 3e-2, "10 rad/s at full deflection")

@@ -15,9 +15,8 @@ from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build_changed, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.words import format_value, near
-from softfinger.server.experiment import rigs
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
-from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.parameters import check_motors, load_changed_scene, split_rig
 from softfinger.server.experiment.schema import SINGLE_FINGER, ExperimentFile
 from softfinger.server.experiment.session import CONSENT, consent_question
 from softfinger.server.experiment.trial_order import list_conditions
@@ -131,9 +130,9 @@ class _Checks:
         distinct = dict[str, str]()
         for where, name, values in level_extremes(self.experiment):
             faults, rig, scene = list[str](), self._rig, self._scenes[name]
-            parameters = attempt(partial(rigs.split, values, where), faults)
+            parameters = attempt(partial(split_rig, values, where), faults)
             if parameters is not None and rig is not None:
-                attempt(partial(rigs.check_motors, rig.guard, parameters[0], where), faults)
+                attempt(partial(check_motors, rig.guard, parameters[0], where), faults)
                 attempt(partial(apply_overrides, rig, parameters[0], where), faults)
             if parameters is not None and scene is not None:
                 attempt(partial(load_changed_scene, scene, parameters[1], where), faults)

@@ -16,10 +16,9 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.server import signals
-from softfinger.server.experiment import rigs
 from softfinger.server.experiment.files import level_extremes, resolve_source
 from softfinger.server.experiment.haptics import Haptics
-from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.parameters import check_device_limits, load_changed_scene, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.progress import progress, report_compilation
@@ -62,7 +61,7 @@ def start_daemon(
 
     rig, scene_of = resolve_source(folder, experiment.rig), partial(resolve_source, folder)
     values = {"recording.directory": str(results.absolute()), **running.rig}
-    rig_values, scene_values = rigs.split(experiment.overrides, "overrides")
+    rig_values, scene_values = split_rig(experiment.overrides, "overrides")
     scene = load_changed_scene(scene_of(experiment.scene), scene_values, "overrides")
     with ExitStack() as stack:
         daemon = stack.enter_context(
@@ -71,14 +70,14 @@ def start_daemon(
         if daemon.commands_endpoint is None:
             raise ConfigError(f"{rig}: accepts no commands, but an experiment needs them: remove commands.endpoint")
         for where, name, parameters in level_extremes(experiment):
-            condition_rig, condition_scene = rigs.split(parameters, where)
+            condition_rig, condition_scene = split_rig(parameters, where)
             scene_at_level = load_changed_scene(scene_of(name), condition_scene, where)
             try:
                 daemon.rendering.check(scene_at_level, load_rig(rig, values | condition_rig))
             except ConfigError as error:
                 raise ConfigError(f"{where}: {error}") from error
         parameters_by_location = ((where, parameters) for where, _, parameters in level_extremes(experiment))
-        rigs.check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
+        check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
         stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
         with report_compilation("kernels of the scene"):
             daemon.servo.compile()

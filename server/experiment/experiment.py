@@ -109,7 +109,7 @@ class Experiment:
                 if participant_folder.journal.exists()
                 else None
             )
-            if journal is None or not journal.of("finished"):
+            if journal is None or not journal.entries_of("finished"):
                 self._run_unanswered(session, stack, journal, participant_folder, running)
             participant_folder.tables()
             return read_trials([participant_folder.journal])

@@ -12,10 +12,9 @@ from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import index_entries, value_at
 from softfinger.config.schema import Scene
-from softfinger.server.experiment import rigs
 from softfinger.server.experiment.hands import Hands, angle_between
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
-from softfinger.server.experiment.masses import load_changed_scene, split
+from softfinger.server.experiment.parameters import load_changed_scene, split_masses, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.ticks import row, summary
 from softfinger.server.remote import Client
@@ -62,7 +61,7 @@ class Haptics:
         self._experiment, self._scene_of, self._check_running = experiment, scene_of, check_running
         self._change_rig: Final = change_rig
         self._last_recorded_tick: Final = last_recorded_tick
-        self._rig, self._set_values = rigs.split(experiment.overrides, "overrides")
+        self._rig, self._set_values = split_rig(experiment.overrides, "overrides")
         self._scene: str | None = None
         self.latest: dict[str, Sample] = {}
         """Latest tick of each finger, by name."""
@@ -132,7 +131,7 @@ class Haptics:
         does not have; otherwise set_params.
         """
         name = stimulus.scene or self._experiment.scene
-        rig_values, new_values = rigs.split(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
+        rig_values, new_values = split_rig(self._experiment.overrides | stimulus.changes, f"trial {stimulus.trial}")
         if rig_values != self._rig:
             self._change_rig(rig_values)
             self._rig = rig_values
@@ -146,7 +145,7 @@ class Haptics:
         }
         ramp_s = 0.0
         needs_scene = None in restored.values() or any(isinstance(value, str | dict) for value in changed.values())
-        if stimulus.scene != self._scene or needs_scene or split(changed)[0]:
+        if stimulus.scene != self._scene or needs_scene or split_masses(changed)[0]:
             scene = load_changed_scene(self._scene_of(name), new_values, f"trial {stimulus.trial}")
             self.client.set_scene(to_file_mapping(scene), name=Path(name).stem[:64])
             self._hands.update()

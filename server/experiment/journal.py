@@ -29,7 +29,7 @@ class MemoryJournal:
         """Append an entry."""
         self.entries.append({"kind": kind, **values})
 
-    def of(self, kind: str) -> list[Entry]:
+    def entries_of(self, kind: str) -> list[Entry]:
         """Return the entries of a kind, in order."""
         return [entry for entry in self.entries if entry["kind"] == kind]
 

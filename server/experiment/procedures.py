@@ -76,7 +76,7 @@ class Staircase:
 
 
 class QuestPlus:
-    """Selects the level at which the answer is expected to be most informative on a Weibull function.
+    """Procedure that selects the level at which the answer is expected to be most informative on a Weibull function.
 
     Minimises the expected entropy of the posterior of threshold and slope on a grid; the prior is uniform in the
     logarithms.

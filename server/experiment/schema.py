@@ -19,7 +19,6 @@ SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "an observer with half of the answers at random is useless")
 SINGLE_FINGER: Final = "fingertip"
 """Name in an experiment for the finger of a scene with only one."""
-WAYPOINTS: Final = Range(1, 10_000, "a path of a hand")
 
 Seconds = Annotated[float, Meta(ge=SECONDS.low, le=SECONDS.high)]
 Angle = Annotated[float, Meta(ge=limits.ANGLE_RAD.low, le=limits.ANGLE_RAD.high)]

@@ -87,7 +87,7 @@ class SurveyFile(Table, frozen=True, kw_only=True):
 
 
 class Survey(SurveyFile, frozen=True, kw_only=True):
-    """A survey before, between and after the blocks of trials."""
+    """Survey before, between and after the blocks of trials."""
 
     name: Annotated[Label, doc("name in the table of answers", "demographics")]
     at: Annotated[
@@ -125,7 +125,7 @@ class CatchTrials(Table, frozen=True, kw_only=True):
 
 
 class Confidence(Table, frozen=True, kw_only=True):
-    """A rating of confidence after each answer to a comparison."""
+    """Rating of confidence after each answer to a comparison."""
 
     question: Annotated[str, sized(Range(1, 4000, ""), "the question")] = "How sure are you?"
     scale: Annotated[tuple[int, int], doc("first and last mark", [1, 4])] = (1, 4)

@@ -81,7 +81,7 @@ class Task(Table, frozen=True, kw_only=True):
 
 
 class Procedure(Table, frozen=True, kw_only=True):
-    """How the level of a trial is chosen."""
+    """Rule for the level of each trial."""
 
     kind: Annotated[
         Literal["constant", "staircase", "questplus"],
@@ -129,7 +129,7 @@ class Procedure(Table, frozen=True, kw_only=True):
 
 
 class Factor(Table, frozen=True, kw_only=True):
-    """A factor of the design: a parameter with values, whole scenes, or sets of parameters by name."""
+    """Factor of the design: a parameter with values, whole scenes, or sets of parameters by name."""
 
     name: Annotated[Label, doc("name; a column of the table of trials")]
     parameter: Annotated[
@@ -162,7 +162,7 @@ class Factor(Table, frozen=True, kw_only=True):
 
 
 class Design(Table, frozen=True, kw_only=True):
-    """Conditions are all combinations of the factors' levels."""
+    """Design of the session; conditions are all combinations of the factors' levels."""
 
     order: Annotated[
         Literal["random", "latin-square", "given"],

@@ -55,7 +55,7 @@ class Session:
 
         Raises Stopped if the participant does not agree.
         """
-        if self.experiment.consent and not any(entry["agreed"] for entry in journal.of("consent")):
+        if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
             answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
             if answer.value != AGREE:
@@ -74,8 +74,8 @@ class Session:
 
         The procedures first receive the previous answers, in order.
         """
-        answered = {entry["trial"]: entry for entry in journal.of("done")}
-        started = [entry["trial"] for entry in journal.of("begun")]
+        answered = {entry["trial"]: entry for entry in journal.entries_of("done")}
+        started = [entry["trial"] for entry in journal.entries_of("begun")]
         for trial in self.trials:
             if trial.number in answered:
                 self._update_procedure(trial, answered[trial.number])
@@ -93,7 +93,7 @@ class Session:
             journal.write("done", **entry)
             self._update_procedure(trial, entry)
         self._ask_surveys("after", self._blocks[-1], journal, answers)
-        if not journal.of("finished"):
+        if not journal.entries_of("finished"):
             journal.write("finished", trials=len(self.trials))
 
     def _ask_surveys(self, at: str, block: int, journal: MemoryJournal, answers: AnswerSource) -> None:
@@ -105,13 +105,13 @@ class Session:
             trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block
         ]
         is_by_block = block_conditions and self.experiment.design.order != "random"
-        answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.of("survey")}
+        answered = {(entry["survey"], entry["block"], entry["question"]) for entry in journal.entries_of("survey")}
         for survey in self.experiment.survey:
             condition = self.conditions[block_conditions[-1]] if is_by_block and "between" in survey.at else None
             for question_index, question in enumerate(survey.question if at in survey.at else ()):
                 if (survey.name, block, question.name) in answered:
                     continue
-                number = 1 + len(journal.of("survey"))
+                number = 1 + len(journal.entries_of("survey"))
                 title, place = survey.title or self.experiment.title, (question_index, len(survey.question))
                 answer = answers.ask(title, question, condition, number, place)
                 journal.write("survey", **_survey_entry(survey, question, at, block, condition, answer))

@@ -34,7 +34,7 @@ from softfinger.server.loop.limits import (
     update_work,
     wall_force,
 )
-from softfinger.server.loop.passivity import Motion, handle_at, work_on_hand
+from softfinger.server.loop.passivity import HandMotion, handle_at, work_on_hand
 
 
 class Instant(NamedTuple):
@@ -62,7 +62,7 @@ def displayed_wrench(guard: Guard, wrench: GuardState) -> GuardState:
 
 
 @jit
-def update_limits(guard: Guard, output_state: OutputState, motion: Motion, mode: float, dt: float) -> LimitState:
+def update_limits(guard: Guard, output_state: OutputState, motion: HandMotion, mode: float, dt: float) -> LimitState:
     """Return the state of the limits after a motion of the hand; limits that are off are not computed.
 
     mode  contact mode now
@@ -82,7 +82,13 @@ def update_limits(guard: Guard, output_state: OutputState, motion: Motion, mode:
 
 @jit
 def output_wrench(
-    guard: Guard, output_state: OutputState, motion: Motion, mode: float, force: Vec3, torque: Vec3, instant: Instant
+    guard: Guard,
+    output_state: OutputState,
+    motion: HandMotion,
+    mode: float,
+    force: Vec3,
+    torque: Vec3,
+    instant: Instant,
 ) -> tuple[OutputState, int]:
     """Apply all limits and the guard to a wrench.
 

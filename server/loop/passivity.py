@@ -38,7 +38,7 @@ class Energy(NamedTuple):
 NO_ENERGY: Final = Energy(0.0, 0.0)
 
 
-class Motion(NamedTuple):
+class HandMotion(NamedTuple):
     """Poses of the fingertip at two successive ticks, and its tool or None."""
 
     before: Pose
@@ -62,7 +62,7 @@ def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
 
 
 @jit
-def work_on_hand(wrench: GuardState, motion: Motion) -> float:
+def work_on_hand(wrench: GuardState, motion: HandMotion) -> float:
     """Return the work (J) of a constant wrench on the handle over a motion."""
     displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
     turn = log(relative(motion.now.orientation, motion.before.orientation))
@@ -71,13 +71,13 @@ def work_on_hand(wrench: GuardState, motion: Motion) -> float:
 
 @by_type
 def keep_passive(
-    passivity: Any, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
+    passivity: Any, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
 ) -> Any:
     """Return the force with the damping that makes the rendering passive.
 
     energy          Energy      state after the last tick
     wrench          GuardState  wrench on the handle commanded since then, after the guard
-    motion          Motion      of the hand under that wrench
+    motion          HandMotion  of the hand under that wrench
     mode                        contact mode now
     force   (3,)    N           from the contact step
     dt              s           time since the last tick
@@ -87,14 +87,14 @@ def keep_passive(
 
 @keep_passive.of(None)
 def pass_force(
-    passivity: None, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
+    passivity: None, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     return energy, force
 
 
 @keep_passive.of(Passivity)
 def add_damping(
-    passivity: Passivity, energy: Energy, wrench: GuardState, motion: Motion, mode: float, force: Vec3, dt: float
+    passivity: Passivity, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
 ) -> tuple[Energy, Vec3]:
     """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
     work = energy.work - work_on_hand(wrench, motion)

@@ -20,7 +20,7 @@ from softfinger.proxy.scene import start_state
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, POSE_REFUSED, TOO_FAST, Guard, GuardState
 from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_S, LimitState
 from softfinger.server.loop.output import Instant, OutputState, cool_limits, displayed_wrench, output_wrench
-from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, keep_passive
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, keep_passive
 from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
@@ -196,7 +196,7 @@ def command(
         position, orientation = state.probe.position, state.probe.orientation
         now = Pose(position, orientation)
         last = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
-        motion = Motion(last, now, tool)
+        motion = HandMotion(last, now, tool)
         energy = relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
         energy, force = keep_passive(
             output.passivity,

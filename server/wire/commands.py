@@ -61,7 +61,7 @@ class State(Struct, frozen=True):
 
 
 class Alive(Struct, frozen=True):
-    """Time within which the next command must come, ms; 0: no heartbeat is required."""
+    """Time within which the next command must arrive, ms; 0: no heartbeat is required."""
 
     timeout_ms: int
 
@@ -74,7 +74,7 @@ Values = Annotated[dict[Name, Any], Meta(min_length=1, max_length=1024, descript
 
 
 class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
-    """A value before and after the change."""
+    """Value before and after the change."""
 
     before: Any
     after: Any
@@ -140,7 +140,7 @@ class Hold(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Held(Struct, frozen=True):
-    """Goal pose of the hand in the world. In a grip it lies deeper than the fingertip reaches."""
+    """Goal pose of the hand in the world. In a grip it is deeper in the object than the fingertip."""
 
     position_m: Vector
     orientation_wxyz: Quaternion
@@ -148,7 +148,7 @@ class Held(Struct, frozen=True):
 
 
 class Applied(Struct, frozen=True):
-    """At least `tick` ticks had begun without the change; the second tick after it has the change."""
+    """At least `tick` ticks had started without the change; the second tick after it has the change."""
 
     tick: int
 
@@ -175,7 +175,7 @@ class Zeroed(Struct, frozen=True):
 
 
 class Mark(Struct, frozen=True, forbid_unknown_fields=True):
-    """A label, and data to store with it."""
+    """Label, and data to store with it."""
 
     label: Annotated[str, Meta(min_length=1, max_length=256)]
     data: dict[str, Any] = {}

@@ -320,7 +320,7 @@ def test_command_endpoint_follows_from_the_telemetry_endpoint(
         ("tcp://0.0.0.0:*", "tcp://0.0.0.0:*"),
     ],
 )
-def test_commands_beside_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
+def test_commands_of_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
     """Other machines cannot reach a Unix socket, so public telemetry has its commands on a neighbouring port."""
     assert commands_address_for(telemetry) == expected
 
@@ -400,7 +400,7 @@ def test_a_scene_has_fingertip_or_fingers() -> None:
     assert "must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m" in said
 
 
-def test_fingers_have_the_scenes_coupling_and_probe_unless_their_own() -> None:
+def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
     """A finger's tables replace those of the scene; k_tau defaults to the stiffness of its coupling."""
     built = build(Scene, pinched(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
     thumb, index = built.fingers
@@ -519,7 +519,7 @@ def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
     ]
 
 
-def test_an_object_of_unknown_shape_is_checked_with_the_others() -> None:
+def test_an_object_of_unknown_shape_is_still_checked() -> None:
     """Name, motion and material are checked, and keys required by all kinds are reported."""
     material = {"stiffness_n_per_m": 500.0}
     bad = scene() | {

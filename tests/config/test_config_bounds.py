@@ -129,7 +129,7 @@ def test_keys_without_number_are_counted(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 4000
 
 
-def test_a_long_list_of_faults_begins_with_the_first(tmp_path: Path) -> None:
+def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
     """Eighty copies of a mistake give an error of one screen, with the complete list as an attribute."""
     path = tmp_path / "pasted.toml"
     path.write_text("".join(f'[[object]]\nname = "o{number}"\nshape = "plane"\noops = 1\n' for number in range(80)))

@@ -66,7 +66,7 @@ def signed_distance(thing: Any, x: tuple[float, float, float]) -> float:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_shape_loads_and_is_told_apart_by_its_name(shape: str) -> None:
+def test_the_key_shape_selects_the_struct(shape: str) -> None:
     """The key `shape` selects the struct, and a scene survives being written out and read again."""
     scene = build(schema.Scene, mapping(shape), "f.toml")
     assert scene.object[0].shape == shape == type(scene.object[0]).__name__.lower()
@@ -161,13 +161,13 @@ def test_outside_any_fingertip_fits(shape: str) -> None:
         ({"size_m": 1.0}, "object[0].size_m"),
     ],
 )
-def test_what_a_mesh_cannot_be(keys: dict[str, Any], text: str) -> None:
+def test_faults_of_a_mesh_are_reported(keys: dict[str, Any], text: str) -> None:
     """Each fault gives the key, the value and the allowed values."""
     (fault,) = faults_of("mesh", **keys)
     assert text in fault
 
 
-def test_the_file_of_a_mesh_is_beside_its_scene(tmp_path: Path) -> None:
+def test_a_mesh_file_is_relative_to_its_scene(tmp_path: Path) -> None:
     """A name without a root is in the scene's folder, wherever the process runs."""
     (tmp_path / "scene.toml").write_text(
         '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "parts/a.STL"\n'
@@ -185,7 +185,7 @@ def test_a_ring_has_a_hole() -> None:
     assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in faults[0]
 
 
-def test_faults_of_place_and_shape_come_together() -> None:
+def test_faults_of_pose_and_shape_are_reported_together() -> None:
     """A shape's own checks do not hide those that apply to every object."""
     faults = faults_of("torus", minor_radius_m=0.07, orientation_wxyz=[0, 0, 0, 0])
     assert {fault.split(" = ")[0] for fault in faults} == {
@@ -243,7 +243,7 @@ def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) 
         ("torus", {"inside": True}, (0.0, 0.06, 0.005), 0.015),
     ],
 )
-def test_bodies_stand_where_the_file_says(
+def test_distances_of_bodies_equal_the_dimensions_in_the_file(
     shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
 ) -> None:
     """Distances read off the dimensions: lengths and sizes in a file are full, and halved once."""

@@ -53,14 +53,14 @@ def test_the_page_lists_every_kind() -> None:
         ({"at_s": 1.0, "kind": "nan", "number": "w"}, r"fault\[0\]\.number = 'w': must be"),
     ],
 )
-def test_a_mistake_is_told_with_its_key(given: dict[str, Any], words: str) -> None:
+def test_a_fault_is_reported_with_its_key(given: dict[str, Any], words: str) -> None:
     """The error has the key, the value and the allowed values: one line per mistake."""
     with pytest.raises(ConfigError, match=words) as told:
         faults(**given)
     assert "\n" not in str(told.value)
 
 
-def test_an_unknown_name_is_told_with_a_near_one() -> None:
+def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
     """The error for an unknown name lists the shipped names and the most similar one."""
     with pytest.raises(ConfigError, match=r"no file of faults is called 'teleprt'.*did you mean 'teleport'"):
         load_faults("teleprt")
@@ -90,7 +90,7 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
-def test_whatever_a_file_says_it_is_faults_or_a_message(tables: Any) -> None:
+def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
     """Random tables give either faults whose kernel rows are numbers in range, or an error that names the file."""
     said = ""
     try:

@@ -99,7 +99,7 @@ def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
         ("a.png", np.zeros((1025, 1024), np.uint8), "has 1024 x 1025 pixels, at most 1,048,576 are allowed"),
     ],
 )
-def test_what_is_no_grid_is_said(tmp_path: Path, name: str, data: Any, said: str) -> None:
+def test_an_invalid_grid_is_reported(tmp_path: Path, name: str, data: Any, said: str) -> None:
     if isinstance(data, np.ndarray):
         data = png(data) if name == "a.png" else npy(tmp_path, data)
     with pytest.raises(ConfigError) as caught:

@@ -48,7 +48,7 @@ def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
     return str(caught.value)
 
 
-def test_the_file_is_looked_for_beside_the_scene(tmp_path: Path) -> None:
+def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
     """Wherever the program was started; and a scene survives being written out and read again."""
     scene = load_scene(scene_file(tmp_path))
     (thing,) = scene.object
@@ -56,7 +56,7 @@ def test_the_file_is_looked_for_beside_the_scene(tmp_path: Path) -> None:
     assert build(schema.Scene, describe(scene), "again") == scene
 
 
-def test_check_says_size_and_heights(tmp_path: Path) -> None:
+def test_check_prints_size_and_heights(tmp_path: Path) -> None:
     """In pixels and in metres; the numbers of the file times level_m."""
     rows = dict(examine_file(str(scene_file(tmp_path))).summary)
     assert rows["  map"] == "40 x 30 pixels, 0.08 x 0.06 m, heights 0 to 0.00535 m"
@@ -81,14 +81,14 @@ def test_check_says_size_and_heights(tmp_path: Path) -> None:
         (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, 1000 m up or down is the most"),
     ],
 )
-def test_what_is_no_map_is_said(tmp_path: Path, heights: Any, said: str) -> None:
+def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, said: str) -> None:
     """One line: the object, its key, the file and the fault."""
     message = refusal(tmp_path, heights)
     assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
 
 
-def test_files_that_cannot_be_read_are_said(tmp_path: Path) -> None:
+def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
     """One that is not there, one of another kind, one cut off."""
     missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
     assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
@@ -114,7 +114,7 @@ def test_keys_have_ranges(tmp_path: Path, old: str, new: str, said: str) -> None
     assert said in str(caught.value)
 
 
-def test_what_cannot_touch_a_map_is_refused_by_name(tmp_path: Path) -> None:
+def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path) -> None:
     """An ellipsoidal fingertip, and the rolling method that needs a closed form."""
     ellipsoid = SCENE.replace("radius_m = 0.01", "radii_m = [0.01, 0.01, 0.02]")
     with pytest.raises(FaultyConfig, match="heightmap"):

@@ -147,7 +147,7 @@ def lz4_zeros(known: bool) -> bytes:
 
 
 def npz_of_claims(path: Path) -> None:
-    """Return a small file whose header claims more data than there is memory."""
+    """Return a small file with a header that claims more data than there is memory."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("timestamp.npy", "w") as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (1 << 45,)})
 
@@ -297,7 +297,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_a_growing_file_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The size is checked and the bytes are counted: a file under /proc has size 0 with any content."""
     path = tmp_path / "file"
     path.write_bytes(bytes(100))

@@ -17,7 +17,7 @@ from softfinger.config.mjcf import read_model
 from softfinger.proxy.engine import Engine
 from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.haptics import to_file_mapping
-from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.parameters import load_changed_scene
 
 pytestmark = pytest.mark.plain
 
@@ -58,7 +58,7 @@ KINDS: Final = {
 
 
 def model(kind: str, scale: int) -> str:
-    """Return a model whose body `a` has `scale` times its first mass."""
+    """Return a model in which body `a` has `scale` times its first mass."""
     body, compiler = KINDS[kind]
     return MODEL.replace("{compiler}", compiler).replace(
         "{body}", body.replace("{m}", str(scale)).replace("{d}", str(100 * scale)) + f'<body name="b">{ROD}</body>'
@@ -81,7 +81,7 @@ def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("body", "mass"), [("stand", 1.0), ("nobody", 1.0), ("world", 1.0), ("a", 0.0), ("a", -1.0)])
-def test_what_has_no_mass_is_refused(body: str, mass: float, tmp_path: Path) -> None:
+def test_a_mass_for_an_unknown_or_massless_body_is_refused(body: str, mass: float, tmp_path: Path) -> None:
     """A body without a mass, none of the model, a mass that no body has: with the bodies that may be named."""
     (tmp_path / "one.xml").write_text(model("density", 1))
     world = {"model": str(tmp_path / "one.xml"), "material": {"stiffness_n_per_m": 500.0}}

@@ -63,7 +63,7 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
 
 
 def test_layouts_do_not_overlap() -> None:
-    """Layouts, also those of the drivers, cover each word of a block exactly once."""
+    """Layouts, including the drivers' ones, cover each element of a block exactly once."""
     for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
         assert taken(layouts) == list(range(len(Block(*layouts).word)))
 

@@ -127,7 +127,7 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
 
 
 @pytest.mark.exhaustive
-def test_the_example_package_runs_once_it_is_installed(installed: Path, tmp_path: Path) -> None:
+def test_the_example_package_runs_after_installation(installed: Path, tmp_path: Path) -> None:
     """With the package its rig passes `check` and runs, and a wrong option is named; without it `check` fails."""
     rig = str(OUTSIDE / "lissajous.toml")
 

@@ -278,7 +278,7 @@ def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
 
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
-def test_a_withheld_push_fades_in_again(way: Fault) -> None:
+def test_a_push_ramps_up_after_it_was_withheld(way: Fault) -> None:
     """Rows have zero force while it is withheld, and then the force increases no faster than the guard's ramp."""
     slow = ARMED._replace(ramp=0.5)
     with FaultyDevice(Options(fault=way, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:

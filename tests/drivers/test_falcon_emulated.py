@@ -78,7 +78,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("reversed_motors", [True, False])
-def test_a_knob_pressed_through_the_plane_is_held(reversed_motors: bool, tmp_path: Path) -> None:
+def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Path) -> None:
     """A hand whose goal is 6 mm below the plane is stopped by the motors, for either sign of the motors."""
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
@@ -187,7 +187,7 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
     assert saw["loads"] == (firmware.ATTEMPTS_MAX if spoil else 0)
 
 
-def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
+def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         done, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")

@@ -641,7 +641,7 @@ def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
     assert usb.got() == []
 
 
-def test_a_zero_that_did_not_arrive_is_sent_again(usb: Usb) -> None:
+def test_a_failed_zero_is_repeated(usb: Usb) -> None:
     """A zero that failed is repeated even if no force is active; if the bus rejects packets, the stop ends."""
     usb.transfers[AT.transfer_out].view(np.int32)[4] = CANCELLED
     assert stop(usb) == 0
@@ -691,7 +691,7 @@ def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
 
 
 def test_the_callback_marks_its_transfer_as_done() -> None:
-    """The callback sets the word whose address is the transfer's user data, its sixth word."""
+    """The callback sets the flag at the address in the transfer's user data, its sixth field."""
     word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
     transfer[5] = ctypes.addressof(word)
     exchange.on_complete(ctypes.addressof(transfer))

@@ -56,7 +56,7 @@ def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
     assert stub["logged"] < LOGGED, "not every packet was seen"
 
 
-def test_a_force_ended_by_a_silence_fades_in_anew(stub: UsbStub) -> None:
+def test_a_force_ramps_up_after_a_silence(stub: UsbStub) -> None:
     """A silence of 60 ms ends the force with zeros; then it ramps from zero, within the guard's slew limit."""
     with running(stub, RAMP_S):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)

@@ -60,7 +60,7 @@ class TestContract(DriverContract):
 # --- constants of the header ---
 
 
-def test_models_are_those_of_the_header() -> None:
+def test_models_equal_the_vendors_header() -> None:
     """System types and recommended maxima equal the published ones."""
     types = {
         33: "omega.3", 34: "omega.6", 36: "omega.6", 35: "omega.7", 37: "omega.7", 63: "delta.3", 206: "sigma.3",
@@ -90,7 +90,7 @@ def test_models_are_those_of_the_header() -> None:
     assert (force, torque, stiffness, radius) == (12, 0.2, 8000, 0.1125)
 
 
-def test_causes_and_status_words_are_those_of_the_header() -> None:
+def test_causes_and_status_words_equal_the_vendors_header() -> None:
     """Force, error, cause are words 5, 9, 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead man."""
     assert (exchange.STATUS_FORCE, exchange.STATUS_ERROR, exchange.STATUS_CAUSE) == (5, 9, 14)
     words = ("button", "velocity", "watchdog", "library", "USB", "dead-man")

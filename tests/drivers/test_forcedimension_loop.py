@@ -55,7 +55,7 @@ def fd_rig(stub: Stub, **changes: Any) -> Rig:
     return load_rig("replay", base | changes)
 
 
-def test_closed_loop_feels_what_the_contact_step_gives(stub: Stub) -> None:
+def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> None:
     """Forces and modes equal the engine's on the sensed poses; never two threads are in the library."""
     stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
     scene = load_scene("paper-plane")

@@ -48,7 +48,7 @@ BOARD = SystemDevice("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyAC
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """The driver's thread has ended with the device, whatever the test did to the service."""
+    """Check that the driver's thread has ended with the device."""
     yield
     assert not [one for one in threading.enumerate() if one.name == "haply exchange"]
 
@@ -368,7 +368,7 @@ def test_warnings_of_the_service_are_reported(service: Service) -> None:
                 time.sleep(0.001)
 
 
-def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
     """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"write", "clock_gettime", "__errno_location", "sqrt"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached

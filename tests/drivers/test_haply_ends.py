@@ -113,7 +113,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
 
 
 @pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
-def test_a_zero_comes_before_the_end(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
+def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
     """After any end by the service, each device's last force is zero before any `stop`, and it is confirmed."""
     raw = (BREACHES | GOODBYES)[case]
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2

@@ -186,7 +186,7 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
     assert device.counts() == {"written": 3, "cut": 1}
 
 
-def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """A force of exactly the maximum is not limited."""
     device = Device(monkeypatch, ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     device.state(0.0, 0.0, 0.0)

@@ -152,7 +152,7 @@ def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None
         until(lambda: not any(service.force()))
 
 
-def test_a_second_daemon_and_a_zero_that_nobody_confirms(tmp_path: Path) -> None:
+def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path: Path) -> None:
     """A second daemon names the first; if the service stops reading, no message says that the force is zero."""
     with Service() as service, pushing_daemon(service, tmp_path) as running:
         second = called(*command_line(service, tmp_path, "b")[3:])

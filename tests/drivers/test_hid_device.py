@@ -460,7 +460,7 @@ def test_a_device_that_is_not_attached() -> None:
         find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
 
 
-def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
     """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos", "sqrt", "acos", "atan"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached

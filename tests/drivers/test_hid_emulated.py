@@ -223,7 +223,7 @@ def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, sa
     assert saw["reports"] == 0
 
 
-def test_the_serial_number_tells_devices_apart(tmp_path: Path) -> None:
+def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)

@@ -256,7 +256,7 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
-    """Return the changes of a rig whose device has only joints with these names."""
+    """Return the changes of a rig for a device that has only joints with these names."""
     fields = {way: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
               for way, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
     reports = {way: {"bytes": 4 * len(names), "field": each} for way, each in fields.items()}

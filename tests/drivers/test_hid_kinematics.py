@@ -34,7 +34,7 @@ def test_published_positions_and_currents() -> None:
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_rigs_contain_the_published_table(rig: str) -> None:
-    """Each rig's numbers equal those of the emulator's table, which was written independently."""
+    """Each rig's numbers equal the emulator's table, which was written independently."""
     capstan, link, body, origin, constants, counts, calibration, aligned = TABLE[RIGS[rig]]
     given = rig_options(rig).kinematics
     assert isinstance(given, Chain)

@@ -31,7 +31,7 @@ GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """The device's threads have ended with it, whatever the test did."""
+    """Check that the device's threads have ended with it."""
     before = set(threading.enumerate())
     yield
     left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
@@ -282,7 +282,7 @@ def test_a_hanging_preset_raises_an_error() -> None:
 
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])
-def test_a_device_that_is_gone_is_a_loss(way: str) -> None:
+def test_a_disconnected_device_is_lost(way: str) -> None:
     """Unplugging or a failure in one direction gives LOST; a device that accepts reports gets its zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)

@@ -35,7 +35,7 @@ def read(servo: Servo, count: int) -> np.ndarray:
     return np.array([servo.read()[1][:7] for _ in range(count)])
 
 
-def test_it_goes_where_it_is_asked_to_be_no_faster_than_a_hand_and_stays() -> None:
+def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
     """The hand moves 40 mm and a quarter turn within both speed limits, arrives and remains there."""
     turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     with opened(position_m=AT, **FIRM) as device:
@@ -64,7 +64,7 @@ def test_a_lead_without_an_orientation_preserves_it() -> None:
     np.testing.assert_allclose(after[3:], before[3:], atol=1e-14)  # a normalisation per tick
 
 
-def test_a_released_hand_follows_its_recording_again() -> None:
+def test_a_released_hand_resumes_its_recording() -> None:
     """After a lead and a release the hand follows exactly its recording again, as a hand that was never led."""
     with opened(recording="tap", loop=True, **FIRM) as led, opened(recording="tap", loop=True, **FIRM) as alone:
         ours, theirs = Servo(led), Servo(alone)

@@ -92,7 +92,7 @@ def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchB
         assert device.info.force_max_n == 0.9
 
 
-def test_limits_are_those_of_chai3d() -> None:
+def test_limits_equal_those_of_chai3d() -> None:
     """N, N m, N/m, N s/m by name equal the published values; an unknown name has the lowest of each."""
     published = {
         "Touch": (3.3, 0, 400, 4), "PHANTOM Omni": (3.3, 0, 700, 5), "PHANTOM Desktop": (7.9, 0, 1000, 5),
@@ -170,7 +170,7 @@ def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None
     assert hd["misuse"] == hd["errors"] == 0
 
 
-def test_a_force_that_a_killed_program_left_ends_with_the_opening(hd: HdStub, bench: TouchBench) -> None:
+def test_opening_zeroes_the_force_of_a_killed_program(hd: HdStub, bench: TouchBench) -> None:
     """The motors retain the force of a program that ended without a zero; the first frame after opening zeroes it."""
     call = ctypes.CDLL(str(hd.path))
     call.hdInitDevice.restype = ctypes.c_uint32
@@ -377,7 +377,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
         held(servo, bench, (0.5, 0.0, 0.0))
 
 
-def test_frames_that_are_too_far_apart_are_told(hd: HdStub, bench: TouchBench) -> None:
+def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
     """Motors and telemetry have zero, and a warning names the cause; the force returns with frames in time."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:

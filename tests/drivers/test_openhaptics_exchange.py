@@ -313,7 +313,7 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     assert library.displays(*PULL)
 
 
-def test_frames_that_are_too_far_apart_give_no_force(library: Library) -> None:
+def test_late_frames_withhold_the_force(library: Library) -> None:
     """With frames 6 ms apart and a limit of 5 ms, forces are withheld until the first frame in time."""
     statuses = []
     for _ in range(5):
@@ -558,7 +558,7 @@ def test_a_frame_reads_eight_errors(library: Library) -> None:
 
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
-def test_what_a_device_does_not_have_is_not_asked_again(code: int, opening: Library) -> None:
+def test_a_rejected_first_query_disables_the_feature(code: int, opening: Library) -> None:
     """A rejected first query is not a failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()

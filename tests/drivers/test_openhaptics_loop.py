@@ -55,7 +55,7 @@ def touch_rig(stub: HdStub, **changes: Any) -> Rig:
     return load_rig("touch", base | changes)
 
 
-def test_closed_loop_feels_what_the_contact_step_gives(hd: HdStub, touch: TouchBench) -> None:
+def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, touch: TouchBench) -> None:
     """Between two unsynchronised threads forces and modes equal the engine's; no call of the library is misused."""
     hd.update(**PRESSING)
     scene = load_scene("paper-plane")

@@ -42,7 +42,7 @@ class BoardBench(RefusingBench):
 
 
 class TwoDiy(BoardBench):
-    """Firmware of a 2DIY, whose torques are rounded to float32."""
+    """Firmware of a 2DIY; its torques are rounded to float32."""
 
     rig: ClassVar[str] = "haply-2diy"
     force_step_n: ClassVar[float] = 1e-6
@@ -257,7 +257,7 @@ def test_a_described_rig_without_a_port_is_rejected() -> None:
 
 
 def test_a_board_that_never_answers_raises_an_error() -> None:
-    """The error of a port without answers contains the time and what to check."""
+    """The error for a port without answers contains the time and the checks to make."""
     board = Firmware()
     with Port(board) as port:
         port.mute.set()

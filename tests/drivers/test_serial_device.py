@@ -351,7 +351,7 @@ def test_invalid_options_are_rejected(key: str, value: object, message: str) -> 
         rig_options(**{key: value})
 
 
-def test_the_exchange_allocates_nothing_and_calls_libc_alone() -> None:
+def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
     """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {
         "read",

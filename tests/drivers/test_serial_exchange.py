@@ -185,7 +185,7 @@ def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
     assert board.counts() == {"bytes": 128, "frames": 2, "written": 2, "cut": 1}
 
 
-def test_the_largest_force_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """A force of exactly the maximum is not limited."""
     board = Board(rig_options(**TEXT), monkeypatch)
     assert board.write(0.0, -3.0, 4.0, 0.0, 0.0, 0.0) == OK
@@ -256,7 +256,7 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     assert board.counts() == {"written": 2}
 
 
-def test_the_rest_of_a_frame_is_sent_at_once(board: Board) -> None:
+def test_the_remainder_of_a_frame_is_sent_at_once(board: Board) -> None:
     """If the port accepts the rest at once, no bytes remain unsent."""
     taken = iter([20, None])
     write = board.port.write

@@ -305,7 +305,7 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
 
 
 @pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led_by_puck], ids=["spacemouse", "simulated"])
-def test_read_calls_libc_alone(function: Any) -> None:
+def test_read_calls_only_libc(function: Any) -> None:
     """A newly compiled read calls nothing but system calls, the clock and libm: no allocator, no interpreter."""
     allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
@@ -361,7 +361,7 @@ FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "res
 
 @contextlib.contextmanager
 def led(**options: Any) -> Iterator[tuple[SimulatedDevice, Servo, socket.socket]]:
-    """Simulated device whose hand is led by a puck."""
+    """Simulated device; a puck moves its hand."""
     fd, end = ends()
     built = build(SimulatedOptions, {"puck": {}, **options}, "test")
     with end, SimulatedDevice(built, RATE_HZ, (fd, "puck")) as device:

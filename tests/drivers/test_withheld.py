@@ -128,7 +128,7 @@ def pulls(line: SerialChip) -> bool:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_force_ended_by_a_silence_fades_in_anew(way: str) -> None:
+def test_a_force_ramps_up_after_a_silence(way: str) -> None:
     """After a zero at a stall of 60 ms the force ramps from zero, within the guard's slew limit."""
     ramp_s = 0.2
     with WAYS[way]() as line, running(line, ramp_s):

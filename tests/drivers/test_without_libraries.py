@@ -74,7 +74,7 @@ def loaded(environ: dict[str, str]) -> tuple[bool, str]:
 
 
 @pytest.mark.parametrize("package", [True, False], ids=["package", "no package"])
-def test_the_systems_libusb_comes_first(package: bool, tmp_path: Path) -> None:
+def test_the_systems_libusb_is_preferred(package: bool, tmp_path: Path) -> None:
     """If the loader finds the system's libusb, no other is loaded."""
     environ = environment(tmp_path, system="there", package=package)
     assert loaded(environ) == (True, str((tmp_path / SONAME).resolve()))

@@ -1,1 +1,1 @@
-"""What several test files share. No tests, and no stubs for devices."""
+"""Code that several test files share: no tests, and no emulators of devices."""

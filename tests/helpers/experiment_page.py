@@ -1,4 +1,4 @@
-"""Run a whole experiment through the participant's page: daemon, page and a real browser."""
+"""Run a complete experiment through the participant's page: daemon, page and a real browser."""
 
 from __future__ import annotations
 

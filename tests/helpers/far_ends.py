@@ -91,7 +91,7 @@ def pressed_replay(tmp_path: Path) -> Iterator[FarEnd]:
 
 @contextmanager
 def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
-    """Simulated handle whose hand aims at a depth of 4 mm, and sways."""
+    """Simulated handle; its hand aims at a depth of 4 mm, and sways."""
     hand = {"position_m": [0.0, 0.0, 0.006], "sway_m": [0.005, 0.0, 0.0], "sway_hz": 0.5}
     device = simulated.open_device(build(simulated.Options, hand, "[device]"), RATE_HZ)
     yield FarEnd(device, lambda: logged(device))

@@ -110,7 +110,7 @@ def _put_big_endian(array: Any, index: int, value: float) -> None:
 
 
 def _in_c_function(self: Any) -> Any:
-    """Return the function behind a C address; it is cached because the address alone keeps no reference."""
+    """Return the function behind a C address; it is cached because an address is not a reference."""
     if not hasattr(self, "plain"):
         signature = self._sig
         arguments = [_in_c(kind) for kind in signature.args]

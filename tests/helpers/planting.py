@@ -169,7 +169,7 @@ def _constant_rules(value: ast.expr | None) -> list[str]:
 def functions_of(root: Path, files: set[str]) -> Functions:
     """Return all functions of the running process defined in these files."""
     found: dict[tuple[str, str], list[FunctionType]] = {}
-    gc.unfreeze()  # conftest.py has frozen the imported objects, which `get_objects` leaves out
+    gc.unfreeze()  # conftest.py has frozen the imported objects, which `get_objects` omits
     for one in gc.get_objects():
         if isinstance(one, FunctionType):
             file = file_of(root, one.__code__)

@@ -51,5 +51,5 @@ def event(kind: str, name: str, tick: int, **fields: Any) -> dict[str, Any]:
 
 
 def printed(text: str) -> Any:
-    """Return the JSON among the lines printed by a verb."""
+    """Return the JSON in the output of a verb."""
     return json.loads(next(line for line in text.splitlines() if line.startswith("{")))

@@ -47,7 +47,7 @@ def settle(device: SerialDevice, cable: Cable) -> None:
 
 
 def at_rest(value: Callable[[], int], for_s: float = 0.1) -> bool:
-    """Return whether a value stays constant for that time."""
+    """Return whether a value is constant for that time."""
     before = value()
     time.sleep(for_s)
     return value() == before

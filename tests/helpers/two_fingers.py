@@ -32,7 +32,7 @@ for the tests of commands: one scene type, compiled once."""
 
 
 def two_fingers(**tables: Any) -> Scene:
-    """Return the scene of the file, with these tables instead of its own."""
+    """Return the scene of the file, with these tables instead."""
     return build(Scene, tomllib.loads(SCENE) | tables, "two fingers")
 
 
@@ -46,6 +46,6 @@ def pressed_by_two() -> Scene:
 
 
 def two_devices(thumb: dict[str, Any], index: dict[str, Any], **tables: Any) -> Rig:
-    """Return a rig with [devices.thumb] and [devices.index] on its own port, without real-time settings."""
+    """Return a rig with [devices.thumb] and [devices.index] on separate ports, without real-time settings."""
     quiet = {"servo": {"realtime": "off"}, "telemetry": {"endpoint": "tcp://127.0.0.1:*"}}
     return build(Rig, {"devices": {"thumb": thumb, "index": index}, **quiet, **tables}, "two devices")

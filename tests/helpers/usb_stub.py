@@ -96,7 +96,7 @@ class UsbStub:
 
 
 def word(device: Falcon, place: int) -> int:
-    """Return a word of the device's block, whose address is the handle."""
+    """Return an element of the device's block; the handle is its address."""
     return int(ctypes.c_int64.from_address(device.io().handle + 8 * place).value)
 
 
@@ -117,7 +117,7 @@ def in_place_of_libusb(path: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def usb_library() -> Iterator[Path]:
-    """Compile the library in its own folder."""
+    """Compile the library in a separate folder."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="usb-") as folder:

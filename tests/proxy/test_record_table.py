@@ -129,7 +129,7 @@ def test_new_field_is_everywhere(tree):
 @pytest.mark.exhaustive
 def test_a_new_field_makes_the_reference_page_fail(tree):
     """The reference page of the fields is out of date, and the failure names the command that updates it."""
-    page = "tests/tools/test_reference.py::test_a_page_is_what_the_program_makes[record.md]"
+    page = "tests/tools/test_reference.py::test_a_page_equals_the_generated_one[record.md]"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "run `make reference`" in done.stdout

@@ -86,7 +86,7 @@ def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> Non
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
 
 
-def test_a_button_that_was_held_before_arms_nothing(tmp_path: Path) -> None:
+def test_a_button_pressed_before_the_start_does_not_arm(tmp_path: Path) -> None:
     """A button that is down from the first tick for 1 s gives no force, and neither does its release."""
     held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)

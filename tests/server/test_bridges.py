@@ -120,7 +120,7 @@ def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize("words", [("--save", "no/such/folder/x.rrd"), ("--connect", "nowhere")])
 def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    """One line with Rerun's own message."""
+    """The error is one line with Rerun's message."""
     pytest.importorskip("rerun", reason=WHY)
     assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
     assert f"{' '.join(words)}: Rerun says: " in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`check` of a rig and a scene: position of the soft wall among the objects, in words, as text and as a figure."""
+"""`check` of a rig and a scene: position of the soft wall relative to the objects, as text and as a figure."""
 
 from __future__ import annotations
 

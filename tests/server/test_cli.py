@@ -190,7 +190,7 @@ def test_bad_words_give_one_clear_error(words, code, pieces):
     assert "Traceback" not in done.stderr
 
 
-def test_endpoint_in_use_has_its_own_exit_code():
+def test_an_endpoint_in_use_gives_exit_code_7():
     """A second daemon on the same endpoint exits with code 7 and an error with the port."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")

@@ -152,7 +152,7 @@ def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks:
     return figures
 
 
-def test_figures_are_those_of_the_records() -> None:
+def test_figures_equal_those_computed_from_records() -> None:
     """Ticks, excursion, force and work of the loop without records equal those from records, up to rounding."""
     tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))

@@ -481,7 +481,7 @@ def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
         assert control.heartbeat() and daemon.rendering.force.is_requested
 
 
-def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
+def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
     """After disarm and a missed heartbeat, a heartbeat clears only its cause; `arm` clears both."""
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
         control.disarm()
@@ -496,7 +496,7 @@ def test_a_heartbeat_brings_back_no_force_that_was_taken_off_by_command(rig):
         assert control.arm().armed is True
 
 
-def test_what_is_no_request_is_no_sign_of_life():
+def test_an_invalid_request_does_not_count_as_a_heartbeat():
     """Malformed requests, unknown methods and requests above the limit do not count as a heartbeat; valid ones do."""
     reasons: set[str] = set()
     rendering = SimpleNamespace(
@@ -555,7 +555,7 @@ def test_each_client_gets_its_answers(rig):
         assert eventually(lambda: control.get_state().active_field == "frictionless-plane")
 
 
-def test_an_answer_that_comes_too_late_is_not_that_of_the_next_request():
+def test_a_late_answer_is_not_assigned_to_the_next_request():
     """The server answers the first request after the second one: each call gets the answer to its request, or none."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as server:
         server.linger, server.rcvtimeo = 0, 10_000
@@ -606,7 +606,7 @@ def test_asyncio_client(rig):
 
 @pytest.fixture
 def slow_compiler(monkeypatch, tmp_path):
-    """A compiler that says that it began and compiles a kernel, and takes for ever."""
+    """Compiler that reports its start, compiles a kernel, and never finishes."""
     program = tmp_path / "slow.py"
     program.write_text(
         "import os, sys, time\nsys.stdin.readline()\nprint('compiling kernel 3', flush=True)\n"
@@ -676,7 +676,7 @@ def test_a_client_gets_its_answer_after_a_kill_of_the_commands_process(rig, slow
             answer.result()
 
 
-def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
+def test_endless_scene_requests_do_not_block_other_clients(rig, slow_compiler):
     """Each request supersedes the previous one; after more of them than the limit, other clients are answered."""
     request = {"command_id": "x", "method": "set_scene", "params": {"scene": "sphere"}}
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as asking:
@@ -690,7 +690,7 @@ def test_scenes_asked_for_without_end_hold_up_nobody(rig, slow_compiler):
         assert control.heartbeat().timeout_ms == 0
 
 
-def test_a_compiler_that_fails_is_told(rig, monkeypatch):
+def test_a_failed_compilation_is_reported(rig, monkeypatch):
     """The error reports the failed compilation, and the previous scene stays active."""
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
     monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
@@ -728,7 +728,7 @@ def test_command_endpoints_in_use_off_and_ipc(rig, tmp_path):
     assert not Path(f"{path}.commands").exists()
 
 
-def test_a_flood_gets_busy_and_others_are_answered(rig):
+def test_a_flooding_client_gets_busy_and_other_clients_are_answered(rig):
     """A client that sends without waiting gets `busy`, and another client is answered throughout."""
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as flood:
         flood.linger = 0

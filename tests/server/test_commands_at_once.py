@@ -153,7 +153,7 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
-def test_a_lost_disarm_is_sent_again(client, monkeypatch, tmp_path):
+def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
     """A hung commands process is replaced, and the client sends again: the device gets zero, the client an answer."""
 
     async def disarm_in_task() -> Any:

@@ -152,7 +152,7 @@ class Failure(Exception):
     """Raised by a sink."""
 
 
-def test_every_sink_takes_every_record_and_one_that_fails_is_left_out():
+def test_a_failing_sink_is_dropped_and_the_others_get_every_record():
     """A second sink gets all records in order. One that raises is dropped with an event, and the run continues."""
     ticks, fragile = [], []
 

@@ -12,7 +12,7 @@ from softfinger.server.services.device_warnings import NAME, DeviceWarnings
 pytestmark = pytest.mark.plain
 
 
-def test_each_warning_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     """A warning is an event and a log line when it appears, when its text changes and when it reappears."""
     said, told = [""], []
     device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: said[0])

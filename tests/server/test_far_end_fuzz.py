@@ -314,7 +314,7 @@ def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
         for name in actions(session.draw):
             try:
                 getattr(session, name)()
-            except HapticError:  # the daemon has ended, or its endpoint does not exist yet
+            except HapticError:  # the daemon has exited, or its endpoint does not exist yet
                 if session.daemon.poll() is None and name not in ENDS:
                     continue
             if session.daemon.poll() is not None:

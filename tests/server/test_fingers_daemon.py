@@ -241,7 +241,7 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
 
 @contextmanager
 def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
-    """Run the daemon against two boards whose hands press into the plane."""
+    """Run the daemon against two boards with hands that press into the plane."""
     boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]
     with ExitStack() as lines:
         cables = [lines.enter_context(Cable(board)) for board in boards]

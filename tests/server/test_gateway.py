@@ -144,7 +144,7 @@ def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
             who = "reader" if words[0] == "monitor" else "commander"
             whole = [*COMMAND, *words, *ring.options(who)]
             assert json.loads(subprocess.run(whole, capture_output=True, check=True, timeout=WAIT_S).stdout)
-        # A second reader, whose key is then removed.
+        # The key of a second reader is removed later.
         public, _ = make_pair(ring.folder / "keys", "second")
         (ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
         second = Listener(context, telemetry, ring.of("second"))

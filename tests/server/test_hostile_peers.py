@@ -285,7 +285,7 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
         found = told_to_end(process)
     assert grown < GROWN_BYTES
-    assert files < 64  # those of the interpreter and the listener
+    assert files < 64  # files of the interpreter and the listener
     return found | {"missing": missing}
 
 
@@ -323,7 +323,7 @@ def test_unfinished_handshakes_are_disconnected() -> None:
 
 
 def test_connections_are_limited_by_open_files() -> None:
-    """Further connections wait in the system's queue and are accepted when others close."""
+    """Further connections wait in the system's queue until earlier ones close."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         for _ in range(FILES_MAX):
@@ -338,7 +338,7 @@ def test_connections_are_limited_by_open_files() -> None:
                 break
             peer.sendall(SUBSCRIBE)
         assert eventually(lambda: publisher.subscribers > FILES_MAX // 2)
-        time.sleep(0.5)  # for those that could connect, and must not
+        time.sleep(0.5)  # for peers that could connect, and must not
         assert publisher.subscribers < FILES_MAX
         peers.close()
         assert eventually(lambda: publisher.subscribers == 0)

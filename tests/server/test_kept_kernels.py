@@ -98,7 +98,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> 
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}
     assert len(loops) == 1
     assert told.startswith("compiling ") and re.search(r"^compiling kernel \d+ \(about \d+ ", told, re.MULTILINE)
-    assert not told_by_compiler(scene, cache).startswith("compiling ")  # what is kept is only loaded
+    assert not told_by_compiler(scene, cache).startswith("compiling ")  # cached kernels are only loaded
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
     words = [sys.executable, "-m", "softfinger.server.cli"]
     warm = [*words, "warmup", scene]

@@ -135,7 +135,7 @@ def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
         os.chown(path, 0, 0)
 
 
-def test_the_folder_of_those_who_may_is_looked_at_again(tmp_path: Path) -> None:
+def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
     """Keys added or removed take effect; a revoked key stays out; a folder writable by others admits no key."""
     allowed = Allowed(tmp_path)
     public, _ = make_pair(tmp_path, "anna")

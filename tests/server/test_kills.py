@@ -64,7 +64,7 @@ def of_kind(kind: str, pid: int) -> int | None:
 
 
 def gone(pid: int) -> bool:
-    """Return True if a process has ended, also as a zombie."""
+    """Return True if a process has exited, also as a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):

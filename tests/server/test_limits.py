@@ -24,7 +24,7 @@ from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
 from softfinger.server.loop import limits as lim
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, output_wrench
-from softfinger.server.loop.passivity import Motion
+from softfinger.server.loop.passivity import HandMotion
 from softfinger.server.loop.tick import begin, continue_memory
 from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
@@ -40,14 +40,14 @@ ARM = DeviceInfo("arm", 3, 3, 40.0, 2.0, 5000.0, 30.0, (-0.1,) * 3, (0.1,) * 3)
 
 
 def limited(force_max=12.0, ramp=0.0, slew=1e9, **limits):
-    """Return a guard with some limits, the others off."""
+    """Return a guard with the given limits; all remaining limits are off."""
     return g.Guard(force_max, 0.3, slew, slew, ramp, 1.0, limits=lim.UNLIMITED._replace(**limits))
 
 
 def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE):
     """Run one tick of a handle that has moved by `moved` to `at`."""
     before = tuple(a - m for a, m in zip(at, moved, strict=True))
-    motion = Motion(Pose(before, LEVEL), Pose(at, LEVEL), None)
+    motion = HandMotion(Pose(before, LEVEL), Pose(at, LEVEL), None)
     return output_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
 
 

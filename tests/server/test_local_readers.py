@@ -71,7 +71,7 @@ def program(tmp_path_factory):
 
 
 def numbered(count, first=0):
-    """Return ticks whose last column shows if a row is complete."""
+    """Return ticks; the last column shows if a row is complete."""
     records = synthetic(count, first)
     records[:, -1] = 0.5 * records[:, AT.tick]
     return records

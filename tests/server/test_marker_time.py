@@ -79,7 +79,7 @@ def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
-    """Marks sent to a daemon whose epoch differs from the machine's clock."""
+    """Marks sent to a daemon with an epoch that differs from the machine's clock."""
     folder = tmp_path_factory.mktemp("marks")
     ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})

@@ -66,7 +66,7 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 300, 5000])
-def test_figures_are_those_of_the_records(batch: int) -> None:
+def test_figures_equal_those_computed_from_records(batch: int) -> None:
     """Counts of ticks, modes, forces, guard, devices and lateness equal direct sums, for batches of any size."""
     count, random = 2 * ROWS + 77, np.random.default_rng(5)
     fingers = [synthetic(count, seed=seed) for seed in (1, 2)]

@@ -124,7 +124,7 @@ def test_not_a_number_becomes_null():
     def publish(publisher):
         stop.wait(monitor._ONCE_WAIT_S)
         publisher.event("lifecycle", "started")
-        stop.wait(0.5)  # the monitor shows what it has five times as often
+        stop.wait(0.5)  # the monitor redraws five times as often
         while not stop.wait(0.02):
             publisher.publish(records)
 

@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
 from softfinger.server.loop.guard import GuardState
-from softfinger.server.loop.passivity import NO_ENERGY, Energy, Motion, Passivity, keep_passive, work_on_hand
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, Passivity, keep_passive, work_on_hand
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
 from softfinger.server.offline.simulate import simulate, tick_many
@@ -34,7 +34,7 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 def by(*way):
     """Return a motion without rotation."""
-    return Motion(Pose(NONE, LEVEL), Pose(way, LEVEL), None)
+    return HandMotion(Pose(NONE, LEVEL), Pose(way, LEVEL), None)
 
 
 def holding(force=NONE, torque=NONE):
@@ -113,7 +113,7 @@ def test_energy_of_a_sampled_torsional_spring():
     for before, now in pairwise(angles):
         poses = [Pose(NONE, (np.cos(0.5 * a), *(np.sin(0.5 * a) * axis))) for a in (before, now)]
         held = holding(torque=tuple(-k * before * axis))
-        energy, _ = keep_passive(Passivity(0.0), energy, held, Motion(*poses, None), float(ROLLING), NONE, T)
+        energy, _ = keep_passive(Passivity(0.0), energy, held, HandMotion(*poses, None), float(ROLLING), NONE, T)
         works.append(energy.work)
     # Four hundred additions of terms around 1e-5 J, with angles rounded by 1e-16 / 1e-3.
     assert works[n - 1] == pytest.approx(0.5 * k * largest**2 * (1.0 - 1.0 / n), rel=1e-11)
@@ -124,10 +124,10 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
     """If the handle turns on the spot, the force does no work although the tip moves, and the torque does all of it."""
     tool = make_tool((0.03, 0.0, -0.1), LEVEL)
     poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
-    motion = Motion(*(tip_of(tool, pose) for pose in poses), tool)
+    motion = HandMotion(*(tip_of(tool, pose) for pose in poses), tool)
     held = holding((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
     assert work_on_hand(held, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
-    assert work_on_hand(held, Motion(motion.now, motion.now, tool)) == 0.0
+    assert work_on_hand(held, HandMotion(motion.now, motion.now, tool)) == 0.0
 
 
 def cycle(fingertip, height, n, turns=1.0, **tables):

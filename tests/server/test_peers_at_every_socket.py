@@ -84,7 +84,7 @@ def child_of(parent: int, word: bytes) -> int:
 
 
 def after(program: Program, words: str) -> str:
-    """Return the word after `words` in the stderr of a program, on the same line or the next."""
+    """Return the text up to a space after `words` in the stderr of a program, on the same line or the next."""
     assert program.stderr is not None
     for line in program.stderr:
         if words in line:

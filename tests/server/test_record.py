@@ -1,4 +1,4 @@
-"""`record --poses`: poses written from telemetry equal those that `replay` plays."""
+"""`record --poses`: poses written from telemetry equal the poses that `replay` plays."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: An
 
 
 def moving(count: int) -> np.ndarray:
-    """Return records at 1 kHz whose first coordinate is the tick number."""
+    """Return records at 1 kHz; the first coordinate is the tick number."""
     records = synthetic(count)
     put(records, "dt", 0.001)
     put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Lines on standard error that nobody reads."""
+"""Lines on a standard error without a reader."""
 
 from __future__ import annotations
 

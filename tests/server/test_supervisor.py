@@ -1,4 +1,4 @@
-"""The supervisor: its own failure, and its actions when ticks stop."""
+"""The supervisor: its actions when ticks stop, and a failure of itself."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
         done.append(f"{kind} {name}")
         ended.set()
 
-    servo = SimpleNamespace(is_ticking=True, ticks=7, armed=True, devices=(Device("a"), Device("b")))
+    servo = SimpleNamespace(is_ticking=True, ticks=7, is_armed=True, devices=(Device("a"), Device("b")))
     supervisor = Supervisor(cast(Any, servo), lambda error: done.append(str(error).partition(" for ")[0]), event)
     supervisor.start()
     assert ended.wait(WAIT_S)
@@ -80,7 +80,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
 class Stalled:
     """Servo without ticks that counts reads of its tick counter."""
 
-    is_ticking, armed, looks = True, True, 0
+    is_ticking, is_armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
         infos = [SimpleNamespace(has_persistent_force=each) for each in hold_a_force]
@@ -103,9 +103,7 @@ class Stalled:
         ((False,), STALL_POLLS_WITHOUT_HAND),
     ],
 )
-def test_how_long_a_stall_is_goes_by_whether_a_hand_is_there(
-    held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stall_is_longer_without_a_hand(held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """STALL_POLLS polls with a hand on any device, otherwise STALL_POLLS_WITHOUT_HAND."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
@@ -137,7 +135,7 @@ def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     last = (3.0 + share) * step  # a tick every millisecond before it, and none afterwards
 
     class Running:
-        is_ticking, armed = True, True
+        is_ticking, is_armed = True, True
         devices = (
             SimpleNamespace(
                 info=SimpleNamespace(has_persistent_force=True), stop=lambda: stopped.append(clock.now + turn)
@@ -157,7 +155,7 @@ def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
 class Unarmed:
     """Servo that waits for its devices during a number of polls."""
 
-    ticks, armed = 0, False
+    ticks, is_armed = 0, False
     devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
     def __init__(self, looks: int) -> None:

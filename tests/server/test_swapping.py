@@ -12,7 +12,7 @@ from softfinger.server.services.swapping import NAME, STATUS, Swapping, parse_sw
 pytestmark = pytest.mark.plain
 
 
-def test_memory_in_swap_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """An event and a log line, with amount and remedy, follow when the amount becomes positive."""
     told: list[tuple[str, str, str]] = []
 

@@ -115,7 +115,7 @@ def test_a_contact_message_contains_the_record_bit_for_bit():
     assert [flat[name] for name in named] == record.tolist()
 
 
-def test_missing_patches_are_left_out_and_restored():
+def test_missing_patches_are_omitted_and_restored():
     """`contacts` lists the existing patches; `record_of` restores the record."""
     record = synthetic(1)[0]
     for i, number in enumerate((4, 2, -1)):

@@ -216,7 +216,7 @@ SLEW = 20.0
 """N/s, slow enough to see the force ramp to zero."""
 
 
-def test_bodies_that_fail_are_let_go_and_put_back(scene: schema.Scene, tmp_path: Path) -> None:
+def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
     """After each of three failures the force ramps to zero, ticks continue, and a reset restores the contact."""
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
@@ -264,7 +264,7 @@ def wait_for(running: Daemon, ticks: int) -> None:
         time.sleep(0.01)
 
 
-def test_bodies_that_take_too_long_are_let_go(scene: schema.Scene) -> None:
+def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
     """The failure names the key to change, and ticks continue."""
     assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))

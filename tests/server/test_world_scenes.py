@@ -57,7 +57,7 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
     felt = hands.until(2.9)[""][-1]
     inner_face = 0.024  # of the handle, shut: 5 mm before the finger
     depth = felt["force"][1] / 1000.0
-    assert 0.0 < depth <= 0.4 / 1000.0  # friction balances the rest of the pull
+    assert 0.0 < depth <= 0.4 / 1000.0  # friction balances the remaining pull
     opened = inner_face - (felt["probe.position"][1] - RADIUS + depth)
     assert hands.data.qpos[0] == pytest.approx(opened, abs=2e-5)  # MuJoCo's friction creeps
     assert opened == pytest.approx(0.094, abs=1e-3)

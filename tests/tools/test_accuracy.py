@@ -63,7 +63,7 @@ def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
     return [row for row in result["trade"] if all(row[key] == value for key, value in values.items())]
 
 
-def test_json_has_what_is_promised(result: dict[str, Any]) -> None:
+def test_json_has_the_documented_keys(result: dict[str, Any]) -> None:
     """Sections and keys are those that other programs read; every method appears on every surface that it supports."""
     assert {"motion", "method", "max_error_mm"} <= result["paper"][0].keys()
     speed = {"classical_ns_per_step", "euler_zxz_ns_per_step", "rotation_vector_ns_per_step", "ratio"}
@@ -125,7 +125,7 @@ def test_reference_paths_of_the_paper() -> None:
         assert found == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
 
 
-def test_speed_is_told_with_what_was_timed(result: dict[str, Any]) -> None:
+def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
     """The ratio is that of the two times; ODE45 takes its ten sub-steps of six evaluations, and one to begin."""
     speed = result["speed"]
     assert speed["ratio"] == speed["classical_ns_per_step"] / speed["euler_zxz_ns_per_step"]
@@ -202,7 +202,7 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_motion_turns_at_the_rates_it_says(motion: cases.Motion) -> None:
+def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
     """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
     path = cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
@@ -229,7 +229,7 @@ def test_turns_lead_from_pose_to_pose() -> None:
         assert matrix(step) @ matrix(before) == pytest.approx(matrix(after), abs=1e-14)
 
 
-def test_cases_leave_out_what_cannot_be() -> None:
+def test_impossible_cases_are_left_out() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
     sweep, drift = verb.plan(options())
     found = cases.cases(sweep)

@@ -47,7 +47,7 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_rolled_over_edges_does_not_depend_on_the_tick(name: str) -> None:
+def test_rolling_over_edges_does_not_depend_on_the_tick(name: str) -> None:
     """It comes from the mesh: an error of first order in the tick would be halved."""
     long, short = (next(converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (TICKS // 2, TICKS))
     assert short == pytest.approx(long, rel=0.05)

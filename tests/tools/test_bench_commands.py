@@ -30,7 +30,7 @@ def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.Cap
     assert drawing.stat().st_size > 0
 
 
-def test_a_torn_set_would_be_seen() -> None:
+def test_a_torn_parameter_set_is_detected() -> None:
     """Stiffness and force of two pairs give another sum; ticks changed by the guard do not count."""
     rows = np.zeros((4, 6))
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]

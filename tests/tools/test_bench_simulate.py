@@ -27,7 +27,7 @@ def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not list(folder.iterdir())
 
 
-def test_what_cannot_be_timed_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_untimable_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Too few ticks, or a scene that a single recording cannot run on: an error with the message of simulate."""
     assert cli.main(["bench", "simulate", "--ticks", "10"]) == 2
     assert "1000 or more" in capsys.readouterr().err

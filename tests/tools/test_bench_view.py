@@ -32,7 +32,7 @@ def test_bench_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture
     assert drawing.stat().st_size > 0
 
 
-def test_what_cannot_be_opened_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """No viewers at all are no measurement, and pages need a Chromium."""
     monkeypatch.setenv("PATH", "/nowhere")
     assert cli.main(["bench", "view", "--browsers", "1"]) == ConfigError.exit_code

@@ -48,7 +48,7 @@ Here = Callable[..., str]
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    """Return the home of a user whose name must not appear in a report."""
+    """Return the home of a user; the name must not appear in a report."""
     folder = tmp_path / USER
     folder.mkdir()
     return folder

@@ -81,7 +81,7 @@ def test_every_check_is_made(result: dict[str, Any]) -> None:
         assert check["remedy"] or check["state"] == "good", check
 
 
-def test_a_held_endpoint_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
+def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
     """The error names the endpoint; the exit code is that of Unfit, whose message names every bad check."""
     check = named(result, "telemetry endpoint")
     assert check["state"] == "bad"
@@ -93,7 +93,7 @@ def test_a_held_endpoint_is_bad_and_decides_the_exit_code(result: dict[str, Any]
     assert "Traceback" not in result["stderr"]
 
 
-def test_figures_are_those_of_a_run(result: dict[str, Any]) -> None:
+def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> None:
     """The loop has run its ticks at the rig's rate, and the checks speak of them."""
     servo = result["loop"]["servo"]
     assert servo["ticks"] == 299
@@ -227,7 +227,7 @@ def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch:
     assert attached.maker_library(load_rig("replay"), "forcedimension").state == "good"
 
 
-def test_the_text_says_what_mends() -> None:
+def test_the_text_has_a_remedy() -> None:
     """A good check is one line; other checks have the required value and the remedy below."""
     good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
     assert len(lines([good])) == 1

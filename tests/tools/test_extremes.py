@@ -74,7 +74,7 @@ def test_judge_sees_every_broken_rule(at, value):
     assert extremes.count_violations(records, PERIOD) == 1
 
 
-def test_judge_knows_what_was_to_be_refused():
+def test_judge_detects_wrongly_accepted_and_refused_poses():
     """A broken pose that is taken, and a good one that is refused, are both wrong."""
     good = next(case for case in CASES if not case.refused)
     records = sound_records()
@@ -85,7 +85,7 @@ def test_judge_knows_what_was_to_be_refused():
 
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
-def test_the_guard_holds_against_wrenches_of_any_kind(wrenches_of):
+def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
     """Wrenches that no contact gives meet its rules and the expectations of the case."""
     (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
     assert wrong == ""

@@ -58,7 +58,7 @@ def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_body_too_light_for_the_tick_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 g between fingers of 3000 N/m, without substeps: omega T is 2.4, and past 2 nothing is stable."""
     monkeypatch.setattr(bodies, "LIGHT_SUBSTEPS", 1)
     assert bodies_table.wrong([bodies.measure(Cell("hold", 0.001, 3000.0))])
@@ -73,14 +73,14 @@ def test_a_body_too_light_for_the_tick_is_seen(monkeypatch: pytest.MonkeyPatch) 
         ({}, False, "lost"),
     ],
 )
-def test_what_is_left_of_a_knock_is_judged(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    """At rest whatever it did before; growing; or gone."""
+def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
+    """A body is classified as at rest, growing or lost."""
     found = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
     assert found.verdict == verdict
     assert bool(found.reason) == (verdict != "rests")
 
 
-def test_the_table_names_what_does_not_rest() -> None:
+def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
     """Of each case the worst."""
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
     gone = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)

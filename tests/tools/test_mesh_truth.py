@@ -31,7 +31,7 @@ def test_a_ball_is_true(tmp_path: Path) -> None:
     assert 0.0 < found["tick_us"]["p50"] <= found["tick_us"]["longest"]
 
 
-def test_what_is_inside_is_seen(tmp_path: Path) -> None:
+def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
     """With a mesh larger than the rendered one, the proxy is reported to be inside; the mesh itself has no errors."""
     ball = meshes.geodesic(8, 0.05)
     scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
@@ -46,7 +46,7 @@ def test_what_is_inside_is_seen(tmp_path: Path) -> None:
     assert mesh_truth.check_distances(scene, larger, 200, rng)["error"] > 1e-3
 
 
-def test_a_way_through_is_seen() -> None:
+def test_a_path_through_a_sheet_is_detected() -> None:
     """A path from one side of a sheet to the other is detected; a path that avoids the sheet is not."""
     balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
     over, under, beside = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
@@ -54,7 +54,7 @@ def test_a_way_through_is_seen() -> None:
     assert not mesh_truth.goes_through(balls, over, beside, R)
 
 
-def test_brute_force_is_that_of_every_triangle_asked() -> None:
+def test_pruned_search_equals_brute_force() -> None:
     """The compiled and pruned search equals numpy's over all triangles, to rounding."""
     bumpy = meshes.bumpy_sphere(12, 0.05, height=0.06)
     points = 0.05 * np.random.default_rng(1).normal(size=(300, 3))

@@ -74,7 +74,7 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
     assert "attach it to an issue" in output
 
 
-def test_what_somebody_feels_is_in_the_report(probing: Probing, home: Path) -> None:
+def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) -> None:
     """Enter starts, each motion is judged, and after each push of 0.2 N the answer is recorded."""
     still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
     output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
@@ -127,7 +127,7 @@ def test_bad_words_give_one_clear_error(
     assert list(home.iterdir()) == []
 
 
-def test_a_rig_that_allows_less_than_a_push_is_told(
+def test_a_rig_with_a_limit_below_the_push_is_refused(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Before the device is opened."""
@@ -138,7 +138,7 @@ def test_a_rig_that_allows_less_than_a_push_is_told(
     assert "guard.force_max_n = 0.1 is below the push of 0.2 N" in capsys.readouterr().err
 
 
-def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first attached device that has a shipped rig is used; without one the error asks for a rig."""
     ports: list[SystemDevice] = [SystemDevice("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
@@ -148,7 +148,7 @@ def test_without_a_rig_it_is_the_first_attached_device(monkeypatch: pytest.Monke
     assert probe.attached_rig() == "touch"
 
 
-def test_the_picture_says_which_motion_came_out_wrong() -> None:
+def test_the_picture_shows_wrong_motions() -> None:
     """The plot has an arrow from each requested motion to the axis that moved."""
     moves: list[dict[str, Any]] = [
         {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},

@@ -14,12 +14,12 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 
 
 @pytest.mark.parametrize("name", reference.PAGES)
-def test_a_page_is_what_the_program_makes(name: str) -> None:
-    """The comparison is word for word, so a changed key, default or docstring changes the page."""
+def test_a_page_equals_the_generated_one(name: str) -> None:
+    """The texts are equal, so a changed key, default or docstring changes the page."""
     assert (FOLDER / name).read_text("utf-8") == reference.PAGES[name](), "run `make reference`"
 
 
-def test_the_folder_has_these_pages_alone(tmp_path: Path) -> None:
+def test_the_folder_has_only_these_pages(tmp_path: Path) -> None:
     """The program writes every page of the folder."""
     assert reference.main([str(tmp_path)]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in FOLDER.iterdir()}

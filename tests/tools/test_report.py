@@ -28,7 +28,7 @@ from softfinger.server.recording.reader import Event, Note, TickBlock, read_cont
 PREFIX = "softfinger-report/"
 
 
-def test_the_archive_has_what_an_issue_needs_and_no_private_word(
+def test_the_archive_has_every_part_and_no_private_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Name, home, host and a serial number are removed from each part; unreadable files are omitted."""

@@ -116,7 +116,7 @@ def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str,
         assert found["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
 
 
-def test_a_motion_of_the_hand_is_not_taken_for_a_push() -> None:
+def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
     """A hand that moves by itself makes the result undetermined, and a handle that does not move gives none."""
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)

@@ -59,8 +59,8 @@ def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy
         ("serial 16c0:0483 at /dev/pts/0", "serial 16c0:0483 at /dev/pts/0"),
     ],
 )
-def test_a_text_does_not_say_whose_it_is(text: str, clean: str, somebody: privacy.Privacy) -> None:
-    """Home, user and serial numbers are removed anywhere in a text; other words stay."""
+def test_identifying_words_are_removed(text: str, clean: str, somebody: privacy.Privacy) -> None:
+    """Home, user and serial numbers are removed anywhere in a text; other text does not change."""
     assert somebody.text(text) == clean
 
 
@@ -77,7 +77,7 @@ def test_options_keep_no_folder() -> None:
     assert privacy.options(given) == want
 
 
-def test_the_working_folder_goes_whatever_its_name(somebody: privacy.Privacy) -> None:
+def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Privacy) -> None:
     """It has a space here: no pattern shows where such a path ends in a text."""
     assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
 
@@ -106,7 +106,7 @@ def test_the_questions_are_well_formed() -> None:
     assert ANSWERS.keys() <= set(ids)
 
 
-def test_what_was_measured_answers_its_question() -> None:
+def test_measurements_answer_their_questions() -> None:
     """Motions, pushes and buttons answer; a missing measurement leaves the question open."""
     empty, _ = report.begun(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))

@@ -154,7 +154,7 @@ def test_passive_limit_is_that_of_colgate_and_schenkel(delay: int, tau: float) -
 
 
 @pytest.mark.plain
-def test_pressed_wall_is_what_a_scene_file_gives() -> None:
+def test_the_searched_wall_equals_a_scene_file() -> None:
     """The compiled search builds the same tree as the same plane and weight in a scene."""
     mapping = {
         "fingertip": {"radius_m": 0.01},
@@ -202,13 +202,13 @@ def test_no_passive_wall_is_unstable(variant: str) -> None:
         assert all(grows_at(case, 1.02 * linear_limit(case.linear())) for case in CASES[::5])
 
 
-def test_friction_holds_what_damping_does_not() -> None:
+def test_friction_of_the_mechanism_stabilises_stiffer_walls() -> None:
     """Coulomb friction of the mechanism makes stiffer walls stable, more of it still stiffer ones."""
     limits = [row["limit_n_per_m"] for row in find_limits([WallCase(friction_n=f) for f in (0.0, 0.02, 0.05)])]
     assert limits[0] * 1.2 < limits[1] and limits[1] * 1.2 < limits[2]
 
 
-def test_encoder_steps_alone_are_no_instability() -> None:
+def test_oscillations_of_encoder_steps_are_not_instability() -> None:
     """An oscillation of a few encoder steps does not count; the limit stays near that of a fine encoder."""
     coarse, fine = find_limits([WallCase(resolution_m=20e-6), WallCase()])
     # Within the describing function of a quantiser, which is 1 to 1.27 at twenty steps' swing and less.
@@ -240,7 +240,7 @@ def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
     assert run_cases(find_limits, CASES[:6], label="test", results=results) == expected
 
 
-def test_random_runs_leave_passive_walls_alone() -> None:
+def test_random_runs_do_not_diverge_on_passive_walls() -> None:
     """Of random runs some grow out of reach, but none on a passive wall; the same seed gives the same runs."""
     blocks = [RunBlock(number, 300, 1000, 0) for number in range(4)]
     found = run_blocks(blocks)
@@ -270,7 +270,7 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.exhaustive
-def test_verb_draws_maps_that_can_be_made_again(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_maps_are_reproducible(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A map has its rows, and its SVG is identical to the byte if made again from stored results."""
     first, again, kept = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
     words = ["--map", "all", "--points", "3", "--results", kept]
@@ -304,14 +304,14 @@ def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (["--scheduler", "here"], "must be 'local' or the address of a dask scheduler"),
     ],
 )
-def test_bad_command_lines_say_what_to_give(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_line_errors_name_the_range(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     """One message with the flag, the value and the range."""
     assert main(["stability", *words]) == 2
     assert re.search(message, capsys.readouterr().err)
 
 
 @pytest.mark.plain
-def test_the_page_shows_what_its_commands_draw() -> None:
+def test_every_figure_of_the_page_has_a_command() -> None:
     """The page's commands are commands, and every figure has the one that made it; small and undated."""
     page = (ROOT / "docs" / "measured" / "stability.md").read_text()
     commands = re.findall(r"^    softfinger (stability[^#\n]*)", page, re.MULTILINE)

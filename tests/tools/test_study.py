@@ -14,7 +14,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: orders -->\n<!-- end -->\n"
 
 
-def test_marked_tables_are_replaced_and_the_rest_is_kept():
+def test_only_marked_tables_are_replaced():
     """The table between its marks is replaced; a repetition changes nothing."""
     page = study.insert(PAGE, {"drift": "| new |\n", "orders": "| 2 |\n"})
     assert "| old |" not in page

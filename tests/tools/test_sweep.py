@@ -120,7 +120,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
             process.wait()
 
 
-def test_a_dask_scheduler_gives_the_same_bits_and_goes_on_where_a_run_ended(
+def test_a_dask_scheduler_resumes_with_the_same_bits(
     cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Half of the cases are computed by threads into a file, the others by workers: the results equal those of one run.
@@ -229,7 +229,7 @@ def test_a_worker_of_another_version_is_refused() -> None:
     assert not computed
 
 
-def test_keys_tell_cases_functions_and_versions_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_differ_by_case_function_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
     """A key depends on the values in any order, on the function and on the sources."""
     key = case_key(roots, {"x": 0.1, "n": 1})
     assert case_key(roots, {"n": 1, "x": 0.1}) == key

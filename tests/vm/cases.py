@@ -71,7 +71,7 @@ class Cases:
 
     @pytest.fixture
     def pressed(self) -> Iterator[Gadget]:
-        """A device whose hand presses into the plane."""
+        """Device with a hand that presses into the plane."""
         with gadget(self.kind, **PRESS) as device:
             yield device
 
@@ -90,7 +90,7 @@ class Cases:
         assert not any(saw[self.force])
         assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, "too few ticks in contact"
 
-    def test_stopped_it_leaves_no_force_and_opens_again(self, pressed: Gadget, rig: str) -> None:
+    def test_a_stopped_daemon_leaves_zero_force_and_a_usable_device(self, pressed: Gadget, rig: str) -> None:
         """Ctrl-C in contact ends the daemon with code 0 and zero force; the next daemon opens the device again."""
         for _ in range(2):
             with pushing(rig, pressed, self.in_contact(pressed)) as running:
@@ -112,7 +112,7 @@ class Cases:
             assert other.stop() == 0, other.err
         self.works(pressed, rig)
 
-    def test_a_second_program_finds_it_held(self, pressed: Gadget, rig: str) -> None:
+    def test_a_second_program_reports_a_busy_device(self, pressed: Gadget, rig: str) -> None:
         """A second daemon fails and `devices` reports busy, both with the process of the first, which continues."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             with daemon(rig) as second:
@@ -123,7 +123,7 @@ class Cases:
             assert f"process {running.pid} " in found["reason"]
             assert running.stop() == 0, running.err
 
-    def test_another_user_is_told_what_to_do(self, pressed: Gadget, rig: str) -> None:
+    def test_another_user_gets_instructions(self, pressed: Gadget, rig: str) -> None:
         """For a user without permission, the error contains instructions and `devices` lists the state `permission`."""
         with daemon(rig, user=NOBODY) as refused:
             assert refused.end() == 4, refused.err

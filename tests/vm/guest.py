@@ -139,7 +139,7 @@ class Run:
 
     def _child(self, work: Callable[[], int], user: int | None) -> int:
         try:
-            logging.root.handlers.clear()  # pytest's: the program sets up its own
+            logging.root.handlers.clear()  # pytest's; the program installs another one
             for number, file in enumerate(self._files, 1):
                 os.dup2(file.fileno(), number)
             sys.stdout, sys.stderr = os.fdopen(1, "w", buffering=1), os.fdopen(2, "w", buffering=1)

@@ -28,7 +28,7 @@ class TestCases(Cases):
     held = "is used by another program: close that one first"
     forbidden = "may not be opened by this user: .*install --system"
 
-    def test_it_is_found(self, tmp_path: Path) -> None:
+    def test_the_attached_device_is_listed(self, tmp_path: Path) -> None:
         """`devices` lists it under its driver, usable with a firmware file, and no longer once it is unplugged."""
         path = tmp_path / "firmware.bin"
         path.write_bytes(bytes(FIRMWARE_BYTES))

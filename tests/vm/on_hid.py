@@ -31,7 +31,7 @@ class TestCases(Cases):
     held = r"is used by process {pid} \("
     forbidden = r"/dev/hidraw\d+ may not be opened by this user"
 
-    def test_it_is_found(self) -> None:
+    def test_the_attached_device_is_listed(self) -> None:
         """`devices` lists it by its node, usable with the rigs of its ids, and no longer once unplugged."""
         with gadget("woodenhaptics"):
             (found,) = self.listed()

@@ -28,7 +28,7 @@ class TestCases(Cases):
     held = r"is used by process {pid} \("
     forbidden = r"/dev/ttyACM\d+ may not be opened by this user"
 
-    def test_it_is_found(self) -> None:
+    def test_the_attached_device_is_listed(self) -> None:
         """`devices` lists it by its port under its driver; the rig has to name it, because any Teensy has its ids.
         Unplugged, it is no longer listed."""
         with gadget("serialboard"):

@@ -117,13 +117,13 @@ def draw_paper(result: dict[str, Any], path: Path) -> None:
     save(drawing, path)
 
 
-def label(drawing: Any, found: Sequence[Any], x: str, y: str, lines: dict[str, Any]) -> None:
+def label(drawing: Any, axes_list: Sequence[Any], x: str, y: str, lines: dict[str, Any]) -> None:
     """Set the axis labels of the drawing, few ticks, and a legend at the top."""
     from matplotlib.ticker import FuncFormatter, LogLocator
 
     drawing.supxlabel(x, fontsize="medium")
     drawing.supylabel(y, fontsize="medium")
-    for axes in found:
+    for axes in axes_list:
         axes.minorticks_off()
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(numticks=5))

@@ -181,7 +181,7 @@ HAZARDS: Final = (
     Hazard(
         "a device that warns", f"the driver, every {device_warnings.PERIOD_S:g} s",
         f"{device_warnings.PERIOD_S:g} s", "as before", "as its message says",
-        ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_told_once",),
+        ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
         "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "by itself",
@@ -216,14 +216,14 @@ HAZARDS: Final = (
         "before the connection ends",
         f"{_LOST}. Nothing follows a TCP reset: the session's force ends with the session",
         _START, (FAILED,),
-        ("tests/drivers/test_haply_ends.py::test_a_zero_comes_before_the_end",
+        ("tests/drivers/test_haply_ends.py::test_the_last_force_before_an_end_is_zero",
          "tests/drivers/test_haply_ends.py::test_a_reset_lets_no_zero_through",
          "tests/drivers/test_haply_ends.py::test_a_service_that_stops_reading_gets_one_more_force"),
     ),
     Hazard(
         "a maker's library that calls too rarely (Touch)", "the time between its frames, `force_age_max_s`",
         "the next frame", "zero, for as long as it lasts", "the ramp", ("fault device_warning",),
-        ("tests/drivers/test_openhaptics.py::test_frames_that_are_too_far_apart_are_told",),
+        ("tests/drivers/test_openhaptics.py::test_late_frames_cause_a_warning",),
     ),
     Hazard(
         "a device that removes its force", "status of the driver", "0 ticks", _STOPPED, _START,
@@ -270,13 +270,13 @@ HAZARDS: Final = (
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
         "send another scene", (),
         ("tests/server/test_replace.py::test_what_cannot_be_built_changes_nothing",
-         "tests/server/test_commands.py::test_a_compiler_that_fails_is_told"),
+         "tests/server/test_commands.py::test_a_failed_compilation_is_reported"),
     ),
     Hazard(
         "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
         "zero, along the slew limit; the run continues", "`ctl reset_world`", ("fault bodies",),
-        ("tests/server/test_world.py::test_bodies_that_fail_are_let_go_and_put_back",
-         "tests/server/test_world.py::test_bodies_that_take_too_long_are_let_go"),
+        ("tests/server/test_world.py::test_failing_bodies_are_released_and_reset",
+         "tests/server/test_world.py::test_bodies_that_exceed_the_tick_are_released"),
     ),
     Hazard(
         "an exception in the servo's thread", "the thread's end", "0 ticks",
@@ -310,7 +310,7 @@ HAZARDS: Final = (
         "a process of commands that hangs", "the daemon: no message of it", "none",
         "as before; `disarm` and `stop`, which clients send again, take effect after its restart",
         f"it is started again after {link.SILENT_MAX_S:g} s", ("fault publisher",),
-        ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_sent_again",),
+        ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_repeated",),
     ),
     Hazard(
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
@@ -339,19 +339,19 @@ HAZARDS: Final = (
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
         "the second ends with the process that uses the device in its message", "end the first", (),
         ("tests/drivers/test_serial_loop.py::test_the_command_line_on_a_port",
-         "tests/drivers/test_haply_loop.py::test_a_second_daemon_and_a_zero_that_nobody_confirms",
-         "tests/server/test_cli.py::test_endpoint_in_use_has_its_own_exit_code"),
+         "tests/drivers/test_haply_loop.py::test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported",
+         "tests/server/test_cli.py::test_an_endpoint_in_use_gives_exit_code_7"),
     ),
     Hazard(
         "memory of the daemon in swap", f"VmSwap, at the start and every {swapping.PERIOD_S:g} s",
         f"{swapping.PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
-        ("tests/server/test_swapping.py::test_memory_in_swap_is_told_once",),
+        ("tests/server/test_swapping.py::test_memory_in_swap_is_reported_once",),
     ),
     Hazard(
         "a reader of ticks that fails", "the thread that hands ticks on", "none", "as before, without that reader",
         _START, ("fault sink",),
-        ("tests/server/test_daemon.py::test_every_sink_takes_every_record_and_one_that_fails_is_left_out",),
+        ("tests/server/test_daemon.py::test_a_failing_sink_is_dropped_and_the_others_get_every_record",),
     ),
     Hazard(
         "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",

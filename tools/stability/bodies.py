@@ -78,7 +78,7 @@ MODEL: Final = """
 
 
 class Cell(NamedTuple):
-    """Case, kg, N/m."""
+    """Case, mass of the body (kg), and stiffness of the material (N/m)."""
 
     case: str
     mass: float

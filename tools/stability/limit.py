@@ -178,19 +178,19 @@ def grows(
     phase. Fast modes decay in the first third. A swing that has decreased to `loop.floor` is over: the remainder is
     rounding, or the limit cycle of the encoder.
     """
-    # Frequency at which the handle swings on the wall, rad per tick, at most an eighth of a turn.
-    own = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
-    ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / own)) // 1.0
+    # Natural frequency of the handle on the wall, rad per tick, at most an eighth of a turn.
+    natural = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
+    ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / natural)) // 1.0
     # v_k T is at most 2 REACH knocks. The damper's force is then below K delta, and f_N between 0 and 2 K delta.
     deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
     knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
     depth = knock * deep
     tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, loop.passivity_damping, depth)
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-    state = PlantState(zero, (0.0, 0.0, knock * own / loop.period), zero, zero, upright, 0.0)
+    state = PlantState(zero, (0.0, 0.0, knock * natural / loop.period), zero, zero, upright, 0.0)
     memory, third = start, ticks / 3.0
     # Sum of a steady swing: half its squared speed, times the integral 1 / 630 of the window squared.
-    over = 0.5 * (loop.floor * knock * own / loop.period) ** 2 * third / 630.0
+    over = 0.5 * (loop.floor * knock * natural / loop.period) ** 2 * third / 630.0
     before, after = 0.0, 0.0
     for i in range(line.shape[0]):
         line[i] = 0.0
@@ -249,7 +249,7 @@ def first_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array)
 
 @entry
 def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Array, out: Array) -> None:
-    """Store `first_limit` of each row of `loops` (n, len(Loop)) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
+    """Store `first_limit` of each row of `loops` (n, 10) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
         loop = TrialParameters(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
@@ -265,14 +265,14 @@ def first_stiffness(case: WallCase) -> float:
 
 
 def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
-    """Return `first_limit` (n, 3) of each row of `loops` (n, len(Loop)) with the plant of leaves `plants` (n, ...)."""
+    """Return `first_limit` (n, 3) of each row of `loops` (n, 10) with the plant of leaves `plants` (n, ...)."""
     out = np.zeros((len(loops), 3))
     first_limits(START, loops, plants, like, np.zeros(DELAY_LINE_SIZE), out)
     return out
 
 
 def loop_of(case: WallCase, first: float, ticks: int = 0) -> TrialParameters:
-    """Return the kernel's row for a case: a search from stiffness `first` (N/m), or one trial (see Loop.ticks)."""
+    """Return the kernel's row for a case: a search from stiffness `first` (N/m), or one trial (see `ticks`)."""
     over = LIMIT_CYCLE if case.resolution_m > 0.0 else MIN_SWING
     return TrialParameters(
         case.wall_damping_ns_per_m, case.velocity_time_constant_s, case.passivity_damping_ns_per_m, case.period_s,

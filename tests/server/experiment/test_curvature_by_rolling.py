@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.numerics.rotations import exp
 from softfinger.server.experiment.checks import load
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.hands import interpolate_path
-from softfinger.server.experiment.masses import load_changed_scene
+from softfinger.server.experiment.parameters import load_changed_scene
 from softfinger.server.experiment.schema import SINGLE_FINGER
 
 pytestmark = pytest.mark.plain

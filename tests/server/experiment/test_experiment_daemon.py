@@ -187,7 +187,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
         ({"rig": "falcon"}, {}, "no Falcon .* is attached"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_run_is_refused_before_anything_is_written(
+def test_an_unusable_experiment_is_refused_before_writing(
     changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     """Errors raise before a folder is created, so the command can be repeated."""

@@ -35,7 +35,7 @@ def test_a_staircase_converges_to_the_level_of_two_right_in_a_row() -> None:
     assert np.exp(np.mean(np.log(tried[1000:]))) == pytest.approx(wanted, rel=0.02)
 
 
-def test_a_staircase_goes_by_its_rule() -> None:
+def test_a_staircase_follows_its_rule() -> None:
     """Two right answers step down, one wrong answer steps up; steps are larger until it has turned twice."""
     stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
     seen = []

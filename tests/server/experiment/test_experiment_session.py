@@ -60,7 +60,7 @@ def test_a_rehearsal_reports_each_trial() -> None:
 @pytest.mark.parametrize(
     "name", [name for name in list_shipped() if name != "stiffness-and-workload"]
 )  # tested elsewhere
-def test_each_shipped_experiment_goes_from_design_to_figure(name: str, tmp_path: Path) -> None:
+def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path: Path) -> None:
     """The simulated observer answers every trial; the folder then has figures, numbers and a tidy table."""
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
     assert cli.main(["figure", str(tmp_path / "out")]) == 0
@@ -108,9 +108,7 @@ def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
     assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL).returncode == 0
 
 
-def test_a_session_that_is_killed_loses_no_trial_and_repeats_none(
-    tmp_path: Path, cases: Callable[[int, int], int]
-) -> None:
+def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """The answers and their order are those of an uninterrupted session."""
     killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
     rows = results(tmp_path / "killed")
@@ -134,7 +132,7 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
     assert [row["answer"] for row in again] == [row["answer"] for row in rows]
 
 
-def test_a_finished_session_is_not_run_again(tmp_path: Path) -> None:
+def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
     """The command returns the same rows and does not change the journal."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)

@@ -84,7 +84,7 @@ def test_a_folder_of_an_older_version_can_be_resumed(tmp_path: Path) -> None:
     assert len(experiment.run(tmp_path, 2, OFFLINE)) == len(rows)
 
 
-def test_staircases_share_the_trials_and_go_by_their_own_answers() -> None:
+def test_interleaved_staircases_are_independent() -> None:
     """Each staircase has half of the trials, in rounds of both, and changes only with its own answers."""
     experiment = Experiment(STUDY)
     own = [row for row in experiment.rehearse() if row["condition"] == "4.0"]
@@ -135,7 +135,7 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
         assert set(first.values()) == ({2} if repetitions == 4 else {2, 3})
 
 
-def test_a_study_goes_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two participants give tables, figures, and a single report page in which texts are escaped; the share of the
     drawing that is done is shown for each file and section."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
@@ -176,7 +176,7 @@ def test_a_study_goes_from_consent_to_report(tmp_path: Path, monkeypatch: pytest
         assert text in page
 
 
-def test_a_session_goes_on_within_a_survey(tmp_path: Path) -> None:
+def test_a_session_resumes_within_a_survey(tmp_path: Path) -> None:
     """A journal cut at any entry is completed to the same tables."""
     experiment = Experiment(STUDY, {"procedure.trials": 4})
     experiment.run(tmp_path, 1, OFFLINE)
@@ -234,7 +234,7 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
         ({"screen.image": "none.png"}, "cannot be read: No such file"),
     ],
 )
-def test_what_cannot_be_asked_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
+def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
     """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small() | {key: value for key, value in changes.items() if "." not in key},

@@ -129,7 +129,7 @@ def test_practice_comes_first() -> None:
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )
-def test_what_cannot_be_run_is_refused_before_it_runs(changes: dict[str, Any], said: str) -> None:
+def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
     """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small(), changes)

@@ -79,7 +79,9 @@ def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> 
 
 
 @pytest.mark.parametrize("edited", [False, True])
-def test_nothing_is_left(root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_removal_keeps_foreign_and_edited_files(
+    root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
     """`--remove` deletes files, record and new folders. Foreign files remain; edited files remain with a message."""
     other = root / "etc/udev/rules.d/99-other.rules"
     other.parent.mkdir(parents=True)
@@ -240,7 +242,7 @@ def test_a_users_folders_follow_xdg() -> None:
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
 
-def test_a_user_without_a_home_is_told(
+def test_a_missing_home_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The error needs no home if XDG variables give the folders."""

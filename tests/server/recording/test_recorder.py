@@ -489,7 +489,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
 
 
 def test_record_writes_what_a_daemon_sends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The file of `record` has the ticks, the scene and no loss; ticks equal those of the daemon's own recording."""
+    """The file of `record` has the scene and no loss; its ticks equal the daemon's recording."""
     rig = quiet_rig(tmp_path)
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "own.mcap", "paper-plane")

@@ -1,4 +1,7 @@
-"""Values of the rig as experiment parameters, `rig.guard.KEY`; a running daemon changes them at zero force."""
+"""Parameters of an experiment that are no keys of the scene: `rig.guard.KEY` of the rig, and `mass.BODY`.
+
+A running daemon changes both at zero force. `mass.BODY` is `world.mass_kg` of the scene.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,24 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import fields
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import FaultyConfig
+from softfinger.config.load import FaultyConfig, SceneSource, add_objects_of_world, apply_overrides, load_scene
 from softfinger.config.schema import Guard, Rig, Scene
 
 if TYPE_CHECKING:  # experiment files are read without importing drivers
     from softfinger.drivers.base import DeviceInfo
 
-PREFIX: Final = "rig."
+RIG_PREFIX: Final = "rig."
+MASS_PREFIX: Final = "mass."
 FIXED_KEYS: Final = frozenset({"arm", "workspace"})
 """Keys of the guard that cannot be parameters: the right to arm is not a stimulus, and a workspace is compiled."""
 CHANGEABLE_KEYS: Final = frozenset(
-    f"{PREFIX}guard.{field.name}" for field in fields(Guard) if field.name not in FIXED_KEYS
+    f"{RIG_PREFIX}guard.{field.name}" for field in fields(Guard) if field.name not in FIXED_KEYS
 )
 """Parameters that can change between two touches; the devices remain open."""
 _TABLES: Final = {field.name for field in fields(Rig)} - {field.name for field in fields(Scene)}
 
 
-def split(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_rig(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the values of the rig by dotted key, and the parameters of the scene.
 
     Raises ConfigError if a value of the rig needs a restart of the daemon.
@@ -33,11 +37,11 @@ def split(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[s
         f"{where}: {path}: needs another start of the daemon, so it is not a factor: run a session with --rig for "
         f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
         for path in values
-        if (path.startswith(PREFIX) or path.partition(".")[0] in _TABLES) and path not in CHANGEABLE_KEYS
+        if (path.startswith(RIG_PREFIX) or path.partition(".")[0] in _TABLES) and path not in CHANGEABLE_KEYS
     ]
     if faults:
         raise FaultyConfig(faults)
-    rig_values = {path.removeprefix(PREFIX): value for path, value in values.items() if path in CHANGEABLE_KEYS}
+    rig_values = {path.removeprefix(RIG_PREFIX): value for path, value in values.items() if path in CHANGEABLE_KEYS}
     return rig_values, {path: value for path, value in values.items() if path not in CHANGEABLE_KEYS}
 
 
@@ -50,7 +54,7 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
         value = rig_values.get(f"guard.{key}", limit)
         if value is None or value > limit:
             faults.append(
-                f"{where}: {PREFIX}guard.{key} = {value}: the rig's {limit:g} is the limit of its motors: "
+                f"{where}: {RIG_PREFIX}guard.{key} = {value}: the rig's {limit:g} is the limit of its motors: "
                 f"give at most that"
             )
     if faults:
@@ -65,9 +69,35 @@ def check_device_limits(values: Iterable[tuple[str, Mapping[str, Any]]], devices
     for where, parameters in values:
         for device in devices:
             for key, unit in (("force_max_n", "N"), ("torque_max_nm", "N m")):
-                value, limit = parameters.get(f"{PREFIX}guard.{key}", 0.0), getattr(device, key)
+                value, limit = parameters.get(f"{RIG_PREFIX}guard.{key}", 0.0), getattr(device, key)
                 if value > limit:
                     raise ConfigError(
-                        f"{where}: {PREFIX}guard.{key} = {value:g} {unit}: {device.name} displays {limit:g} {unit}, "
-                        "and more is not let through: give no more than that"
+                        f"{where}: {RIG_PREFIX}guard.{key} = {value:g} {unit}: {device.name} displays "
+                        f"{limit:g} {unit}, and more is not let through: give no more than that"
                     )
+
+
+def split_masses(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str, Any]]:
+    """Return masses (kg) by body, and the parameters of the scene."""
+    masses = {path.removeprefix(MASS_PREFIX): value for path, value in values.items() if path.startswith(MASS_PREFIX)}
+    return masses, {path: value for path, value in values.items() if not path.startswith(MASS_PREFIX)}
+
+
+def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
+    """Return a scene with changed values, including masses.
+
+    Raises ConfigError, with `where`, if the scene lacks a value.
+    """
+    masses, parameters = split_masses(values)
+    scene = load_scene(source)
+    if not masses:
+        return apply_overrides(scene, parameters, where) if parameters else scene
+    if scene.world is None:
+        raise ConfigError(
+            f"{where}: {MASS_PREFIX}{next(iter(masses))}: the scene has no [world], so it has no bodies with a mass"
+        )
+    changed = apply_overrides(scene, {**parameters, "world.mass_kg": scene.world.mass_kg | masses}, where)
+    try:
+        return add_objects_of_world(changed)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
