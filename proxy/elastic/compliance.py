@@ -64,7 +64,9 @@ def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: floa
         weight = (1.0 - squared) ** 2
         total = (weight * area[chosen]).sum()
         if not total > 0.0:
-            raise ValueError(f"patch_radius_m = {radius_m:g}: a patch contains no surface: increase it")
+            raise ValueError(
+                f"patch_radius_m = {radius_m:g}: a patch contains no surface: increase it, or check `scale`"
+            )
         rows.append(chosen)
         weights.append(weight / total)
         owners.append(np.full(len(chosen), number))

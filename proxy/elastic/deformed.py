@@ -102,12 +102,12 @@ class Deformed:
         """
         assert self._thing.elastic is not None
         places = self._body.surface.vertices
-        held = places[region_holds(self._thing.elastic.fixed, places)]
+        fixed = places[region_holds(self._thing.elastic.fixed, places)]
         nodes, shares = np.empty(len(vertices), np.int64), np.empty(len(vertices))
         for index, vertex in enumerate(vertices):
             distances = np.linalg.norm(places[self._body.nodes] - vertex, axis=1)
             nodes[index] = distances.argmin()
-            far, near = np.linalg.norm(held - vertex, axis=1).min(initial=1e9), distances[nodes[index]]
+            far, near = np.linalg.norm(fixed - vertex, axis=1).min(initial=1e9), distances[nodes[index]]
             shares[index] = far / max(far + near, 1e-12)
         return nodes, shares
 

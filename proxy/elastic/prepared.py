@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from tempfile import gettempdir
 from typing import Any, Final
 
 import numpy as np
@@ -64,6 +65,11 @@ def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
+    except OSError as error:  # of the temporary file of `Factors`
+        raise ConfigError(
+            f"object '{thing.name}': elastic: {thing.file}: no temporary file in {gettempdir()}: {error.strerror}: "
+            "make room, or set TMPDIR"
+        ) from error
 
 
 def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body | None:

@@ -34,7 +34,7 @@ class Solid:
         Tetrahedra.
     poisson
         Poisson's ratio, below 0.5.
-    held
+    is_fixed
         Function from positions (n, 3) m to the components (n, 3) that are fixed there, as booleans.
 
     Raises
@@ -43,7 +43,7 @@ class Solid:
         If scikit-fem or SciPy is not installed, or fewer than three nodes are fixed.
     """
 
-    def __init__(self, volume: Volume, poisson: float, held: Callable[[Doubles], NDArray[np.bool_]]) -> None:
+    def __init__(self, volume: Volume, poisson: float, is_fixed: Callable[[Doubles], NDArray[np.bool_]]) -> None:
         try:
             import skfem
             from skfem.models.elasticity import lame_parameters, linear_elasticity
@@ -60,7 +60,7 @@ class Solid:
         component = np.empty(self.basis.N, np.int64)
         for of in (self.basis.nodal_dofs, self.basis.edge_dofs):
             component[of] = np.arange(3)[:, None]
-        fixed = held(places)[np.arange(self.basis.N), component]
+        fixed = is_fixed(places)[np.arange(self.basis.N), component]
         if (fixed & (component == 0)).sum() < LEAST_FIXED:
             raise ValueError(
                 f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed"

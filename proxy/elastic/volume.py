@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -39,9 +41,11 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     expected = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0 / (resolution_m**3 / 8.5)  # of regular ones
     if not expected <= limits.ELASTIC_TETRAHEDRA.high:
+        size = " x ".join(f"{side:.3g}" for side in np.ptp(vertices, axis=0))
         raise ValueError(
             f"resolution_m = {resolution_m:g}: about {expected:,.0f} tetrahedra, at most "
-            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: increase it"
+            f"{int(limits.ELASTIC_TETRAHEDRA.high):,} can be solved: increase it, or change `scale` if the body is not "
+            f"{size} m"
         )
     try:
         import gmsh
@@ -80,7 +84,7 @@ def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float)
 
 
 def read_volume(file: str, scale: float) -> Volume:
-    """Return the tetrahedra of a .msh or .vtu file, m.
+    """Return the tetrahedra of a .msh or .vtu file, m: of second order, those of the corners.
 
     Raises
     ------
@@ -94,13 +98,16 @@ def read_volume(file: str, scale: float) -> Volume:
     if not Path(file).is_file():
         raise ValueError("no such file")
     try:
-        found = meshio.read(file)
-    except (Exception, SystemExit) as error:  # meshio exits on some damaged files
+        with open(os.devnull, "w") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
+            found = meshio.read(file)
+    except SystemExit as error:  # meshio prints the reason
+        raise ValueError("meshio cannot read it: it is damaged or has another format") from error
+    except Exception as error:
         raise ValueError(f"meshio cannot read it: {error}") from error
-    tetrahedra = found.cells_dict.get("tetra")
-    if tetrahedra is None:
+    tetrahedra = [cells.data[:, :4] for cells in found.cells if cells.type in ("tetra", "tetra10")]
+    if not tetrahedra:
         raise ValueError(f"has no tetrahedra, only {', '.join(found.cells_dict) or 'nothing'}: export the volume mesh")
-    return check_volume(scale * np.asarray(found.points, np.float64), np.asarray(tetrahedra, np.int64))
+    return check_volume(scale * np.asarray(found.points, np.float64), np.concatenate(tetrahedra).astype(np.int64))
 
 
 def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:

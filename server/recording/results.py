@@ -32,7 +32,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import follow_links, new_file, open_input, open_output
 from softfinger.drivers.closing import Closeable
 from softfinger.drivers.poses import LINE_MAX
-from softfinger.proxy.record import FIELDS, RECORD_SIZE, Field, columns
+from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
 from softfinger.server.progress import progress
 from softfinger.server.recording.reader import End, TickBlock, read_contents
 from softfinger.server.recording.writer import RecordingFile
@@ -44,6 +44,8 @@ SUFFIXES: Final = (".csv", ".npz", ".mcap")
 BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
 """Limit of records read: 33 minutes at 1 kHz, 3 GB."""
+NPZ_CHUNK_ROWS: Final = 4096
+"""Rows of an npz sorted by column at a time, which fit into the processor's cache."""
 CSV_CHUNK_ROWS: Final = 500
 """Rows formatted at a time, which fit into the processor's cache; also rows per progress report."""
 MAX_PLAIN_INTEGER: Final = 1e16
@@ -220,61 +222,62 @@ def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
     """Write an array per field, and all fields together as `records`.
 
     Only constant fields are compressed: varying float64 shrink little, and that would take most of the time. Arrays of
-    an archive are stored in sequence, so the blocks are collected in an unnamed temporary file first.
+    an archive are stored in sequence, so the records are collected in an unnamed temporary file first.
     """
     with (
-        TemporaryFile(dir=follow_links(path).parent) as file_of_fields,
+        TemporaryFile(dir=follow_links(path).parent) as file_of_columns,
         ZipFile(file, "w", ZIP_STORED, compresslevel=1) as archive,
     ):
-        stored = _Fields(file_of_fields, len(fingers))
+        columns = _Columns(file_of_columns, len(fingers))
         for block in blocks:
-            stored.append(block)
+            columns.append(block)
         for index, finger in enumerate(fingers):
-            _add_array(archive, _prefix(finger) + "records", (stored.count, RECORD_SIZE), stored.rows(index))
-            for f in FIELDS:
-                shape = (stored.count, f.size)[: 2 if f.size > 1 else 1]
-                _add_array(archive, _prefix(finger) + f.name, shape, stored.field(index, f), stored.varies(index, f))
+            for name, at, size in (("records", 0, RECORD_SIZE), *((f.name, f.at, f.size) for f in FIELDS)):
+                shape = (columns.count, size)[: 2 if size > 1 else 1]
+                part = slice(index * RECORD_SIZE + at, index * RECORD_SIZE + at + size)
+                varies = bool(columns.varying[part].any())
+                _add_array(archive, _prefix(finger) + name, shape, columns.read(part), varies or name == "records")
 
 
-class _Fields:
-    """Blocks of records in a file, stored by column: the fields of each finger in sequence."""
+class _Columns:
+    """Records in an empty file, in blocks of NPZ_CHUNK_ROWS, of each only the columns that vary so far.
+
+    count    number of records
+    varying  (fingers * RECORD_SIZE,) true for columns with different values, bit for bit
+    """
 
     def __init__(self, file: IO[bytes], fingers: int) -> None:
-        self._file, self._fingers = file, fingers
-        self._lengths: list[int] = []
-        self._first: Array | None = None
-        self._varying = np.zeros((fingers, RECORD_SIZE), bool)
-
-    @property
-    def count(self) -> int:
-        return sum(self._lengths)
+        self._file, self._end = file, 0
+        self._blocks: list[tuple[int, int, NDArray[np.int64]]] = []
+        """Offset, number of rows and stored columns of each block."""
+        self._first: Array = np.zeros(fingers * RECORD_SIZE)
+        self.count = 0
+        self.varying: NDArray[np.bool_] = np.zeros(fingers * RECORD_SIZE, bool)
 
     def append(self, block: Array) -> None:
         """Append a block (m, fingers, RECORD_SIZE)."""
-        if self._first is None and len(block):
-            self._first = block[0].copy()
-        self._varying |= (block != self._first).any(axis=0)
-        self._lengths.append(len(block))
-        for index in range(self._fingers):
-            for f in FIELDS:
-                self._file.write(np.ascontiguousarray(block[:, index, f.at : f.at + f.size]).data)
+        rows = block.reshape(len(block), -1)
+        if not self.count and len(rows):
+            self._first = rows[0].copy()
+        for start in range(0, len(rows), NPZ_CHUNK_ROWS):
+            columns = np.ascontiguousarray(rows[start : start + NPZ_CHUNK_ROWS].T)
+            self.varying |= (columns.view(np.int64) != self._first.view(np.int64)[:, None]).any(axis=1)
+            stored = self.varying.nonzero()[0]
+            self._blocks.append((self._end, columns.shape[1], stored))
+            self._file.write(columns[stored].data)
+            self._end += 8 * columns.shape[1] * len(stored)
+            self.count += columns.shape[1]
+        self._file.flush()
 
-    def varies(self, index: int, f: Field) -> bool:
-        """Return whether a field of a finger has different values in the records so far."""
-        return bool(self._varying[index, f.at : f.at + f.size].any())
-
-    def field(self, index: int, f: Field) -> Iterator[Array]:
-        """Yield for each block the columns (m, size) of a field of a finger."""
-        at, row = 0, 8 * RECORD_SIZE
-        for length in self._lengths:
-            self._file.seek(at + length * (index * row + 8 * f.at))
-            yield np.frombuffer(self._file.read(8 * length * f.size)).reshape(length, f.size)
-            at += length * self._fingers * row
-
-    def rows(self, index: int) -> Iterator[Array]:
-        """Yield for each block the records (m, RECORD_SIZE) of a finger."""
-        for parts in zip(*(self.field(index, f) for f in FIELDS), strict=True):
-            yield np.concatenate(parts, axis=1)
+    def read(self, part: slice) -> Iterator[Array]:
+        """Yield these columns of each block, (m, size)."""
+        for offset, length, stored in self._blocks:
+            first, last = np.searchsorted(stored, (part.start, part.stop)).tolist()
+            values = np.empty((length, part.stop - part.start))
+            values[:] = self._first[part]
+            data = os.pread(self._file.fileno(), 8 * length * (last - first), offset + 8 * length * first)
+            values[:, stored[first:last] - part.start] = np.frombuffer(data).reshape(last - first, length).T
+            yield values
 
 
 def _add_array(

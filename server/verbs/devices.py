@@ -120,7 +120,7 @@ def lines(devices: list[ListedDevice]) -> list[str]:
                 f"    it says: {', '.join(f'{name} {_format_value(value)}' for name, value in identification.items())}"
             )
         if diagnosis.remedy:
-            text.append(f"    mend it: {diagnosis.remedy}")
+            text.append(f"    remedy: {diagnosis.remedy}")
     if not any(claim for _, claim, *_ in devices):
         where = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
         bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"

@@ -23,6 +23,7 @@ from softfinger.proxy.elastic.compliance import (  # noqa: E402
     surface_gradient,
     vertex_normals,
 )
+from softfinger.proxy.elastic.factors import Factors  # noqa: E402
 from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
@@ -290,6 +291,46 @@ def test_inverted_missing_and_too_many_tetrahedra_are_refused(tmp_path: Path) ->
         read_volume(str(tmp_path / "flat.vtu"), 1.0)
     meshio.Mesh(corners, [("tetra", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
     assert read_volume(str(tmp_path / "one.vtu"), 0.1).vertices == pytest.approx(0.1 * corners)
+
+
+def test_tetrahedra_of_second_order_are_read_by_their_corners(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    middle = [0.5 * (corners[a] + corners[b]) for a, b in ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))]
+    cells = [("triangle", [[0, 2, 1]]), ("tetra10", [list(range(10))])]
+    meshio.Mesh(np.concatenate([corners, middle]), cells).write(tmp_path / "ten.vtu")
+    found = read_volume(str(tmp_path / "ten.vtu"), 1.0)
+    assert found.vertices == pytest.approx(corners) and found.tetrahedra.tolist() == [[0, 1, 2, 3]]
+
+
+@pytest.mark.parametrize("ending", [".msh", ".vtu"])
+def test_a_file_that_is_no_mesh_is_refused_without_other_output(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str
+) -> None:
+    """As git-lfs leaves it in a clone; meshio prints its own message and exits."""
+    pytest.importorskip("meshio")
+    file = tmp_path / f"pointer{ending}"
+    file.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4cc3\nsize 5570\n")
+    with pytest.raises(ValueError, match="meshio cannot read it: it is damaged or has another format"):
+        read_volume(str(file), 1.0)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_file_in_millimetres_is_refused_with_its_size(tmp_path: Path) -> None:
+    thing = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
+    with pytest.raises(ConfigError, match=r"tetrahedra, at most.* change `scale` if the body is not 30 x 30 x 12 m"):
+        body_of(thing)
+
+
+def test_a_full_disk_is_named_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(*front: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Factors, "_write", write)
+    with pytest.raises(
+        ConfigError, match=r"no temporary file in .*: No space left on device: make room, or set TMPDIR"
+    ):
+        body_of(pad(tmp_path, poisson=0.41))
 
 
 def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:

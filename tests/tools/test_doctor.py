@@ -231,7 +231,7 @@ def test_the_text_has_a_remedy() -> None:
     """A good check is one line; other checks have the required value and the remedy below."""
     good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
     assert len(lines([good])) == 1
-    assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "mend it: do this"]
+    assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "remedy: do this"]
 
 
 @pytest.mark.parametrize(

@@ -31,5 +31,5 @@ def lines(checks: list[Check]) -> list[str]:
         if check.state != "good":
             text.append(f"  {'':<16}  wanted: {check.wanted}")
             if check.remedy:
-                text.append(f"  {'':<16}  mend it: {check.remedy}")
+                text.append(f"  {'':<16}  remedy: {check.remedy}")
     return text

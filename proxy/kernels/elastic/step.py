@@ -5,13 +5,15 @@
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
 surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times; it
-mostly ends after one correction. Each round steps from the state of the last tick.
+mostly ends after one correction. Each round steps from the state of the last tick. On bodies much softer than the
+finger's spring it may not converge: then the last round repeats the one with the least error, since any other may have
+the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
 
 from collections.abc import Callable
-from math import pi
+from math import inf, pi
 from typing import Any
 
 from softfinger.proxy.kernels.elastic.spots import (
@@ -42,6 +44,8 @@ ROUNDS = 6
 """Largest number of rigid steps of a finger in a tick."""
 SOLVED = 1e-11
 """Error of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
+CLOSE = 1e-6
+"""Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m."""
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
 """Rotation and strain above which the body is no longer linear."""
@@ -160,6 +164,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     gain = share_in_tick(elastic, dt)
     rest, u = vec3.scale(1.0 - gain, last.displacement), extrapolate(last, state.fingers[0], poses[0])
     before = relative_to(body, state.fingers[0], last.displacement)
+    least, best = inf, u
     for left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
         spot = empty_spot()
@@ -168,8 +173,14 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         rows = compute_node_rows(elastic, spot, spot)
         goal = vec3.add_scaled(rest, gain, mat3.times(compliance_of(spot, rows), spot.load))
         error = vec3.sub(goal, u)
-        if left == 0 or vec3.dot(error, error) <= SOLVED**2:
+        square = vec3.dot(error, error)
+        if left == 0 or square <= SOLVED**2:
             break
+        if square < least:
+            least, best = square, u
+        if left == 1 and square > CLOSE**2:
+            u = best
+            continue
         moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
         u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
     slope = ZERO
@@ -219,6 +230,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     x, y = empty_spot(), empty_spot()
+    least, best = inf, (u, v)
     for left in range(ROUNDS - 1, -1, -1):
         one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
         two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
@@ -231,8 +243,14 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         goal_v = vec3.add(mat3.times(mat3.transpose(coupling), x.load), mat3.times(compliance_of(y, rows[2]), y.load))
         error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
         error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
-        if left == 0 or vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v) <= SOLVED**2:
+        square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
+        if left == 0 or square <= SOLVED**2:
             break
+        if square < least:
+            least, best = square, (u, v)
+        if left == 1 and square > CLOSE**2:
+            u, v = best
+            continue
         (a, b, c, d), _ = linearize_both(elastic, x, y, rows, gain)
         change_u, change_v = solve_both(a, b, c, d, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)

@@ -41,8 +41,8 @@ PATCH_HEIGHT_M: Final = 3e-4
 """Height of the drawn contact patch above the surface, and above the shadow and the traces."""
 LABEL_OFFSET_CM: Final = np.array([0.0, 0.0, 0.3])
 """Offset of the force's label from the arrow's tip: above it, whichever way the arrow points."""
-SIDE: Final = np.array([1.0, 0.0, 0.0])
-"""Direction from a contact to the label of its torsion, if the arc is about horizontal: below the arc's right end."""
+SIDE: Final = np.array([1.2, 0.0, 0.0])
+"""Offset of the torsion's label from the contact, in radii of the arc, if the arc is about horizontal: right of it."""
 MIN_ARC_SLOPE: Final = 0.5
 """Minimum sine of the arc's tilt at which the label is below its lowest point."""
 MIN_ARC_RAD: Final = radians(8.0)
