@@ -18,17 +18,14 @@ FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 PICTURE, REPORT = FIGURES / "experiment-page.png", FIGURES / "experiment-report.png"
 REPORT_SIZE = {"width": 1000, "height": 1900}
 PARTICIPANTS = range(1, 7)
-SIZE = {"width": 620, "height": 300}
-PANEL = 500
-"""Of that, pixels on the right: the page's panel; left of it there is nothing."""
+SIZE = {"width": 600, "height": 300}
 GAP = 8
 COLOURS = 32
 """Text and lines need no more, and the file is small."""
 
 
 def seen(run: Session) -> Image.Image:
-    whole = Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
-    return whole.crop((whole.width - PANEL, 0, whole.width, whole.height))
+    return Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
 
 
 def draw_report() -> None:

@@ -3,7 +3,7 @@
 // Scripts run in hidden frames of the page and communicate only through the elements of the page.
 const page = parent;
 const write = Object.getOwnPropertyDescriptor(page.HTMLInputElement.prototype, "value").set;
-let told = 0;
+let reports = 0;
 
 function field(name) {
   const label = [...page.document.querySelectorAll("label")].find((each) => each.textContent.trim() === name);
@@ -13,8 +13,8 @@ function field(name) {
 }
 
 // The counter makes each value new: several browsers share the field, and an unchanged value is not sent.
-function tell(found, words) {
-  told += 1;
-  write.call(found.input, [page.Date.now() + told, ...words].join(" "));
+function send(found, words) {
+  reports += 1;
+  write.call(found.input, [page.Date.now() + reports, ...words].join(" "));
   found.input.dispatchEvent(new page.Event("input", { bubbles: true }));
 }

@@ -13,44 +13,44 @@ const KEYS = {
 };
 const CLOSED = 6; // index of the wheel's total
 const totals = [0, 0, 0, 0, 0, 0, 0];
-const held = new Map(); // key: time of its press
+const pressedKeys = new Map(); // key: time of its press
 const session = page.Math.random().toString(36).slice(2);
 let changed = false;
 let pressed = 0; // buttons of the mouse, as a bit mask
 let last = page.performance.now();
 
 const two = () => page.document.querySelector("[data-two-hands]") !== null;
-const writes = (target) => target.closest?.("input, textarea, select, [contenteditable=true]");
+const takesText = (target) => target.closest?.("input, textarea, select, [contenteditable=true]");
 
-function lead(place, way) {
-  totals[place] += way;
+function move(index, distance) {
+  totals[index] += distance;
   changed = true;
 }
 
-function mine(event) {
+function consume(event) {
   event.preventDefault();
   event.stopImmediatePropagation();
 }
 
 page.addEventListener("keydown", (event) => {
   const key = KEYS[event.code];
-  if (!key || !two() || writes(event.target) || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey) return;
-  mine(event);
-  if (held.has(event.code)) return;
-  held.set(event.code, page.performance.now());
-  lead(key[0], STEP_MM * key[1]);
+  if (!key || !two() || takesText(event.target) || event.shiftKey || event.ctrlKey || event.altKey || event.metaKey) return;
+  consume(event);
+  if (pressedKeys.has(event.code)) return;
+  pressedKeys.set(event.code, page.performance.now());
+  move(key[0], STEP_MM * key[1]);
   look();
 }, true);
-page.addEventListener("keyup", (event) => held.delete(event.code), true);
-page.addEventListener("blur", () => held.clear());
+page.addEventListener("keyup", (event) => pressedKeys.delete(event.code), true);
+page.addEventListener("blur", () => pressedKeys.clear());
 for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) {
   page.addEventListener(kind, (event) => { pressed = event.buttons; }, true);
 }
 page.addEventListener("wheel", (event) => {
   const dragged = (event.buttons | pressed) & 1 || event.altKey; // some browsers omit the buttons in wheel events
   if (!dragged || !two() || event.target.tagName !== "CANVAS") return;
-  mine(event);
-  lead(CLOSED, (STEP_MM * event.deltaY * (event.deltaMode ? NOTCH / 3 : 1)) / NOTCH);
+  consume(event);
+  move(CLOSED, (STEP_MM * event.deltaY * (event.deltaMode ? NOTCH / 3 : 1)) / NOTCH);
 }, { capture: true, passive: false });
 
 function look() {
@@ -59,15 +59,15 @@ function look() {
   found.row.style.display = "none";
   if (!changed) return;
   changed = false;
-  tell(found, [session, ...totals.map((total) => total.toFixed(2))]);
+  send(found, [session, ...totals.map((total) => total.toFixed(2))]);
 }
 
 setInterval(() => {
   const now = page.performance.now();
-  for (const [code, since] of held) {
-    const [place, way] = KEYS[code];
-    const begun = page.Math.max(last, since + HELD_MS);
-    if (now > begun) lead(place, (way * MM_PER_S * (now - begun)) / 1000);
+  for (const [code, since] of pressedKeys) {
+    const [index, sign] = KEYS[code];
+    const start = page.Math.max(last, since + HELD_MS);
+    if (now > start) move(index, (sign * MM_PER_S * (now - start)) / 1000);
   }
   last = now;
   look();

@@ -1,4 +1,4 @@
-// Masking noise: plays while a prompt asks for it by `data-masking-noise`, once the participant has clicked or pressed a
+// Masking noise: plays while a prompt requests it by `data-masking-noise`, once the participant has clicked or pressed a
 // key, which browsers demand. Made here, so that no file is loaded.
 const NOISE_S = 10;
 const NOISE_EVERY_MS = 50;
@@ -35,9 +35,9 @@ function play(kind) {
 
 function follow() {
   if (!audio) return;
-  const asked = page.document.querySelector("[data-masking-noise]");
-  if (asked) play(asked.dataset.maskingNoise);
-  const volume = asked ? Number(asked.dataset.volume) : 0;
+  const request = page.document.querySelector("[data-masking-noise]");
+  if (request) play(request.dataset.maskingNoise);
+  const volume = request ? Number(request.dataset.volume) : 0;
   audio.gain.gain.setTargetAtTime(volume, audio.context.currentTime, NOISE_FADE_S);
   page.document.body.dataset.noise = `${audio.context.state} ${volume}`;
 }

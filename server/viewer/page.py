@@ -58,7 +58,7 @@ happens to draw the panel before it applies the theme."""
 PROMPT_WIDTH: Final = 640
 """Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
-[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); }
+[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); max-width: 100vw; }
 [style*="right: 0px"][style*="box-shadow"] { display: none; }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }

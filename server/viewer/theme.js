@@ -21,7 +21,7 @@ function look() {
   button.setAttribute("aria-checked", now);
   if (now === shown) return;
   shown = now;
-  tell(found, [now ? "dark" : "light"]);
+  send(found, [now ? "dark" : "light"]);
 }
 
 page.document.addEventListener("click", (event) => {

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Elastic, Mesh, Scene
 from softfinger.config.sources import FOLDERS
@@ -142,6 +143,29 @@ def test_a_body_without_a_fixed_region_is_refused_before_it_is_solved(
     assert main(["check", str(tmp_path / "pad.toml")]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2 and "elastic.fixed: has no region" in lines[1], lines
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"object": [{"shape": "plane", "name": "table", "material": {"stiffness_n_per_m": 500.0}}]}, "only object"),
+        ({"finger": [{"name": name, "radius_m": 0.01} for name in "abc"]}, "one or two fingers, and there are 3"),
+        ({"effect": [{"kind": "viscosity", "damping_ns_per_m": 1.0}]}, "cannot be combined with [[effect]]"),
+        ({"motion": {"kind": "driven"}}, "motion: cannot be combined with [object.elastic]"),
+    ],
+)
+def test_an_elastic_object_next_to_what_it_excludes_is_refused(more: dict[str, Any], words: str) -> None:
+    scene = describe(load_scene("press-a-pad"))
+    if "finger" in more:
+        scene.pop("fingertip")
+    for key, value in more.items():
+        if key == "motion":
+            scene["object"][0][key] = value
+        else:
+            scene[key] = [*scene.get(key, []), *value]
+    with pytest.raises(ConfigError) as refused:
+        load_scene(scene)
+    assert words in str(refused.value)
 
 
 def test_a_cantilever_is_as_stiff_as_a_beam_in_series_with_the_finger() -> None:
