@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, Ring, take
 
 
@@ -52,7 +51,7 @@ class Rings:
 
     def wait(self) -> None:
         """Sleep until a record is available or the last ring is complete."""
-        wait_for(self.wake_fd)
+        wait_for_eventfd(self.wake_fd)
 
     def take(self, out: NDArray[np.float64]) -> int:
         """Move the oldest records into `out` (n, width), a row per tick; returns the number of rows."""
@@ -79,3 +78,16 @@ class Rings:
     def _next(self) -> None:
         self._dropped += int(self._rings[0].drops[0])
         del self._rings[0]
+
+
+def wait_for_eventfd(fd: int) -> None:
+    """Sleep until the counter of an eventfd is above zero, and reset it.
+
+    Retries after EINTR: the kernel may deliver a signal to any thread, and Python does not retry this call.
+    """
+    while True:
+        try:
+            os.eventfd_read(fd)
+        except InterruptedError:
+            continue
+        return

@@ -22,8 +22,8 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
-from softfinger.server.loop.shared.eventfd import wait_for
 from softfinger.server.loop.shared.ring import Feed, make_ring, take
+from softfinger.server.loop.shared.rings import wait_for_eventfd
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
 from softfinger.server.wire.native.system import reset_eventfd, signal_eventfd, wait_eventfd
@@ -146,7 +146,7 @@ class Tap:
 
     def wait(self) -> None:
         """Sleep until there may be records, or until the end."""
-        wait_for(self._bell_fd)
+        wait_for_eventfd(self._bell_fd)
 
     def wake(self) -> None:
         """Wake a thread in `wait`, from any thread, as long as the relay exists."""
