@@ -17,6 +17,7 @@ from helpers.waits import repeated
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.proxy.bodies import body_maps
 from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
@@ -28,7 +29,6 @@ from softfinger.server.publishing.readers import SUBSCRIPTION_MAX
 from softfinger.server.publishing.setup import REQUEST_MAX
 from softfinger.server.services.commands import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import event_fields
-from softfinger.server.services.world import body_maps
 from softfinger.server.wire import commands, envelope
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
