@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
@@ -230,9 +231,17 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
 
 
 def motion_size(scene: kernels.Scene) -> int:
-    """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.publish_motion`."""
+    """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.write_motion`."""
     moving = 0 if scene.bodies is None else len(scene.bodies.block.owner.moving)
     return 1 + at.MOTION_SIZE * moving
+
+
+def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Return the bodies of a message, from the array that `query.bodies.write_motion` writes."""
+    return [
+        {"name": name, "position": row[:3], "orientation": row[3:7], "velocity": row[7:10], "rate": row[10:13]}
+        for name, row in zip(names, values[1:].reshape(-1, at.MOTION_SIZE).tolist(), strict=True)
+    ]
 
 
 def begin_bodies(scene: kernels.Scene, period_s: float) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, overload
 import numba
 import numpy as np
 from numba import types
+from numpy import ndarray
 from numpy.typing import ArrayLike, NDArray
 
 from softfinger.config.errors import ConfigError, HapticError
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 DT_MIN_S: Final = 1e-9
 DT_MAX_S: Final = 1e3
 """Range of time steps, far beyond that of any servo; within it no division by the step overflows."""
+NEAR_M2: Final = POSITION_MAX_M * POSITION_MAX_M
+"""Squared distance from the origin below which no coordinate is out of range."""
 
 
 class PoseError(HapticError):
@@ -211,7 +214,7 @@ class Engine:
 
     def _make_buffers(self) -> None:
         """Allocate the arguments of the kernel, and the arrays with its results."""
-        self._has_several = len(self.fingers) > 1
+        self._has_several, self._has_bodies = len(self.fingers) > 1, self.scene.bodies is not None
         self._values = flatten(self.scene)
         self._advance: Callable[..., None] | None = None
         self._poses, self._records = (np.zeros((1, 1, size)) for size in (7, RECORD_SIZE))
@@ -372,24 +375,24 @@ class Engine:
             raise self._several()
         try:
             # Numbers are written in a third of the time that assignments to arrays take.
-            centre: Any = position.tolist() if isinstance(position, np.ndarray) else position
-            turned: Any = orientation.tolist() if isinstance(orientation, np.ndarray) else orientation
+            centre: Any = position.tolist() if isinstance(position, ndarray) else position
+            turned: Any = orientation.tolist() if isinstance(orientation, ndarray) else orientation
             x, y, z = centre
             a, b, c, d = turned
             self._write_pose(x, y, z, a, b, c, d)
+            # Skip the check, 20 us, of a usable pose.
+            is_usable = x * x + y * y + z * z < NEAR_M2 and 0.5 < a * a + b * b + c * c + d * d < 2.0
         except (TypeError, ValueError, OverflowError, struct.error):
             raise PoseError(
                 f"position {position!r} and orientation {orientation!r}: must be 3 numbers (m) and 4 (w, x, y, z)"
             ) from None
-        far = POSITION_MAX_M
-        near = -far < x < far and -far < y < far and -far < z < far
-        if not (near and 0.5 < a * a + b * b + c * c + d * d < 2.0):  # skip the check, 20 us, of a usable pose
+        if not is_usable:
             check_poses(self._poses[0])
         advance = self._advance or self._compile()
         dt = self.dt if dt is None else self._check_dt(dt)
         advance(None, self._values, None, self._state, self._poses, dt, self._tick, self._records)
         self._tick += 1
-        if self.scene.bodies is not None:
+        if self._has_bodies:
             self._check_bodies()
         return Step(self._record.copy())
 

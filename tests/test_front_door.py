@@ -277,6 +277,7 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
         (0.0, UPRIGHT, "must be 3 numbers"),
         (PRESSED, [UPRIGHT], "and 4"),
         (PRESSED, "wxyz", "and 4"),
+        (PRESSED, (10**200, 0.0, 0.0, 0.0), "and 4"),
         ((0.0, np.nan, 0.0), UPRIGHT, "must be finite"),
         ((0.0, 0.0, 2e6), UPRIGHT, "at most 1e\\+06 m"),
         (PRESSED, (0.0, 0.0, 0.0, 0.0), "its norm must be"),

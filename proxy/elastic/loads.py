@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import sqrt
 from typing import Final, NamedTuple
 
@@ -16,6 +16,10 @@ from softfinger.proxy.record import AT, FREE, PATCHES
 
 Doubles = NDArray[np.float64]
 
+CHANGE_N: Final = 1e-4
+"""Smallest change of a force that is published: below 1 um on the softest shipped object."""
+CHANGE_M: Final = 1e-6
+"""Smallest change of a point that is published."""
 _WIDTH: Final = AT.contacts1_object - AT.contacts0_object
 """Columns of a contact in a record."""
 
@@ -49,6 +53,19 @@ def contact_loads(thing: schema.Mesh, rows: Mapping[str, Doubles]) -> list[Conta
         turned = _into(thing, force), _into(thing, point)
         loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, thing.elastic.radius_m))
     return loads
+
+
+def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bool:
+    """Return whether the loads differ by more than CHANGE_N or CHANGE_M, or are of other fingers or patches."""
+    if [(load.finger, load.object, load.patch_radius) for load in before] != [
+        (load.finger, load.object, load.patch_radius) for load in now
+    ]:
+        return True
+    return any(
+        np.abs(np.subtract(old.force, new.force)).max() > CHANGE_N
+        or np.abs(np.subtract(old.point, new.point)).max() > CHANGE_M
+        for old, new in zip(before, now, strict=True)
+    )
 
 
 def _force(row: Doubles, has_friction: bool) -> Doubles:

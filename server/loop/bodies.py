@@ -3,18 +3,18 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.seqlock import Slot
+from softfinger.proxy.kernels.jit.seqlock import Slot, store
 from softfinger.proxy.kernels.model import Bodies
-from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, publish_motion, step_bodies
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, step_bodies, write_motion
 from softfinger.server.loop.clock import now_ns
 
 
 @by_type
 def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
-    """Call `step_bodies`, `check_budget` and `publish_motion`; on a fault, the last published motion remains.
+    """Call `step_bodies` and `check_budget`, and publish the motion; on a fault, the last published motion remains.
 
     start_ns  start of the step
-    scratch   array of `publish_motion`
+    scratch   array of `write_motion`
     """
 
 
@@ -27,4 +27,5 @@ def move_nothing(bodies: None, tick: int, start_ns: int, motion: Slot, scratch: 
 def move_all_bodies(bodies: Bodies, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
     if step_bodies(bodies) == NO_FAULT:
         check_budget(bodies, now_ns(timespec) - start_ns)
-        publish_motion(bodies, tick, motion, scratch)
+        write_motion(bodies, tick, scratch)
+        store(motion, scratch)

@@ -28,6 +28,7 @@ from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, tick
+from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -225,11 +226,17 @@ class ClosedLoop:
         return advance
 
 
-def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int) -> Iterator[Array]:
+def run_closed_loop(
+    tuning: Tuning,
+    devices: Sequence[Simulation],
+    rate_hz: float,
+    ticks: int,
+    messages: SceneMessages = NO_MESSAGES,
+) -> Iterator[Array]:
     """Simulate a scene with a simulated device for each finger as the daemon does, and yield the records.
 
     Yields blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt; the fields of
-    servo timing and device are 0.
+    servo timing and device are 0. `messages` receives the messages of the scene's topics.
     """
     dt = period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
@@ -240,7 +247,8 @@ def run_closed_loop(tuning: Tuning, devices: Sequence[Simulation], rate_hz: floa
     with progress("simulating", ticks) as done:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
-            loop.run(hands, dt, first, records)
+            for first_tick, part in messages.split(tuning.scene, first, records):
+                loop.run(hands, dt, first_tick, records[part])
             yield records
             done(first + len(records))
 

@@ -29,6 +29,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, progress
 
 Array = NDArray[np.float64]
@@ -80,11 +81,15 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     return records[:, 0] if poses.ndim < 3 else records
 
 
-def simulate_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Array]:
+def simulate_poses(
+    tuning: Tuning, poses: Array, rate_hz: float, messages: SceneMessages = NO_MESSAGES
+) -> Iterator[Array]:
     """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE).
 
     A block has at most CHUNK ticks. A caller that processes each block at once needs the memory of one for a run of any
     length.
+
+    messages  receives the messages of the scene's topics; those of a block are complete when it is yielded
     """
     for index in range(poses.shape[1]):
         check_poses(poses[:, index])
@@ -97,8 +102,9 @@ def simulate_poses(tuning: Tuning, poses: Array, rate_hz: float) -> Iterator[Arr
             block = np.ascontiguousarray(poses[first : first + CHUNK])
             records = np.zeros((*block.shape[:2], RECORD_SIZE))
             records[:, :, AT.timestamp] = np.arange(first, first + len(block))[:, None] * dt
-            tick_many(scene_and_guard, memory, block, dts, dt, first, records)
-            check_bodies(tuning.scene)
+            for first_tick, part in messages.split(tuning.scene, first, records):
+                tick_many(scene_and_guard, memory, block[part], dts, dt, first_tick, records[part])
+                check_bodies(tuning.scene)
             yield records
             done(first + len(block))
 
@@ -226,7 +232,9 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     return np.stack([poses[:count] for poses in each], axis=1)
 
 
-def simulate_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> Iterator[Array]:
+def simulate_devices(
+    scene: schema.Scene, rig: schema.Rig, seconds: float, messages: SceneMessages = NO_MESSAGES
+) -> Iterator[Array]:
     """Simulate a scene with the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
 
     Raises ConfigError if a device is not simulated, or if a finger has no device.
@@ -240,7 +248,8 @@ def simulate_devices(scene: schema.Scene, rig: schema.Rig, seconds: float) -> It
         ticks = max(1, round(seconds * rate))
         lengths = [int(each.simulation.intention.length) for each in devices if not each.simulation.intention.loop]
         tuning = make_tuning(scene, rig.guard, [each.info for each in devices], [each.device.tool for each in pairs])
-        yield from run_closed_loop(tuning, [each.simulation for each in devices], rate, min([ticks, *lengths]))
+        simulations = [each.simulation for each in devices]
+        yield from run_closed_loop(tuning, simulations, rate, min([ticks, *lengths]), messages)
 
 
 def _open_simulated(paired: FingerDevice, rate_hz: float) -> Any:

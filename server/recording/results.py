@@ -15,12 +15,14 @@ import math
 import os
 import time
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import groupby, repeat
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, Final
+from typing import IO, Any, Final, NamedTuple
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import msgspec
@@ -57,6 +59,17 @@ _MINUS_ZERO: Final = msgspec.Raw(b"-0")
 log: Final = logging.getLogger(__name__)
 
 
+class RunContext(NamedTuple):
+    """Contents of a simulated run that only MCAP stores, in addition to the records.
+
+    about     tables of metadata (`RecordingFile`); if its scene has a [world], the topics for viewers are written too
+    messages  topics and messages of the blocks so far, maps as on the wire; the writer removes them
+    """
+
+    about: Mapping[str, Any]
+    messages: deque[tuple[str, dict[str, Any]]]
+
+
 def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
     """Write records in the format of the file ending: .csv, .npz or .mcap.
 
@@ -82,13 +95,17 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
     write_blocks(path, list(fingers), _blocks(list(fingers.values()), Path(path).suffix[1:]))
 
 
-def write_blocks(path: str | Path, fingers: Sequence[str], blocks: Iterable[Array]) -> None:
+def write_blocks(
+    path: str | Path, fingers: Sequence[str], blocks: Iterable[Array], context: RunContext | None = None
+) -> None:
     """Write records given as blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
 
     Otherwise as `write_results`. An exception of `blocks` is propagated and no file is written.
     """
     target = Path(path)
-    writer = {".csv": _write_csv, ".npz": _write_npz, ".mcap": _write_mcap}.get(target.suffix.lower())
+    write_mcap = partial(_write_mcap, context=context or RunContext({}, deque()))
+    writers: dict[str, Callable[..., None]] = {".csv": _write_csv, ".npz": _write_npz, ".mcap": write_mcap}
+    writer = writers.get(target.suffix.lower())
     if writer is None:
         raise RecordingError(_unknown_suffix(target))
     try:
@@ -305,11 +322,15 @@ def _read_npz(path: Path, finger: str) -> Array:
     return records
 
 
-def _write_mcap(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    with McapResults(path, file, fingers) as recording:
+def _write_mcap(
+    path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array], context: RunContext
+) -> None:
+    with McapResults(path, file, fingers, context.about) as recording:
         for block in blocks:
             for index, finger in enumerate(fingers):
                 recording.append(block[:, index], finger)
+            while context.messages:
+                recording.message(*context.messages.popleft())
 
 
 def _read_mcap(path: Path, finger: str) -> Array:
@@ -338,16 +359,29 @@ class McapResults(Closeable):
     be written (a full disk).
     """
 
-    def __init__(self, path: str | Path, file: IO[bytes] | None = None, fingers: Sequence[str] = ("",)) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        file: IO[bytes] | None = None,
+        fingers: Sequence[str] = ("",),
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
         """Open the file; `file` replaces the path as the target, and is closed at the end."""
         self._path = Path(path)
+        tables = about or {}
+        has_world = tables.get("scene", {}).get("world") is not None
         with self._translate_errors():
-            self._recording = RecordingFile(file or open_output(path, 0), fingers, with_pictures=False)
+            self._recording = RecordingFile(file or open_output(path, 0), fingers, tables, with_pictures=has_world)
 
     def append(self, records: Array, finger: str = "") -> None:
         """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""
         with self._translate_errors():
             self._recording.ticks(np.atleast_2d(records), finger)
+
+    def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Add a message of a topic of the scene, a map as on the wire."""
+        with self._translate_errors():
+            self._recording.message(topic, message)
 
     def close(self) -> None:
         """Write the remaining records and the index. May be called repeatedly."""

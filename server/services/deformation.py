@@ -17,11 +17,6 @@ from softfinger.server.wire.protocol import DEFORMATION, PICTURE_HZ
 if TYPE_CHECKING:  # only for scenes with an elastic object
     from softfinger.proxy.elastic.loads import ContactLoad
 
-CHANGE_N: Final = 1e-4
-"""Smallest change of a force that is published: below 1 um on the softest shipped object."""
-CHANGE_M: Final = 1e-6
-"""Smallest change of a point that is published."""
-
 
 class Deformation:
     """Derives the loads from the records of the servo.
@@ -44,6 +39,8 @@ class Deformation:
         elastic_object, now = self._rendering.scene.elastic_object, float(rows[0, AT.timestamp])
         if (elastic_object is None and not self._loads) or self._due_s - 1.0 / PICTURE_HZ <= now < self._due_s:
             return
+        from softfinger.proxy.elastic.loads import has_changed
+
         loads = self._loads_on(elastic_object, rows)
         if has_changed(self._loads, loads):
             self._loads, self._due_s = loads, now + 1.0 / PICTURE_HZ
@@ -56,16 +53,3 @@ class Deformation:
         from softfinger.proxy.elastic.loads import contact_loads
 
         return contact_loads(elastic_object, dict(zip(self._fingers, rows, strict=True)))
-
-
-def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bool:
-    """Return whether the loads differ by more than CHANGE_N or CHANGE_M, or are of other fingers or patches."""
-    if [(load.finger, load.object, load.patch_radius) for load in before] != [
-        (load.finger, load.object, load.patch_radius) for load in now
-    ]:
-        return True
-    return any(
-        np.abs(np.subtract(old.force, new.force)).max() > CHANGE_N
-        or np.abs(np.subtract(old.point, new.point)).max() > CHANGE_M
-        for old, new in zip(before, now, strict=True)
-    )

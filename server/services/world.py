@@ -8,12 +8,10 @@ from typing import Any, Final
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from softfinger.proxy.bodies import motion_size
+from softfinger.proxy.bodies import body_maps, motion_size
 from softfinger.proxy.kernels.jit.seqlock import Slot, read
 from softfinger.proxy.kernels.model import Scene
-from softfinger.proxy.kernels.query.bodies import MOTION_SIZE
 from softfinger.server.loop.servo_thread import Servo
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.protocol import PICTURE_HZ, WORLD
@@ -80,11 +78,3 @@ class WorldState(Worker):
     def handle_failure(self, error: Exception) -> None:
         """Publish an event; the page stops moving, but rendering continues."""
         self._event("fault", "world", message=str(error))
-
-
-def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
-    """Return the bodies of a message, from the array that `query.bodies.publish_motion` writes."""
-    return [
-        {"name": name, "position": row[:3], "orientation": row[3:7], "velocity": row[7:10], "rate": row[10:13]}
-        for name, row in zip(names, values[1:].reshape(-1, MOTION_SIZE).tolist(), strict=True)
-    ]

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
 from softfinger.server.arguments import check_distinct, default_rig, files_by_finger
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.run_figure import COLUMNS, draw_run
+from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.progress import name_warmup
-from softfinger.server.recording.results import write_blocks
+from softfinger.server.recording.results import RunContext, write_blocks
 
 Array = NDArray[np.float64]
 
@@ -37,16 +38,18 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig(rig_name, rig_changes, sources)
     fingers = [finger.name for finger in scene.fingers]
     rate = rig.servo.rate_hz
+    messages = SceneMessages(scene, rate) if args.out.suffix.lower() == ".mcap" else NO_MESSAGES
     if args.device is None:
         files = files_by_finger(args.poses, "--poses")
         check_distinct("--out", args.out, files.values())
         poses = load_finger_poses(fingers, files, rate)
-        blocks = simulate_poses(make_tuning(scene, rig.guard), poses, rate)
+        blocks = simulate_poses(make_tuning(scene, rig.guard), poses, rate, messages)
     else:
-        blocks = simulate_devices(scene, rig, DURATION_S if args.duration is None else args.duration)
+        blocks = simulate_devices(scene, rig, DURATION_S if args.duration is None else args.duration, messages)
     summaries = [Summary(args.plot is not None) for _ in fingers]
+    about = {"scene": describe(scene), "scene_name": str(args.scene), "rig": describe(rig), "rate_hz": rate}
     with name_warmup(args.scene):
-        write_blocks(args.out, fingers, add_summaries(blocks, summaries))
+        write_blocks(args.out, fingers, add_summaries(blocks, summaries), RunContext(about, messages.pending))
     for name, summary in zip(fingers, summaries, strict=True):
         single = len(fingers) == 1
         if args.plot is not None:

@@ -17,13 +17,13 @@ from helpers.waits import repeated
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.proxy.bodies import body_maps
 from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import event_fields
-from softfinger.server.services.world import body_maps
 from softfinger.server.socket_process.clients import BURST, BURST_S, WAITING_MAX
 from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.socket_process.process import QUIET_S

@@ -9,12 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.simulated_hands import DT, SimulatedHands
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from softfinger.config.load import describe, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.sources import FOLDERS, list_shipped
 from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
+from softfinger.server.offline.scene_messages import SceneMessages
+from softfinger.server.viewer.driven import RecordedBodies
+from softfinger.server.viewer.playback import load
 
 pytestmark = pytest.mark.plain
 PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="would compile a minute for each scene; `make test` plays them")
@@ -181,3 +188,49 @@ def test_scenes_played_by_hands_are_replayed_exactly(
     assert cli.main(["replay", file, *scene, "--tolerance", "0", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["equal"] and told["compared"] == round(seconds / DT)
+    assert cli.main(["replay", file, "--tolerance", "0", "--json"]) == 0  # the file has scene and rig
+    assert json.loads(capsys.readouterr().out) == told
+
+
+@PLAIN_ONLY
+def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
+    """An MCAP library finds them at 60 Hz, equal to MuJoCo's; Foxglove's frames and the page show them as well."""
+    file, name = tmp_path / "run.mcap", "turn-a-knob"
+    assert (
+        cli.main(["simulate", "--scene", name, "--device", "simulated", "--duration", "1.5", "--out", str(file)]) == 0
+    )
+    with file.open("rb") as opened:
+        decoded = make_reader(opened, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        messages = [(channel.topic, message.log_time, each) for _, channel, message, each in decoded]
+    worlds = [(time_ns, each) for topic, time_ns, each in messages if topic == "world"]
+    ticks = [each.tick for _, each in worlds]
+    assert ticks[:3] == [0, 17, 34] and set(np.diff(ticks[:-1])) == {16, 17} and ticks[-1] == 1499
+    hands = SimulatedHands(name)
+    for time_ns, each in worlds[::10]:
+        (body,) = each.bodies
+        hands.until((each.tick + 1) * DT)
+        assert time_ns == round(each.tick * DT * 1e9)
+        assert body.name == "knob" and list(body.orientation) == hands.data.xquat[1].tolist()
+        assert body.rate[2] == pytest.approx(hands.data.qvel[0], abs=1e-12)
+    frames = [each.rotation for topic, _, each in messages if topic == "tf" and each.child_frame_id == "body/knob"]
+    assert [turn.z for turn in frames] == [each.bodies[0].orientation[3] for _, each in worlds]
+    assert frames[0].z == 0.0 and abs(frames[-1].z) > 0.01
+    recording = load(str(file), None)
+    assert recording.scene == load_scene(name) and recording.name == name
+    assert RecordedBodies(recording.worlds).at(1499)["knob"][1] == tuple(worlds[-1][1].bodies[0].orientation)
+
+
+def test_messages_of_an_elastic_object_follow_its_loads() -> None:
+    """A touch from tick 40 to 69 gives a message at the next picture, and one without loads after its end."""
+    scene, tuning = load_scene("press-a-pad"), load_scene("paper-plane")
+    records = np.zeros((200, 1, RECORD_SIZE))
+    records[:, 0, AT.tick] = np.arange(200)
+    records[40:70, 0, AT.contact_mode] = 1.0
+    records[40:70, 0, AT.contacts0_force + 2] = 0.5
+    messages = SceneMessages(scene, 1000.0)
+    parts = [(first, part.stop - part.start) for first, part in messages.split(build_scene(tuning), 0, records)]
+    assert sum(count for _, count in parts) == 200 and parts[:3] == [(0, 1), (1, 17), (18, 17)]
+    assert [(topic, each["tick"], len(each["loads"])) for topic, each in messages.pending] == [
+        ("deformation", 50, 1),
+        ("deformation", 84, 0),
+    ]

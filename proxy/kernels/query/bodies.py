@@ -14,7 +14,6 @@ from typing import Any, Final
 from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
 from softfinger.proxy.kernels.jit.rescue import call_rescued
-from softfinger.proxy.kernels.jit.seqlock import Slot, store
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -134,14 +133,14 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
 
 
 @jit
-def publish_motion(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
-    """Publish the motion of the bodies that can move: the number of the tick, then MOTION_SIZE values for each body.
+def write_motion(bodies: Bodies, tick: int, motion: Any) -> None:
+    """Write the motion of the bodies that can move: the number of the tick, then MOTION_SIZE values for each body.
 
-    scratch  (1 + MOTION_SIZE * n,)  work array, n the number of bodies that can move
+    motion  (1 + MOTION_SIZE * n,)  written, n the number of bodies that can move
     """
     block = bodies.block
     twist, centers, roots = float64_at(block[VELOCITY]), float64_at(block[TREE_CENTER]), int32_at(block[TREE_ROOT])
-    scratch[0] = tick
+    motion[0] = tick
     for i in range(block[MOVING]):
         body, at = bodies.moving[i], 1 + MOTION_SIZE * i
         x, q = pose_of_body(block, float(body))
@@ -150,12 +149,11 @@ def publish_motion(bodies: Bodies, tick: int, slot: Slot, scratch: Any) -> None:
         arm = vec3.sub(x, (centers[root], centers[root + 1], centers[root + 2]))
         velocity = vec3.add((twist[v + 3], twist[v + 4], twist[v + 5]), vec3.cross(rate, arm))
         for k in range(4):
-            scratch[at + 3 + k] = q[k]
+            motion[at + 3 + k] = q[k]
         for k in range(3):
-            scratch[at + k] = x[k]
-            scratch[at + 7 + k] = velocity[k]
-            scratch[at + 10 + k] = rate[k]
-    store(slot, scratch)
+            motion[at + k] = x[k]
+            motion[at + 7 + k] = velocity[k]
+            motion[at + 10 + k] = rate[k]
 
 
 @jit
