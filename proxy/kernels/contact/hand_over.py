@@ -11,6 +11,7 @@ from typing import Any
 from softfinger.proxy.kernels.contact.rest.active_set import loads_of
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -74,32 +75,39 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 
 
 @jit
-def merge_contact(objects: Any, receiver: ContactState, giver: ContactState, weight: float) -> Any:
+def winding_stiffness(objects: Any, contact: ContactState) -> float:
+    """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
+    return torsional_stiffness(material_of(objects, contact.body).torsion)
+
+
+@jit
+def merge_contact(receiver: ContactState, stiffness: float, giver: ContactState, of_giver: float, weight: float) -> Any:
     """Add the deflection and wind-up of `giver`, times `weight`, to a contact.
+
+    stiffness, of_giver  stiffnesses of the two torsional springs
 
     Vectors are projected onto the tangent plane of the receiver, and the spin onto its normal. On a stiffer torsional
     spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
     """
     if weight == 0.0:
         return receiver
-    ratio = torsional_stiffness(material_of(objects, giver.body).torsion)
-    ratio = min(ratio / torsional_stiffness(material_of(objects, receiver.body).torsion), 1.0)
     cosine = vec3.dot(giver.normal, receiver.normal)
     deflection = vec3.add_scaled(receiver.deflection, weight, vec3.reject(giver.deflection, receiver.normal))
     rolled_part = vec3.add_scaled(receiver.rolled_part, weight, vec3.reject(giver.rolled_part, receiver.normal))
     bend = vec3.add_scaled(receiver.bend, weight, vec3.reject(giver.bend, receiver.normal))
-    spin = receiver.spin + weight * ratio * cosine * giver.spin
+    spin = receiver.spin + weight * min(of_giver / stiffness, 1.0) * cosine * giver.spin
     return replace(receiver, "deflection", deflection, "rolled_part", rolled_part, "spin", spin, "bend", bend)
 
 
 @jit
 def contact_after_hand_over(
-    objects: Any, contacts: Contacts, losses: Vec3, constraint: Constraint, share: float
+    objects: Any, contacts: Contacts, losses: Vec3, stiffnesses: Vec3, constraint: Constraint, share: float
 ) -> ContactState:
     """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
     contacts    of the last tick, moved with their objects
     losses      of these contacts, see `load_share_lost`
+    stiffnesses of their torsional springs
     share       current load share of the constraint
     """
     body, normal, push = constraint
@@ -135,12 +143,13 @@ def contact_after_hand_over(
         spin_slip_angle=source.spin_slip_angle,
         bend=vec3.scale(remainder, previous.bend),
     )
-    contact = merge_contact(objects, contact, contacts[0], gain * losses[0])
-    contact = merge_contact(objects, contact, contacts[1], gain * losses[1])
-    return merge_contact(objects, contact, contacts[2], gain * losses[2])
+    stiffness = winding_stiffness(objects, contact)
+    contact = merge_contact(contact, stiffness, contacts[0], stiffnesses[0], gain * losses[0])
+    contact = merge_contact(contact, stiffness, contacts[1], stiffnesses[1], gain * losses[1])
+    return merge_contact(contact, stiffness, contacts[2], stiffnesses[2], gain * losses[2])
 
 
-@jit
+@outlined
 def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
     """Return the contacts of this tick, one per constraint of the proxy, before they are moved."""
     shares = load_shares(objects, active)
@@ -149,8 +158,10 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         load_share_lost(active, shares, contacts[1]),
         load_share_lost(active, shares, contacts[2]),
     )
+    one, two, three = contacts
+    stiffnesses = winding_stiffness(objects, one), winding_stiffness(objects, two), winding_stiffness(objects, three)
     return (
-        contact_after_hand_over(objects, contacts, losses, active[0], shares[0]),
-        contact_after_hand_over(objects, contacts, losses, active[1], shares[1]),
-        contact_after_hand_over(objects, contacts, losses, active[2], shares[2]),
+        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[0], shares[0]),
+        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[1], shares[1]),
+        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[2], shares[2]),
     )

@@ -18,10 +18,8 @@ import numpy as np
 from llvmlite import ir
 from numba import from_dtype, types
 from numba.core import cgutils
-from numba.extending import NativeValue, intrinsic, models, overload, register_model, typeof_impl, unbox
+from numba.extending import NativeValue, lower_builtin, models, register_model, type_callable, typeof_impl, unbox
 from numpy.typing import ArrayLike, NDArray
-
-from softfinger.proxy.kernels.jit.decorators import INLINED
 
 KINDS: Final = ("float64", "float32", "int64", "int32")
 
@@ -66,10 +64,10 @@ class ReadOnly:
 
 
 class ReadOnlyType(types.Type):  # type: ignore[misc]
-    """numba type of `ReadOnly`: an address, with the type of the numbers stored there."""
+    """numba type of `ReadOnly`: an address, with the type of the items stored there."""
 
     def __init__(self, dtype: types.Type) -> None:
-        self.dtype = dtype
+        self.item = dtype
         super().__init__(name=f"ReadOnly({dtype})")
 
 
@@ -121,7 +119,7 @@ class MutableType(ReadOnlyType):
     instance_class = Mutable
 
     def __init__(self, dtype: types.Type) -> None:
-        self.dtype = dtype
+        self.item = dtype
         types.Type.__init__(self, name=f"Mutable({dtype})")
 
 
@@ -133,34 +131,38 @@ def _typeof_mutable(value: Mutable, context: Any) -> MutableType:
 register_address(MutableType)
 
 
-@intrinsic
-def _write_at(typing_context, values, index, value):  # type: ignore[no-untyped-def]
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(values.dtype)))
-        builder.store(args[2], builder.gep(first, [args[1]]))
-        return context.get_dummy_value()
-
-    return types.void(values, types.int64, values.dtype), generate
+# `overload` would compile a function for each type of array, and call it for each item.
 
 
-@overload(operator.setitem, jit_options=INLINED)
-def _setitem(values, index, value):  # type: ignore[no-untyped-def]
-    if type(values) is MutableType and isinstance(index, types.Integer):
-        return lambda values, index, value: _write_at(values, index, value)
-    return None
+@type_callable(operator.getitem)
+def _type_of_item(context: Any) -> Any:
+    def typer(values: Any, index: Any) -> Any:
+        return values.item if isinstance(values, ReadOnlyType) and isinstance(index, types.Integer) else None
+
+    return typer
 
 
-@intrinsic
-def _number_at(typing_context, values, index):  # type: ignore[no-untyped-def]
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(values.dtype)))
-        return builder.load(builder.gep(first, [args[1]]))
+@type_callable(operator.setitem)
+def _type_of_write(context: Any) -> Any:
+    def typer(values: Any, index: Any, value: Any) -> Any:
+        return types.void if type(values) is MutableType and isinstance(index, types.Integer) else None
 
-    return values.dtype(values, types.int64), generate
+    return typer
 
 
-@overload(operator.getitem, jit_options=INLINED)
-def _getitem(values, index):  # type: ignore[no-untyped-def]
-    if type(values) in (ReadOnlyType, MutableType) and isinstance(index, types.Integer):
-        return lambda values, index: _number_at(values, index)
-    return None
+def _pointer(context: Any, builder: Any, kinds: Any, args: Any) -> Any:
+    """Return the pointer to an item, from the types and values of the array and the index."""
+    first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(kinds[0].item)))
+    return builder.gep(first, [context.cast(builder, args[1], kinds[1], types.int64)])
+
+
+@lower_builtin(operator.getitem, ReadOnlyType, types.Integer)
+def _read(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    return builder.load(_pointer(context, builder, signature.args, args))
+
+
+@lower_builtin(operator.setitem, MutableType, types.Integer, types.Any)
+def _write(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    values, _, kind = signature.args
+    builder.store(context.cast(builder, args[2], kind, values.item), _pointer(context, builder, signature.args, args))
+    return context.get_dummy_value()

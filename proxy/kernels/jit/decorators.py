@@ -33,6 +33,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     Inlined,
     KernelCache,
     LockEvents,
+    UnitCompiler,
 )
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
@@ -125,7 +126,7 @@ def entry(function: Kernel) -> Kernel:
     """Compile a kernel that is called from Python, and cache the result on disk."""
     if PLAIN:
         return function
-    compiled: Any = numba.njit(**OPTIONS)(function)
+    compiled: Any = numba.njit(pipeline_class=UnitCompiler, **OPTIONS)(function)
     compiled._cache = KernelCache(function, KEPT)
     return cast(Kernel, compiled)
 

@@ -6,19 +6,16 @@ Each tree of a tuple is compiled separately. Rows are compiled once, for one tre
 It is not part of the type, so kernels receive it separately. Memory and lifetime are as in `arrays`.
 """
 
-import operator
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload, typeof_impl
+from numba.extending import typeof_impl
 
 from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType, register_address
-from softfinger.proxy.kernels.jit.decorators import INLINED
 from softfinger.proxy.kernels.jit.pack import flatten
 
 
@@ -68,7 +65,7 @@ class RowsType(ReadOnlyType):
     instance_class = Rows
 
     def __init__(self, like: types.Type) -> None:
-        self.like = like
+        self.item = self.like = like
         types.Type.__init__(self, name=f"Rows({like})")
 
 
@@ -78,19 +75,3 @@ def _typeof(value: Rows, context: Any) -> RowsType:
 
 
 register_address(RowsType)
-
-
-@intrinsic
-def _tree_at(typing_context, rows, index):  # type: ignore[no-untyped-def]
-    def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        first = builder.inttoptr(args[0], ir.PointerType(context.get_value_type(rows.like)))
-        return builder.load(builder.gep(first, [args[1]]), align=8)
-
-    return rows.like(rows, types.int64), generate
-
-
-@overload(operator.getitem, jit_options=INLINED)
-def _getitem(rows, index):  # type: ignore[no-untyped-def]
-    if isinstance(rows, RowsType) and isinstance(index, types.Integer):
-        return lambda rows, index: _tree_at(rows, index)
-    return None

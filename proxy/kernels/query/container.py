@@ -32,7 +32,8 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.any_shape import plane_of
 from softfinger.proxy.kernels.shapes.composite import element_of_shape
 
-ENTRIES: Final = 1 << 16
+ENTRY_BITS: Final = 16
+ENTRIES: Final = 1 << ENTRY_BITS
 """Largest number of objects. The triangle's index is in the upper bits of an index, which a float64 holds exactly."""
 MEMORY: Final = 16
 """Numbers in the World's memory for one object: its poses of this tick and the last, and the time of the write."""
@@ -106,7 +107,7 @@ def row_of(index: float) -> int:
 @jit
 def facet_of(index: float) -> float:
     """Return the index of the triangle of one of many objects."""
-    return float(max(int(index), 0) // ENTRIES)
+    return float(max(int(index), 0) >> ENTRY_BITS)
 
 
 @by_type

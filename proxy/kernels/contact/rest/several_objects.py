@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.jit.outlined import outlined, outlined_where
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
@@ -314,7 +314,7 @@ def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec
     return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
 
 
-@jit
+@outlined
 def project_until_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:

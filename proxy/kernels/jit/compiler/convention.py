@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
 from typing import Any
 
 from llvmlite import ir as llvm_ir
+from llvmlite.ir.instructions import Ret
 from numba import types
 from numba.core import cgutils, ir
 from numba.core.callconv import RETCODE_OK, CPUCallConv
@@ -96,12 +98,11 @@ def _make_call(described: Any, library: Any) -> Any:
         convention, result = InlinedConvention(context), described.restype
         function = declare(context, builder.module, described)
         result_slot = cgutils.alloca_once(builder, function.args[0].type.pointee)
-        failure = cgutils.alloca_once(builder, function.args[1].type.pointee)
         packed = convention._get_arg_packer(described.argtypes).as_arguments(builder, arguments)
-        code = builder.call(function, [result_slot, failure, *packed])
-        with cgutils.if_unlikely(builder, builder.icmp_signed("!=", code, RETCODE_OK)):
-            builder.store(builder.load(failure), builder.function.args[1])
-            builder.ret(code)
+        code = builder.call(function, [result_slot, builder.function.args[1], *packed])
+        if described.fails:
+            with cgutils.if_unlikely(builder, builder.icmp_signed("!=", code, RETCODE_OK)):
+                builder.ret(code)
         value = builder.load(result_slot)
         return value if _is_whole(result) else context.get_returned_value(builder, result, value)
 
@@ -115,8 +116,32 @@ def insert_inlined(context: Any, entry_point: Any, described: Any, library: Any)
     context._defns[entry_point].append(_make_call(described, library), described.argtypes)
 
 
+class KernelDescriptor(PythonFunctionDescriptor):  # type: ignore[misc]
+    """Descriptor of a kernel; `fails` if it may return an error."""
+
+    __slots__ = ("fails",)
+
+
 class _InlinedLower(Lower):  # type: ignore[misc]
-    """Generator of the LLVM code of a kernel."""
+    """Generator of the LLVM code of a kernel.
+
+    A variable with one assignment is a value. numba stores each variable of several blocks in memory, but after its
+    pass `ReconstructSSA` the only assignment precedes all uses.
+    """
+
+    def _find_singly_assigned_variable(self) -> None:
+        assigned = Counter(each.target.name for block in self.blocks.values() for each in block.find_insts(ir.Assign))
+        self._singly_assigned_vars = {name for name, count in assigned.items() if count == 1}
+        self._blk_local_varmap: dict[str, Any] = {}
+
+    def pre_block(self, block: Any) -> None:
+        self._cur_ir_block = block
+
+    def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
+        if name in self._singly_assigned_vars:
+            self._blk_local_varmap[name] = value
+        else:
+            self.builder.store(value, self.getvar(name))
 
     @property
     def call_conv(self) -> InlinedConvention:
@@ -158,7 +183,7 @@ class InlinedLowering(LoweringPass):  # type: ignore[misc]
         context, library = state.targetctx, state.library
         if isinstance(state.return_type, types.Optional):
             raise NumbaTypeError(f"{state.func_id.func_qualname} returns a value or None: return a flag and a value")
-        described = PythonFunctionDescriptor.from_specialized_function(
+        described = KernelDescriptor.from_specialized_function(
             state.func_ir,
             state.typemap,
             state.return_type,
@@ -171,6 +196,8 @@ class InlinedLowering(LoweringPass):  # type: ignore[misc]
         with context.push_code_library(library):
             lower = _InlinedLower(context, library, described, state.func_ir, metadata=state.metadata)
             lower.lower()
+        returns = (each.terminator for each in lower.function.blocks)
+        described.fails = any(isinstance(each, Ret) and each.return_value is not RETCODE_OK for each in returns)
         entry_point = context.get_executable(library, described, lower.env)
         insert_inlined(context, entry_point, described, library)
         state["cr"] = _LowerResult(described, lower.call_helper, cfunc=entry_point, env=lower.env)

@@ -16,15 +16,20 @@ get_call_template        Its arguments are not literals. Without: it is compiled
 CPUDispatcher, types.Dispatcher
                          Such a kernel has a dispatcher when a caller is compiled, and is compiled again when called
                          from Python. Without: numba jumps to address 0.
-_optimize_functions, _optimize_final_module, _codegen
-                         Such a kernel is optimised lightly. Without: a scene compiles for 1.14 times as long.
-finalize, _linking_libraries, _final_module
+add_llvm_module, _optimize_functions, _optimize_final_module, _codegen
+                         Such a kernel is optimised lightly, and machine code once. Without: a scene compiles for 1.14
+                         times as long.
+finalize, _linking_libraries, _final_module, _get_module_for_linking
                          A small kernel that calls large ones is not optimised at all. Without: `lift-a-box` compiles
                          for 1.2 times as long, and takes 1.7 times the disk space.
 NativeLowering, register_pass, LoweringPass, _LowerResult, Lower, CPUCallConv, ArgPacker, PythonFunctionDescriptor,
 get_or_insert_function, get_executable, _defns, StarArgTuple, StarArgUniTuple (all in `convention.py`)
                          A tuple is one argument of such a kernel. Without: LLVM gets three times as much code, and a
                          scene compiles for 1.1 times as long.
+_find_singly_assigned_variable, _singly_assigned_vars, _blk_local_varmap, _cur_ir_block, pre_block, storevar,
+IRLegalization, RETCODE_OK (all but one in `convention.py`)
+                         Variables are values, never deleted, and kernels that cannot fail are not checked. Without:
+                         a scene compiles for 1.2 times as long.
 PassManager, _runPass, _analysis
                          Such a kernel is compiled without timers and checks of each pass. Without: 6 % more calls.
 resolve_function_type, typingctx
@@ -65,7 +70,7 @@ from numba import types
 from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, compile_result
+from numba.core.compiler import Compiler, CompilerBase, CompileResult, DefaultPassBuilder, compile_result
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
 from numba.core.errors import TypingError
@@ -74,7 +79,7 @@ from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.core.typed_passes import AnnotateTypes, InlineOverloads, NativeLowering, NopythonRewrites
+from numba.core.typed_passes import AnnotateTypes, InlineOverloads, IRLegalization, NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables
 from numba.extending import models, register_model, typeof_impl
 
@@ -203,6 +208,28 @@ LARGE_SHARE: Final = 10
 """A kernel is not optimised if the code of its callees has more bytes than this, and more times as many as its own."""
 
 
+class UnitCode(JITCodeLibrary):  # type: ignore[misc]
+    """Machine code of a kernel that Python or C calls, and of those that are compiled into it."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        """Once: numba optimises twice, because of reference counts."""
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+
+class UnitCompiler(Compiler):  # type: ignore[misc]
+    """Compiler of a kernel with machine code."""
+
+    def define_pipelines(self) -> list[Any]:
+        self.state.library = UnitCode(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
+        pipelines: list[Any] = super().define_pipelines()
+        return pipelines
+
+
 class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
     """Code of a kernel that is compiled into its callers: optimised LLVM code, without unused machine code."""
 
@@ -210,13 +237,14 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
 
     def finalize(self) -> None:
         own = len(self._final_module.as_bitcode())
-        callees = sum(each.size for each in set(self._linking_libraries) if isinstance(each, InlinedCode))
+        callees = sum(len(each.bitcode) for each in set(self._linking_libraries) if isinstance(each, InlinedCode))
         self._is_optimised = callees < max(LARGE_CALLEES, LARGE_SHARE * own)
         super().finalize()
 
-    def _optimize_functions(self, ll_module: Any) -> None:
-        """Nothing but the layout of data: `_optimize_final_module` does it."""
+    def add_llvm_module(self, ll_module: Any) -> None:
+        """Store the code of the kernel: its passes are those of `_optimize_final_module`."""
         ll_module.data_layout = self._codegen._data_layout
+        self._final_module = ll_module
 
     def _optimize_final_module(self) -> None:
         """Once, and lightly: its callers are optimised again, with what is inlined. Twice takes 1.14 times as long.
@@ -227,20 +255,27 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
             passes, builder = self._codegen._module_pass_manager(opt=1, loop_vectorize=False, slp_vectorize=False)
             passes.run(self._final_module, builder)
 
+    def _get_module_for_linking(self) -> Any:
+        return self._final_module
+
     def _finalize_final_module(self) -> None:
+        for each in self._final_module.functions:
+            if not each.is_declaration:
+                each.linkage = "linkonce_odr"  # removed when it is compiled into all callers
         self._finalize_dynamic_globals()
         self._finalized = True
 
     @functools.cached_property
-    def size(self) -> int:
-        """Bytes of the code with its callees."""
-        return len(self._get_module_for_linking().as_bitcode())
+    def bitcode(self) -> bytes:
+        """Code with that of the callees."""
+        code: bytes = self._final_module.as_bitcode()
+        return code
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0
 
     def serialize_using_object_code(self) -> tuple[str, str, bytes]:
-        return self.name, self.FORM, self._get_module_for_linking().as_bitcode()
+        return self.name, self.FORM, self.bitcode
 
     @classmethod
     def rebuild(cls, context: Any, code: Any, described: Any, environment: Any, signature: Any, *rest: Any) -> Any:
@@ -269,9 +304,9 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         """Do nothing: only functions called from Python use an environment, and numba would write to address 0."""
 
 
-IDLE: Final = (InlineInlinables, InlineOverloads, NopythonRewrites, AnnotateTypes)
-"""Passes without effect in a kernel: functions that numba inlines in its own form of code, array expressions, and an
-annotated listing, which would be cached, too."""
+IDLE: Final = (InlineInlinables, InlineOverloads, NopythonRewrites, AnnotateTypes, IRLegalization)
+"""Passes without effect in a kernel: functions that numba inlines in its own form of code, array expressions, an
+annotated listing, which would be cached, too, and the deletion of variables, which have no reference counts."""
 
 
 class UncheckedPasses(PassManager):  # type: ignore[misc]
@@ -478,7 +513,7 @@ class CFunction(CFunc):
 
     def __init__(self, function: Callable[..., Any], signature: Any, cache: Any = None, **options: Any) -> None:
         given = {"error_model": "numpy"} | options
-        super().__init__(function, (signature.args, signature.return_type), {}, given)
+        super().__init__(function, (signature.args, signature.return_type), {}, given, pipeline_class=UnitCompiler)
         self._cache = NullCache() if cache is None else cache
 
     @property
