@@ -50,7 +50,8 @@ def test_closed_loop_through_the_daemon() -> None:
     board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
     scene = load_scene("paper-plane")
     with Cable(board) as cable:
-        records = records_of_daemon(rig(cable), scene, 2500)
+        patient = rig(cable, **{"device.timeout_s": 2.0, "guard.force_slew_n_per_s": 20_000.0})
+        records = records_of_daemon(patient, scene, 5000)
         reached = np.array(board.sent)[:, :3] * 1e-3
     assert board.faults == []
     compared = assert_engine_agrees(records, scene, 1000.0)
