@@ -310,5 +310,5 @@ class SocketProcess:
         if figures.lost != self._logged.lost:
             log.warning("telemetry: subscribers were too slow %d times so far and lost messages", figures.lost)
         if figures.refused != self._logged.refused:
-            log.warning("%d connections of peers refused so far", figures.refused)
+            log.warning("connections refused so far: %d", figures.refused)
         self._logged, self._logged_s = figures, now_s

@@ -349,7 +349,7 @@ HAZARDS: Final = (
         ("tests/server/test_swapping.py::test_memory_in_swap_is_reported_once",),
     ),
     Hazard(
-        "a reader of ticks that fails", "the thread that hands ticks on", "none", "as before, without that reader",
+        "a reader of ticks that fails", "the relay thread", "none", "as before, without that reader",
         _START, ("fault sink",),
         ("tests/server/test_daemon.py::test_a_failing_sink_is_dropped_and_the_others_get_every_record",),
     ),

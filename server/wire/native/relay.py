@@ -204,7 +204,7 @@ class Relay:
             (serve, (self._state, self._idle_feed, 0, 0, self._file)),
             (wake_readers_from_python, (self._state.readers,)),
         ]
-        with report_compilation("kernels that hand ticks on"):
+        with report_compilation("kernels of the relay"):
             for kernel, arguments in kernels:
                 kernel.compile(_types(*arguments))
 
