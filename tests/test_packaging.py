@@ -33,7 +33,7 @@ KERNEL_OWN_IMPORTS = ("softfinger.proxy.kernels", "softfinger.proxy.record")
 # At import, or inside numba's typing; never in a tick.
 KERNEL_STANDARD_LIBRARY = {
     "decorators.py": {"gc", "hashlib", "os", "pathlib", "sys"},
-    "convention.py": {"hashlib", "re"},
+    "convention.py": {"collections", "hashlib", "re"},
     "memory.py": {"ctypes"},
     "foreign.py": {"ctypes"},
     "rescue.py": {"ctypes"},
