@@ -11,7 +11,6 @@ from typing import Any
 from softfinger.proxy.kernels.contact.rest.active_set import loads_of
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -149,7 +148,7 @@ def contact_after_hand_over(
     return merge_contact(contact, stiffness, contacts[2], stiffnesses[2], gain * losses[2])
 
 
-@outlined
+@jit
 def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
     """Return the contacts of this tick, one per constraint of the proxy, before they are moved."""
     shares = load_shares(objects, active)
