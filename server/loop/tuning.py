@@ -26,9 +26,9 @@ log: Final = logging.getLogger(__name__)
 DAMPING_MAX_NS_PER_M: Final = 20.0
 """Default of the passivity controller's largest damping: at 1 kHz it is stable for devices down to 20 g."""
 
-KERNELS: Final = {"": 250, "heightmap": 120, "mesh": 200, "several": 100, "world": 100}
+KERNELS: Final = {"": 240, "heightmap": 70, "mesh": 200, "several": 90, "world": 80}
 """Estimated kernels that the loop of a scene compiles with an empty cache, and those that parts of a scene add: rounded
-up for `paper-plane` (239), `heightmap` (316), `bend-a-strip` (434), `ball-in-a-bowl` (417) and `lift-a-box` (422)."""
+up for `paper-plane` (229), `heightmap` (299), `bend-a-strip` (432), `ball-in-a-bowl` (393) and `lift-a-box` (396)."""
 
 FORCE_DOF: Final = 3
 """Degrees of freedom of a device that displays only forces."""
