@@ -37,7 +37,8 @@ if TYPE_CHECKING:
         Unfit,
     )
     from softfinger.config.load import load_scene
-    from softfinger.proxy.engine import Engine, PoseError
+    from softfinger.proxy.engine import Engine
+    from softfinger.proxy.pose_checks import PoseError
     from softfinger.proxy.record import ContactMode
     from softfinger.proxy.records import NoField
     from softfinger.server.experiment.experiment import Experiment
@@ -88,7 +89,7 @@ _HOMES = {
     "NoAnswer": "softfinger.server.wire.client_requests",
     "NoField": "softfinger.proxy.records",
     "NoTelemetry": "softfinger.server.wire.client",
-    "PoseError": "softfinger.proxy.engine",
+    "PoseError": "softfinger.proxy.pose_checks",
     "ProtocolError": "softfinger.server.wire.protocol",
     "load_scene": "softfinger.config.load",
     "run_recording": "softfinger.server.offline.simulate",

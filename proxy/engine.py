@@ -6,9 +6,9 @@ The modules that read and build a scene are imported with the first scene: that 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
 import numba
 import numpy as np
@@ -16,7 +16,7 @@ from numba import types
 from numpy import ndarray
 from numpy.typing import ArrayLike, NDArray
 
-from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import rows_of
@@ -24,15 +24,15 @@ from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.kernels.record_writer import poses_in, write_contacts, write_surfaces
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.record import CAUSE_NAMES, NAMED, POSITION_MAX_M, RECORD_SIZE, ContactMode
+from softfinger.proxy.pose_checks import PoseError, check_poses, poses_together
+from softfinger.proxy.record import POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.records import Records
+from softfinger.proxy.step_result import Step
 
 if TYPE_CHECKING:
     from softfinger.config import schema
     from softfinger.config.load import SceneSource
     from softfinger.proxy.bodies import RigidBodies
-
-T = TypeVar("T")
 
 Array = NDArray[np.float64]
 
@@ -41,85 +41,6 @@ DT_MAX_S: Final = 1e3
 """Range of time steps, far beyond that of any servo; within it no division by the step overflows."""
 NEAR_M2: Final = POSITION_MAX_M * POSITION_MAX_M
 """Squared distance from the origin below which no coordinate is out of range."""
-
-
-class PoseError(HapticError):
-    """Pose or time step that is not possible for a probe."""
-
-
-class Part(Generic[T]):
-    """Descriptor of a record field as an attribute of Step, converted on access: most fields are never read."""
-
-    def __init__(self, read: Callable[[Any], T], name: str) -> None:
-        self.field: Final = NAMED[name]
-        self._read: Final = read
-        at, size = self.field.at, self.field.size
-        self._at: Final = slice(at, at + size) if size > 1 else at
-        self.__doc__ = f"{name}: {self.field.meaning}; {self.field.unit}, {self.field.frame}".rstrip(", ")
-
-    @overload
-    def __get__(self, step: None, owner: type[Step]) -> Self: ...
-
-    @overload
-    def __get__(self, step: Step, owner: type[Step]) -> T: ...
-
-    def __get__(self, step: Step | None, owner: type[Step]) -> Self | T:
-        return self if step is None else self._read(step.record[self._at])
-
-
-def _vector(values: Array) -> Array:
-    return values
-
-
-def _mode(number: float) -> ContactMode:
-    return ContactMode(int(number))
-
-
-def _cause(number: float) -> str:
-    return CAUSE_NAMES[int(number)]
-
-
-class Step:
-    """Result of one tick: the fields of the record that a contact step computes, with `cause` as a name.
-
-    Vectors are (3,) float64 in the world frame; `finger_point`, `patch_normal` and `patch_stretch` in the fingertip
-    frame. `record` is the complete row.
-    """
-
-    __slots__ = ("record",)
-
-    mode = Part(_mode, "contact.mode")
-    object = Part(int, "contact.object")
-    cause = Part(_cause, "contact.cause")
-    velocity = Part(_vector, "probe.velocity")
-    proxy_position = Part(_vector, "proxy.position")
-    penetration = Part(float, "contact.penetration")
-    point = Part(_vector, "contact.point")
-    normal = Part(_vector, "contact.normal")
-    finger_point = Part(_vector, "contact.finger_point")
-    rolled = Part(float, "contact.rolled")
-    spin = Part(float, "contact.spin")
-    normal_force = Part(float, "contact.normal_force")
-    tangential_force = Part(float, "contact.tangential_force")
-    force = Part(_vector, "force")
-    torque = Part(_vector, "torque")
-    torsion = Part(float, "contact.torsion")
-    patch_radius = Part(float, "contact.patch_radius")
-    patch_normal = Part(_vector, "contact.patch_normal")
-    patch_stretch = Part(_vector, "contact.patch_stretch")
-    budget = Part(int, "contact.budget")
-    displacement = Part(_vector, "contact.displacement")
-    nonlinear = Part(int, "contact.nonlinear")
-
-    def __init__(self, record: Array) -> None:
-        self.record = record
-
-    def __repr__(self) -> str:
-        return f"Step({', '.join(f'{name}={getattr(self, name)!r}' for name in STEP_FIELDS)})"
-
-
-STEP_FIELDS: Final = {name: part.field for name, part in vars(Step).items() if isinstance(part, Part)}
-"""Field of the record for each attribute of Step."""
 
 
 @entry
@@ -461,34 +382,3 @@ class Engine:
         if self.scene.bodies is not None and dt != self.dt:
             raise PoseError(f"dt = {dt}: the bodies of [world] advance by {self.dt:g} s in each tick")
         return float(dt)
-
-
-def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
-    """Stack the poses (n, 7) of each finger, given by name, to (n, fingers, 7).
-
-    Raises PoseError if a pose cannot be used, or the names or lengths do not match.
-    """
-    if set(poses) != set(fingers):
-        names = ", ".join(fingers) or "one, whose poses are given without a name"
-        raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
-    checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
-    if len({len(each) for each in checked}) > 1:
-        counts = ", ".join(f"{len(each)} of {name}" for name, each in zip(fingers, checked, strict=True))
-        raise PoseError(f"all fingers need the same number of poses, not {counts}")
-    return np.ascontiguousarray(np.stack(checked, axis=1))
-
-
-def check_poses(poses: Array) -> Array:
-    """Return poses (n, 7) as a contiguous array; raise PoseError for the first row that cannot be used."""
-    if poses.ndim != 2 or poses.shape[1] != 7:
-        raise PoseError(f"poses of shape {poses.shape}: expected (n, 7), rows x, y, z, qw, qx, qy, qz")
-    norms = np.linalg.norm(poses[:, 3:], axis=1)
-    for usable, why in (
-        (np.isfinite(poses).all(axis=1), "every number must be finite"),
-        ((np.abs(poses[:, :3]) <= POSITION_MAX_M).all(axis=1), f"a coordinate is at most {POSITION_MAX_M:g} m"),
-        ((norms >= 1e-6) & (norms <= 1e6), "the last four are its quaternion, and its norm must be from 1e-6 to 1e6"),
-    ):
-        if not usable.all():
-            row = int(usable.argmin())
-            raise PoseError(f"pose {row} is {poses[row].tolist()}: {why}")
-    return np.ascontiguousarray(poses)

@@ -19,8 +19,9 @@ from softfinger import run_recording
 from softfinger.config import errors
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.proxy.engine import STEP_FIELDS, Engine
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES, MODE_NAMES
+from softfinger.proxy.step_result import STEP_FIELDS
 from softfinger.server import signals
 from softfinger.server.cli import VERBS, main, make_parser
 from softfinger.server.wire import client, protocol

@@ -21,7 +21,8 @@ from helpers.programs import run_program
 import softfinger
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import describe, load_scene
-from softfinger.proxy.engine import Engine, PoseError, step_many
+from softfinger.proxy.engine import Engine, step_many
+from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
@@ -69,7 +70,7 @@ def test_every_public_error_is_exported() -> None:
     """Every HapticError defined in these modules is a name of the package."""
     for home in (
         "config.errors",
-        "proxy.engine",
+        "proxy.pose_checks",
         "proxy.records",
         "wire.client",
         "wire.client_requests",

@@ -14,9 +14,9 @@ from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Intention, PlantInputs
 from softfinger.proxy.bodies import begin_bodies
-from softfinger.proxy.engine import PoseError
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
+from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.tuning import make_tuning

@@ -19,11 +19,11 @@ from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.engine import check_poses
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
 from softfinger.proxy.kernels.jit.tuples import rows_of
 from softfinger.proxy.kernels.query.bodies import step_bodies
+from softfinger.proxy.pose_checks import check_poses
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.clock import NS_PER_S, period_ns

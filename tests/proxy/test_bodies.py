@@ -21,7 +21,7 @@ from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.bodies import RigidBodies, bodies_of
-from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, check_budget, step_bodies
@@ -31,6 +31,7 @@ from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.record_writer import poses_in
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
+from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.record import FREE, SLIDING
 from softfinger.proxy.scene import start_state
 

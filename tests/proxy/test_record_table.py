@@ -9,10 +9,10 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from softfinger.proxy.engine import STEP_FIELDS, Step
 from softfinger.proxy.kernels.model import NO_OUTCOME, Contact
 from softfinger.proxy.kernels.record_writer import write_contact
 from softfinger.proxy.record import AT, CAUSE_NAMES, FIELDS, NAMED, RECORD_SIZE, ContactMode, Kind
+from softfinger.proxy.step_result import STEP_FIELDS, Step
 
 ROOT = Path(__file__).parents[2]
 NEW = '    fault_level: Annotated[int, 2, "float", "V", "rotor", "a field that a test has added"]\n'

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack
 from softfinger.proxy.kernels.query.container import read_pose
 from softfinger.proxy.kernels.step import step
+from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.record import AT, FREE
 from softfinger.proxy.scene import build_scene, start_state
 

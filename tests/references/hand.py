@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from references.rotation import multiply, quaternion
-from softfinger.proxy.engine import Engine, Step
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.step_result import Step
 
 Array = NDArray[np.float64]
 

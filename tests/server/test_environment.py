@@ -16,7 +16,8 @@ from gymnasium.utils.env_checker import check_env
 from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.engine import Engine, PoseError
+from softfinger.proxy.engine import Engine
+from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.records import Records
 from softfinger.server.bridges import environment
 from softfinger.server.bridges.environment import Touch

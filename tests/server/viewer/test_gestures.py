@@ -11,9 +11,10 @@ from helpers.simulated_hands import SimulatedHands
 
 from softfinger import ContactMode
 from softfinger.drivers.simulated.plant import PlantInputs
-from softfinger.proxy.engine import Engine, Step
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
+from softfinger.proxy.step_result import Step
 from softfinger.server.offline.closed_loop import DrivenPlant
 from softfinger.server.viewer.gestures import (
     APPROACH_SPEED_M_PER_S,

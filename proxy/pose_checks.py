@@ -1,0 +1,49 @@
+"""Checks of poses from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softfinger.config.errors import HapticError
+from softfinger.proxy.record import POSITION_MAX_M
+
+Array = NDArray[np.float64]
+
+
+class PoseError(HapticError):
+    """Pose or time step that is not possible for a probe."""
+
+
+def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
+    """Stack the poses (n, 7) of each finger, given by name, to (n, fingers, 7).
+
+    Raises PoseError if a pose cannot be used, or the names or lengths do not match.
+    """
+    if set(poses) != set(fingers):
+        names = ", ".join(fingers) or "one, whose poses are given without a name"
+        raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
+    checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
+    if len({len(each) for each in checked}) > 1:
+        counts = ", ".join(f"{len(each)} of {name}" for name, each in zip(fingers, checked, strict=True))
+        raise PoseError(f"all fingers need the same number of poses, not {counts}")
+    return np.ascontiguousarray(np.stack(checked, axis=1))
+
+
+def check_poses(poses: Array) -> Array:
+    """Return poses (n, 7) as a contiguous array; raise PoseError for the first row that cannot be used."""
+    if poses.ndim != 2 or poses.shape[1] != 7:
+        raise PoseError(f"poses of shape {poses.shape}: expected (n, 7), rows x, y, z, qw, qx, qy, qz")
+    norms = np.linalg.norm(poses[:, 3:], axis=1)
+    for usable, why in (
+        (np.isfinite(poses).all(axis=1), "every number must be finite"),
+        ((np.abs(poses[:, :3]) <= POSITION_MAX_M).all(axis=1), f"a coordinate is at most {POSITION_MAX_M:g} m"),
+        ((norms >= 1e-6) & (norms <= 1e6), "the last four are its quaternion, and its norm must be from 1e-6 to 1e6"),
+    ):
+        if not usable.all():
+            row = int(usable.argmin())
+            raise PoseError(f"pose {row} is {poses[row].tolist()}: {why}")
+    return np.ascontiguousarray(poses)
