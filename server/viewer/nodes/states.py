@@ -34,7 +34,7 @@ class VisibleState(StrEnum):
 COLOURS: Final[dict[VisibleState, Colour]] = {
     VisibleState.FREE: (130, 140, 150),
     VisibleState.STICKING: (55, 92, 255),
-    VisibleState.ROLLING: (20, 150, 240),
+    VisibleState.ROLLING: (0, 120, 250),
     VisibleState.SPINNING: (145, 80, 235),
     VisibleState.SLIDING: (225, 40, 30),
 }
