@@ -181,7 +181,7 @@ def read(handle: int, sample: Any) -> int:
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
-    return OK  # a puck at rest is silent, so an unchanged pose is a new sample too
+    return OK  # a puck at rest sends nothing, so an unchanged pose is valid
 
 
 class Puck:

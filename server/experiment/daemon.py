@@ -124,7 +124,7 @@ def record_ticks(haptics: Haptics, file: str) -> Iterator[None]:
 
 
 def _poll(ended: Callable[[float], bool], polls: Iterable[Callable[[], None]]) -> None:
-    """Poll the viewer; raise the error that ended the daemon, or Stopped."""
+    """Call all `polls`; raise Stopped if the run was stopped, or the error that ended the daemon."""
     for poll in polls:
         poll()
     if ended(0.0):

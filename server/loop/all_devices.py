@@ -168,7 +168,7 @@ def find_first_ended(statuses: Any) -> tuple[int, int]:
 
 @jit
 def pick_first_ended(status: int, later: tuple[int, int]) -> tuple[int, int]:
-    """Return `find_first_ended` of a device and those after it, given that of those after it."""
+    """Combine the status of a device with the result of `find_first_ended` for the devices after it."""
     has_ended = status < 0 or status == END
     if has_ended or later[0] < 0:
         return (0 if has_ended else -1), status
@@ -199,7 +199,7 @@ def collect_guard_bits(buffers: Any) -> tuple[int, int]:
 
 @jit
 def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
-    """Return `collect_guard_bits` of a finger and those after it, given those of the fingers after it."""
+    """Combine the bits of a finger with the result of `collect_guard_bits` for the fingers after it."""
     own, (bits, index) = int(device.record[AT.servo_guard]), later
     return own | bits, 0 if own & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
 

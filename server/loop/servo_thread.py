@@ -26,7 +26,7 @@ from softfinger.server.loop.all_devices import Io, make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
-from softfinger.server.loop.inputs.ramp import leaves, make_ramp
+from softfinger.server.loop.inputs.ramp import flatten_tuning, make_ramp
 from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
@@ -91,7 +91,7 @@ class Servo:
 
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """Return a loop for this servo: the first one, or one for `replace` with the same number of fingers."""
-        values, period = leaves(tuning), period_ns(rate_hz)
+        values, period = flatten_tuning(tuning), period_ns(rate_hz)
         begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
         max_ignored_ticks = int(IGNORED_WRENCH_MAX_S * rate_hz)
@@ -134,7 +134,7 @@ class Servo:
     @staticmethod
     def with_tuning(loop: Loop, tuning: Tuning) -> Loop:
         """Return a loop that has not started yet, with other parameters of the same structure."""
-        publish(loop.shared.tuning, leaves(tuning))
+        publish(loop.shared.tuning, flatten_tuning(tuning))
         return loop._replace(tuning=tuning)
 
     @staticmethod
@@ -347,7 +347,7 @@ class Servo:
         if self.ticks >= self._tuned_tick + 2:
             del self._recent_tunings[:-1]
         self._recent_tunings.append(tuning)
-        publish(self.shared.tuning, leaves(tuning))
+        publish(self.shared.tuning, flatten_tuning(tuning))
         self._tuned_tick = self.ticks
 
     def close(self) -> None:

@@ -7,7 +7,10 @@ Topics: `contact`, or `finger/NAME` for each of several fingers, with every tick
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import version
 from typing import IO, Any, Final, Protocol
 
 import msgspec
@@ -55,6 +58,14 @@ JSON: Final = "json"
 _NS: Final = 1e9
 _INTEGER_COLUMNS: Final = [field.at for field in FIELDS if field.kind == "int"]
 _TIME_MAX_S: Final = 9e9  # MCAP times range from 1970 to 2554
+
+PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq")
+
+
+@cache
+def package_versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that determine results: the table `versions` of a recording."""
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 class MessageSink(Protocol):

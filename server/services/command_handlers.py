@@ -33,7 +33,7 @@ from softfinger.server.wire.protocol import encode, wire_schema
 EVENT_BYTES_MAX: Final = 1024
 """Largest part of a request that is copied into an event: the publisher stores 40 000 messages for slow subscribers."""
 
-Done = Callable[[Any], None]
+OnResult = Callable[[Any], None]
 """Callback with the result of a deferred method, or the exception that ended it."""
 
 
@@ -67,7 +67,7 @@ class DaemonInterface(NamedTuple):
 class CommandHandlers:
     """Handlers of all methods, each named as its method. They return the result or raise an exception.
 
-    `set_scene` and `reset_world` return before the scene is compiled, and call `done` later.
+    `set_scene` and `reset_world` return before the scene is compiled, and call `on_result` later.
 
     endpoint    of the commands
     scene_name  name of the initial scene
@@ -114,7 +114,7 @@ class CommandHandlers:
             self.publish_change("set_params", request.command_id, changed)
         return wire.Changed(changed, tick, self._rendering.rig.commands.ramp_s)
 
-    def set_scene(self, request: Request, done: Done) -> None:
+    def set_scene(self, request: Request, on_result: OnResult) -> None:
         params: wire.SetScene = request.params
         name = params.name or (params.scene if isinstance(params.scene, str) else "unnamed")
         if isinstance(params.scene, str) and params.scene not in list_shipped(schema.Scene):
@@ -131,16 +131,21 @@ class CommandHandlers:
                 scene = add_objects_of_world(build(schema.Scene, params.scene, "set_scene"))
             return apply_overrides(scene, params.overrides, "set_scene") if params.overrides else scene
 
-        self._change_scene(read, name, request, lambda tick: wire.SceneSet(name, tick), done)
+        self._change_scene(read, name, request, lambda tick: wire.SceneSet(name, tick), on_result)
 
-    def reset_world(self, request: Request, done: Done) -> None:
+    def reset_world(self, request: Request, on_result: OnResult) -> None:
         scene = self._rendering.scene
         if scene.world is None:
             raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
-        self._change_scene(lambda: scene, self._scene_name, request, wire.Applied, done)
+        self._change_scene(lambda: scene, self._scene_name, request, wire.Applied, on_result)
 
     def _change_scene(
-        self, read: Callable[[], schema.Scene], name: str, request: Request, result: Callable[[int], Any], done: Done
+        self,
+        read: Callable[[], schema.Scene],
+        name: str,
+        request: Request,
+        result: Callable[[int], Any],
+        on_result: OnResult,
     ) -> None:
         """Read, compile and render a scene from zero force; the result is of its first tick."""
 
@@ -151,11 +156,11 @@ class CommandHandlers:
 
         def finish(outcome: int | Exception) -> None:
             if isinstance(outcome, Exception):
-                done(outcome)
+                on_result(outcome)
                 return
             self._scene_name = name
             self.publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
-            done(result(outcome))
+            on_result(result(outcome))
 
         self.scenes.request(SceneRequest(checked, name, finish))
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import platform
-from functools import cache
-from importlib.metadata import version
-from typing import Any, Final
+from typing import Any
 
 import llvmlite.binding as llvm
 import msgspec
@@ -15,14 +13,8 @@ from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.scene import explain
 from softfinger.server.loop.clock import NS_PER_S
+from softfinger.server.recording.writer import package_versions
 from softfinger.server.services.rendering import Rendering
-
-PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq")
-
-
-@cache
-def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
@@ -48,7 +40,7 @@ def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "armed": rendering.force.is_requested,
         "state": rendering.force.state,
         "ticks": servo.ticks,
-        "versions": _versions(),
+        "versions": package_versions(),
         "machine": {"system": platform.platform(), "cpu": llvm.get_host_cpu_name()},
         "compiled": {
             "model": explain(scene),

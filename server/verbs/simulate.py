@@ -18,6 +18,7 @@ from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import RunContext, write_blocks
+from softfinger.server.recording.writer import package_versions
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         blocks = simulate_devices(scene, rig, DURATION_S if args.duration is None else args.duration, messages)
     summaries = [Summary(args.plot is not None) for _ in fingers]
-    about = {"scene": describe(scene), "scene_name": str(args.scene), "rig": describe(rig), "rate_hz": rate}
+    about = {
+        "scene": describe(scene), "scene_name": str(args.scene), "rig": describe(rig), "rate_hz": rate,
+        "versions": package_versions(),
+    }  # fmt: skip
     with name_warmup(args.scene):
         write_blocks(args.out, fingers, add_summaries(blocks, summaries), RunContext(about, messages.pending))
     for name, summary in zip(fingers, summaries, strict=True):

@@ -155,6 +155,80 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
             assert sum(each.startswith("{ {") for each in kinds) == 1  # the pair, as one argument
 
 
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_variables_in_loops_and_branches_equal_those_of_python(count: int) -> None:
+    """`storevar`, `_blk_local_varmap`: variables of several blocks, assigned once or more often."""
+
+    def steps(n: int, x: float) -> tuple[float, float]:
+        factor, total = x + 1.0, 0.0
+        for i in range(n):
+            square = factor * i
+            if square > 3.0:
+                total += square
+                continue
+            last = square - factor
+            while last < 2.0:
+                last += factor
+            total -= last
+        return total, factor
+
+    kernel: Any = decorators.jit(steps)
+    caller: Any = numba.njit(**decorators.OPTIONS)(lambda n, x: kernel(n, x))
+    assert caller(count, 0.25) == steps(count, 0.25)
+
+
+def test_a_variable_with_one_assignment_is_not_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`_find_singly_assigned_variable`: even before LLVM optimises the code."""
+    monkeypatch.setattr(InlinedCode, "_optimize_final_module", lambda self: None)
+
+    def positive(x: float) -> float:
+        square = x * x
+        if x > 0.0:
+            return square + x
+        return square
+
+    kernel: Any = Inlined(positive, decorators.INLINED, None, decorators.entry)
+    kernel.dispatcher.compile((types.float64,))
+    (made,) = kernel.dispatcher.overloads.values()
+    assert "alloca" not in str(made.library.get_function(made.fndesc.llvm_func_name))
+
+
+def test_only_kernels_that_can_fail_are_checked() -> None:
+    """`RETCODE_OK`: an error passes through a caller that raises none itself."""
+
+    def checked(x: float) -> float:
+        if x < 0.0:
+            raise ValueError("negative")
+        return x
+
+    inner: Any = decorators.jit(checked)
+    plain: Any = decorators.jit(lambda x: 2.0 * x)
+    outer: Any = decorators.jit(lambda x: plain(inner(x)))
+    caller: Any = numba.njit(**decorators.OPTIONS)(lambda x: outer(x))
+    assert caller(1.5) == 3.0
+    with pytest.raises(ValueError, match="negative"):
+        caller(-1.0)
+    fails = [next(iter(each.dispatcher.overloads.values())).fndesc.fails for each in (inner, plain, outer)]
+    assert fails == [True, False, True]
+
+
+def test_machine_code_is_optimised_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`UnitCode`: LLVM's passes run once for a kernel called from Python; numba itself runs them twice or more."""
+    codegen, runs = type(cpu_target.target_context.codegen()), list[str]()
+    passes_of = codegen._module_pass_manager
+
+    def count(self: Any, **options: Any) -> Any:
+        runs.append("passes")
+        return passes_of(self, **options)
+
+    monkeypatch.setattr(codegen, "_module_pass_manager", count)
+    kernel: Any = decorators.entry(lambda x: x * x)
+    assert kernel(3.0) == 9.0
+    assert len(runs) == 1
+    assert numba.njit(lambda x: x * x)(3.0) == 9.0
+    assert len(runs) > 2
+
+
 def test_an_inlined_kernel_must_not_return_a_value_or_none() -> None:
     """The caller would interpret the status code of None as an error."""
     kernel: Any = decorators.jit(lambda x: x if x > 0.0 else None)

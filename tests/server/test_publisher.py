@@ -23,7 +23,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.app import Daemon
-from softfinger.server.loop.shared.broadcast import make_broadcast, make_read_position, read_rows, write_row
+from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.recording.summary import summary
 from softfinger.server.socket_process.process import QUIET_S
 from softfinger.server.socket_process.setup import StateInfo
@@ -358,7 +358,7 @@ def write_numbered(broadcast, row, count):
 def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
     """Each of two million rows is complete and newer than the previous one; read and lost rows add up to all."""
     count = 2_000_000
-    broadcast = make_broadcast(16, 24)
+    broadcast = Broadcast(np.zeros((16, 24)), np.zeros(8, np.int64))
     places = [make_read_position(broadcast) for _ in range(2)]
     write_numbered(broadcast, np.zeros((1, 24)), 0)  # compiled before the race
     out = np.empty((8, 24))

@@ -118,8 +118,8 @@ def test_many_objects_are_ramped():
 
     old, new = tiles(1000.0), tiles(500.0)
     way = way_from(old)
-    ramp.set_now(way, ramp.leaves(old))
-    ramp.set_target(way, ramp.leaves(new))
+    ramp.set_now(way, ramp.flatten_tuning(old))
+    ramp.set_target(way, ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
             ramp.advance(way)

@@ -52,7 +52,7 @@ class ParameterRamp(NamedTuple):
     """Ramp from the present parameters to the requested ones.
 
     kinds        (n,)  kind of each leaf: AT_ONCE, LINEAR, GEOMETRIC
-    now, target  (n,)  values as returned by `leaves`
+    now, target  (n,)  values as returned by `flatten_tuning`
     ticks_left   (1,)  remaining ticks, of which the last sets the exact target; -1 when the ramp is finished
     rows         (k,)  indices of leaves that are addresses of rows of objects
     addresses    (k,)  their values: addresses inside `now`, which ends with those objects; kernels read them there
@@ -68,14 +68,14 @@ class ParameterRamp(NamedTuple):
     ticks: int
 
 
-def leaves(tuning: Any) -> NDArray[np.float64]:
+def flatten_tuning(tuning: Any) -> NDArray[np.float64]:
     """Return the leaves (n,) of a tuning as `flatten` orders them, followed by the leaves of objects in rows."""
     return np.concatenate([flatten(tuning), *(rows.array for _, rows in _rows(tuning))])
 
 
 def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
     """Return a ramp for a tuning that takes `ticks` ticks; 0 changes parameters at once."""
-    now, rows = leaves(tuning), _rows(tuning)
+    now, rows = flatten_tuning(tuning), _rows(tuning)
     row_trees = [tree for _, objects in rows for tree in objects.trees]
     kinds = [kind for tree in (tuning, *row_trees) for kind in _kinds(tree, AT_ONCE)]
     offsets = len(now) - np.cumsum([len(objects.array) for _, objects in rows][::-1], dtype=np.int64)[::-1]

@@ -44,13 +44,6 @@ class ReadPosition(NamedTuple):
     lost: NDArray[np.int64]
 
 
-def make_broadcast(capacity: int, width: int) -> Broadcast:
-    """Return an empty buffer for `capacity` rows (a power of two) of `width` numbers."""
-    if capacity < 2 or capacity & (capacity - 1):
-        raise ValueError(f"capacity = {capacity}: a broadcast's capacity is a power of two, 2 or more")
-    return Broadcast(np.zeros((capacity, width)), np.zeros(8, np.int64))
-
-
 def make_read_position(broadcast: Broadcast) -> ReadPosition:
     """Return the read position of a reader that starts at the next row."""
     return ReadPosition(broadcast.head[:1].copy(), np.zeros(1, np.int64))

@@ -1,4 +1,4 @@
-"""Rest position of the proxy on several objects or triangles of a mesh, without friction."""
+"""Equilibrium of the proxy on several objects or triangles of a mesh, without friction."""
 
 from math import sqrt
 from typing import Any
@@ -183,9 +183,10 @@ def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Ve
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """Slide over the facets of a mesh to the rest position of `rest_on_curved`.
+    """Slide the proxy over the facets of a mesh to the equilibrium of `rest_on_curved`.
 
-    Returns centre, active constraints, and False if a proxy without deflection needs further steps.
+    Returns the centre, the active constraints, and whether the proxy is at rest: a proxy without deflection may need
+    further steps.
     """
     rounds, square = SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
