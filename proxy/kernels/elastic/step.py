@@ -5,9 +5,8 @@
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
 surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times; it
-mostly ends after one correction. Each round steps from the state of the last tick. On bodies much softer than the
-finger's spring it may not converge: then the last round repeats the one with the least error, since any other may have
-the force of a rigid surface.
+mostly ends after one correction. Each round steps from the state of the last tick. If it does not converge, the last
+round repeats the one with the least error, since any other may have the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
@@ -24,6 +23,7 @@ from softfinger.proxy.kernels.elastic.spots import (
     compute_node_rows,
     contact_spot,
     empty_spot,
+    hold_if_reversed,
     slope_at,
     slope_by,
     spot_of,
@@ -38,14 +38,15 @@ from softfinger.proxy.kernels.numerics.frames import turn_out_of
 from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
-from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN
+from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, UNSOLVED
 
-ROUNDS = 6
+ROUNDS = 8
 """Largest number of rigid steps of a finger in a tick."""
 SOLVED = 1e-11
 """Error of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
 CLOSE = 1e-6
-"""Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m."""
+"""Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m. A larger error
+of the last round is reported as UNSOLVED."""
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
 """Rotation and strain above which the body is no longer linear."""
@@ -94,7 +95,7 @@ def surface_after(
 ) -> Surface:
     """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
 
-    bent  largest rotation, rad, and strain of the body
+    bent  largest rotation, rad, and strain of the body, and the square of the error, m2, of the displacement
     """
     elastic, body, rate = scene.elastic, scene.objects.body, last.rate
     moved = vec3.sub(displacement, last.displacement)
@@ -108,6 +109,8 @@ def surface_after(
         beyond += LARGE_ROTATION
     if bent[1] > STRAIN_MAX:
         beyond += LARGE_STRAIN
+    if bent[2] > CLOSE**2:
+        beyond += UNSOLVED
     if contact.mode == FREE:
         return Surface(displacement, moved, rate, ZERO, 0.0)
     return Surface(displacement, moved, rate, turn_out_of(body.pose, displacement), beyond)
@@ -181,6 +184,8 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 1 and square > CLOSE**2:
             u = best
             continue
+        spot, added = hold_if_reversed(spot, error)
+        error = vec3.add_scaled(error, gain, mat3.times(compliance_of(spot, rows), added))
         moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
         u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
     slope = ZERO
@@ -189,7 +194,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         at = slope_at(spot, spot, rows)
         matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
         slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
-    surface = surface_after(scene, finger, last, u, contact, bending_under(elastic, spot), dt)
+    surface = surface_after(scene, finger, last, u, contact, (*bending_under(elastic, spot), square), dt)
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
@@ -251,7 +256,12 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if left == 1 and square > CLOSE**2:
             u, v = best
             continue
-        (a, b, c, d), _ = linearize_both(elastic, x, y, rows, gain)
+        held_x, added_x = hold_if_reversed(x, error_u)
+        held_y, added_y = hold_if_reversed(y, error_v)
+        more_u = vec3.add(mat3.times(compliance_of(x, rows[0]), added_x), mat3.times(coupling, added_y))
+        more_v = vec3.add(mat3.times(mat3.transpose(coupling), added_x), mat3.times(compliance_of(y, rows[2]), added_y))
+        error_u, error_v = vec3.add_scaled(error_u, gain, more_u), vec3.add_scaled(error_v, gain, more_v)
+        (a, b, c, d), _ = linearize_both(elastic, held_x, held_y, rows, gain)
         change_u, change_v = solve_both(a, b, c, d, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
     slope_u, slope_v = ZERO, ZERO
@@ -261,7 +271,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             mat3.transpose(a), mat3.transpose(c), mat3.transpose(b), mat3.transpose(d), gradients[0], gradients[1]
         )
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
-    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1])
+    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1], square)
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
     surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
