@@ -18,6 +18,7 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.meshes.reading import Arrays
 from softfinger.proxy.record import LARGE_STRAIN, UNSOLVED
+from softfinger.proxy.scene import start_state
 
 pytestmark = pytest.mark.plain
 
@@ -232,6 +233,31 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
             assert (records[name]["contact.normal_force"] <= 2.0 * depth / compliance + STIFFNESS * step.CLOSE).all()
             unsolved += np.count_nonzero(records[name]["contact.nonlinear"].astype(int) & UNSOLVED)
     assert unsolved > 0
+
+
+@pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
+@pytest.mark.parametrize("fingers", [1, 2])
+def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_rounds(
+    fingers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The start of a tick takes the motion of all probes into account, not only the change of the last tick."""
+    calls: list[Any] = []
+    rigid = step.step_finger
+    monkeypatch.setattr(step, "step_finger", lambda *given: (calls.append(1), rigid(*given))[1])
+    angle, engine = 0.006 * np.arange(120), Engine(scene(True, fingers))
+    slid = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
+    slid[:, :3] = np.round(slid[:, :3] / 1e-5) * 1e-5
+    engine.run(
+        {"a": slid, "b": -slid[:, [0, 1]] @ np.eye(2, 7) + slid * [0, 0, 1, 1, 1, 1, 1]} if fingers > 1 else slid
+    )
+    assert len(calls) < 2.3 * fingers * len(slid)
+
+
+def test_an_expected_change_that_is_not_a_number_is_not_used() -> None:
+    surface = start_state(Engine(scene()).scene).world.surfaces[0]
+    assert (
+        step.expect(surface, (np.nan, 0.0, 0.0), 1.0) == step.expect(surface, (1.1, 0.0, 0.0), 1.0) == (0.0, 0.0, 0.0)
+    )
 
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")

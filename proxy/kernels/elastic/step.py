@@ -4,9 +4,10 @@
 
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
-surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times; it
-mostly ends after one correction. Each round steps from the state of the last tick. If it does not converge, the last
-round repeats the one with the least error, since any other may have the force of a rigid surface.
+surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times. It
+begins at the solution of the last tick, corrected for the motion of the probes with the matrix of the last tick, and
+mostly ends after one more correction. Each round steps from the state of the last tick. If it does not converge, the
+last round repeats the one with the least error, since any other may have the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
@@ -34,7 +35,7 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic, Surface
 from softfinger.proxy.kernels.numerics import mat3, vec3
-from softfinger.proxy.kernels.numerics.frames import turn_out_of
+from softfinger.proxy.kernels.numerics.frames import turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
@@ -47,6 +48,8 @@ SOLVED = 1e-11
 CLOSE = 1e-6
 """Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m. A larger error
 of the last round is reported as UNSOLVED."""
+Blocks = tuple[tuple[Mat3, Mat3], tuple[Mat3, Mat3]]
+
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
 """Rotation and strain above which the body is no longer linear."""
@@ -73,12 +76,20 @@ def place_probe(state: FingerState, pose: Pose) -> FingerState:
 
 
 @jit
-def extrapolate(last: Surface, state: FingerState, pose: Pose) -> Vec3:
-    """Return the expected displacement (3,) m: it changes as in the last tick, but by no more than the probe moved."""
-    moved, change = vec3.norm(vec3.sub(pose.position, state.probe.position)), vec3.norm(last.change)
-    if change > moved:
-        return vec3.add_scaled(last.displacement, moved / change, last.change)
-    return vec3.add(last.displacement, last.change)
+def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
+    """Return the motion (3,) m of the probe in this tick, and what drives the displacement relative to it.
+
+    That is the motion less the part of the last change that a damped surface makes in any case. Both are in the object
+    frame.
+    """
+    motion = turn_into(body.pose, vec3.sub(pose.position, state.probe.position))
+    return motion, vec3.add_scaled(motion, gain - 1.0, last.change)
+
+
+@jit
+def expect(last: Surface, change: Vec3, largest: float) -> Vec3:
+    """Return the displacement (3,) m after an expected change, unless this exceeds `largest`, m, or is not a number."""
+    return vec3.add(last.displacement, change) if vec3.norm(change) <= largest else last.displacement
 
 
 @jit
@@ -112,8 +123,8 @@ def surface_after(
     if bent[2] > CLOSE**2:
         beyond += UNSOLVED
     if contact.mode == FREE:
-        return Surface(displacement, moved, rate, ZERO, 0.0)
-    return Surface(displacement, moved, rate, turn_out_of(body.pose, displacement), beyond)
+        return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
+    return Surface(displacement, moved, last.inverse, rate, turn_out_of(body.pose, displacement), beyond)
 
 
 @jit
@@ -165,7 +176,11 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = share_in_tick(elastic, dt)
-    rest, u = vec3.scale(1.0 - gain, last.displacement), extrapolate(last, state.fingers[0], poses[0])
+    motion, drive = drive_of(body, last, state.fingers[0], poses[0], gain)
+    inverse = last.inverse[0]
+    largest = vec3.norm(motion) + vec3.norm(last.change)
+    u = expect(last, vec3.sub(motion, mat3.times(inverse, drive)), largest)
+    rest = vec3.scale(1.0 - gain, last.displacement)
     before = relative_to(body, state.fingers[0], last.displacement)
     least, best = inf, u
     for left in range(ROUNDS - 1, -1, -1):
@@ -187,7 +202,8 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         spot, added = hold_if_reversed(spot, error)
         error = vec3.add_scaled(error, gain, mat3.times(compliance_of(spot, rows), added))
         moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
-        u = vec3.add(u, mat3.times(mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves)), error))
+        inverse = mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves))
+        u = vec3.add(u, mat3.times(inverse, error))
     slope = ZERO
     # The surface at rest determines the slope even with damping. Otherwise slow cycles would generate energy.
     if body.material.friction is None:
@@ -195,6 +211,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
         slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
     surface = surface_after(scene, finger, last, u, contact, (*bending_under(elastic, spot), square), dt)
+    surface = replace(surface, "inverse", (mat3.IDENTITY if contact.mode == FREE else inverse,))
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
@@ -217,13 +234,20 @@ def linearize_both(elastic: Elastic, one: Spot, two: Spot, rows: Any, gain: floa
 
 
 @jit
-def solve_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3, one: Vec3, two: Vec3) -> tuple[Vec3, Vec3]:
-    """Solve a x + b y = one, c x + d y = two for x and y (3,)."""
+def invert_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Blocks:
+    """Return the rows of blocks of the inverse of ((a, b), (c, d))."""
     a_inverse = mat3.inverse(a)
-    left = mat3.product(c, a_inverse)
-    rest = mat3.inverse(mat3.plus(d, -1.0, mat3.product(left, b)))
-    y = mat3.times(rest, vec3.sub(two, mat3.times(left, one)))
-    return mat3.times(a_inverse, vec3.sub(one, mat3.times(b, y))), y
+    left, right = mat3.product(c, a_inverse), mat3.product(a_inverse, b)
+    corner = mat3.inverse(mat3.plus(d, -1.0, mat3.product(left, b)))
+    up = mat3.plus(mat3.ZEROS, -1.0, mat3.product(right, corner))
+    down = mat3.plus(mat3.ZEROS, -1.0, mat3.product(corner, left))
+    return (mat3.plus(a_inverse, -1.0, mat3.product(up, left)), up), (down, corner)
+
+
+@jit
+def times_both(blocks: Blocks, one: Vec3, two: Vec3) -> tuple[Vec3, Vec3]:
+    (a, b), (c, d) = blocks
+    return vec3.add(mat3.times(a, one), mat3.times(b, two)), vec3.add(mat3.times(c, one), mat3.times(d, two))
 
 
 @press.of(2)
@@ -231,7 +255,12 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = share_in_tick(elastic, dt)
     rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
-    u, v = extrapolate(last[0], state.fingers[0], poses[0]), extrapolate(last[1], state.fingers[1], poses[1])
+    motion_u, drive_u = drive_of(body, last[0], state.fingers[0], poses[0], gain)
+    motion_v, drive_v = drive_of(body, last[1], state.fingers[1], poses[1], gain)
+    inverse = (last[0].inverse, last[1].inverse)
+    left_u, left_v = times_both(inverse, drive_u, drive_v)
+    largest = vec3.norm(motion_u) + vec3.norm(motion_v) + vec3.norm(last[0].change) + vec3.norm(last[1].change)
+    u, v = expect(last[0], vec3.sub(motion_u, left_u), largest), expect(last[1], vec3.sub(motion_v, left_v), largest)
     before_one = relative_to(body, state.fingers[0], last[0].displacement)
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     x, y = empty_spot(), empty_spot()
@@ -262,17 +291,22 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         more_v = vec3.add(mat3.times(mat3.transpose(coupling), added_x), mat3.times(compliance_of(y, rows[2]), added_y))
         error_u, error_v = vec3.add_scaled(error_u, gain, more_u), vec3.add_scaled(error_v, gain, more_v)
         (a, b, c, d), _ = linearize_both(elastic, held_x, held_y, rows, gain)
-        change_u, change_v = solve_both(a, b, c, d, error_u, error_v)
+        inverse = invert_both(a, b, c, d)
+        change_u, change_v = times_both(inverse, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
     slope_u, slope_v = ZERO, ZERO
     if body.material.friction is None:  # as for one finger
         (a, b, c, d), gradients = linearize_both(elastic, x, y, rows, 1.0)
-        slope_u, slope_v = solve_both(
-            mat3.transpose(a), mat3.transpose(c), mat3.transpose(b), mat3.transpose(d), gradients[0], gradients[1]
-        )
+        (a, b), (c, d) = invert_both(a, b, c, d)
+        transposed = (mat3.transpose(a), mat3.transpose(c)), (mat3.transpose(b), mat3.transpose(d))
+        slope_u, slope_v = times_both(transposed, gradients[0], gradients[1])
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
     bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1], square)
     surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
     surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
+    if not is_loaded:
+        inverse = ((mat3.IDENTITY, mat3.ZEROS), (mat3.ZEROS, mat3.IDENTITY))
+    surface_u = replace(surface_u, "inverse", inverse[0])
+    surface_v = replace(surface_v, "inverse", inverse[1])
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
     return (place_probe(one, poses[0]), place_probe(two, poses[1])), contacts, (surface_u, surface_v)
