@@ -1,4 +1,4 @@
-"""Spots of an elastic surface: contact points with their load, the compliance between them, and slopes of both."""
+"""Spots of an elastic surface: contact points with their load, and the slopes of both."""
 
 from math import sqrt
 from typing import Any, NamedTuple
@@ -61,68 +61,6 @@ def empty_spot() -> Spot:
 @jit
 def spot_without_load(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
     return Spot(nodes, weights, slopes, ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
-
-
-@jit
-def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
-    """Return m plus the block of two nodes times `weight`."""
-    at = 9 * (a * int(elastic.number) + b)
-    c = elastic.compliance
-    return (
-        (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),
-        (m[1][0] + weight * c[at + 3], m[1][1] + weight * c[at + 4], m[1][2] + weight * c[at + 5]),
-        (m[2][0] + weight * c[at + 6], m[2][1] + weight * c[at + 7], m[2][2] + weight * c[at + 8]),
-    )
-
-
-@jit
-def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
-    """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 at a rigid vertex."""
-    found = mat3.ZEROS
-    if node >= 0:
-        for j in range(3):
-            if spot.nodes[j] >= 0:
-                found = add_block(found, elastic, node, spot.nodes[j], elastic.softness * spot.weights[j])
-    return found
-
-
-@jit
-def compute_node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
-    """Return the compliance (3, 3) m/N of each node of `one` under loads at `two`."""
-    a, b, c = one.nodes
-    return compute_node_row(elastic, a, two), compute_node_row(elastic, b, two), compute_node_row(elastic, c, two)
-
-
-@jit
-def compliance_of(spot: Spot, rows: Any) -> Mat3:
-    """Return the compliance (3, 3) m/N at a spot from the `rows` of its nodes."""
-    found = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
-    return mat3.plus(mat3.plus(found, spot.weights[1], rows[1]), spot.weights[2], rows[2])
-
-
-@jit
-def slope_at(one: Spot, two: Spot, rows: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` under the load of `two` with the position of `one`.
-
-    rows  of the nodes of `one` under loads at `two`
-    """
-    found = mat3.ZEROS
-    for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(rows[i], two.load), one.slopes[i])
-    return found
-
-
-@jit
-def slope_by(one: Spot, two: Spot, rows: Any, back: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` with the position of `two`, whose load and point change.
-
-    rows  of the nodes of `one` under loads at `two`
-    back  of the nodes of `two` under loads at `one`: transposed, by reciprocity, the response to loads on these nodes
-    """
-    found = mat3.product(compliance_of(one, rows), two.spring)
-    for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
-    return found
 
 
 @jit
@@ -291,21 +229,3 @@ def spot_of(
     if known.weights == ZERO:
         return nearest_spot(elastic, objects, after.probe.position)
     return spot_without_load(known.nodes, known.weights, mat3.ZEROS)
-
-
-@jit
-def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
-    """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
-
-    Those of the components of the load on each node are added, wherever in the body they are.
-    """
-    rotation, strain = 0.0, 0.0
-    for i in range(3):
-        if spot.nodes[i] < 0:
-            continue
-        for j in range(3):
-            share = elastic.softness * spot.weights[i] * abs(spot.load[j])
-            at = 6 * spot.nodes[i] + 2 * j
-            rotation += share * elastic.bending[at]
-            strain += share * elastic.bending[at + 1]
-    return rotation, strain

@@ -13,144 +13,44 @@ Source of the method: James and Pai (2001). This module is imported for scenes w
 """
 
 from collections.abc import Callable
-from math import inf, pi
+from math import inf
 from typing import Any
 
-from softfinger.proxy.kernels.elastic.spots import (
-    ZERO,
-    Spot,
+from softfinger.proxy.kernels.elastic.response import (
     bending_under,
     compliance_of,
     compute_node_rows,
-    contact_spot,
-    empty_spot,
-    hold_if_reversed,
+    invert_both,
+    linearize_both,
     slope_at,
     slope_by,
-    spot_of,
+    times_both,
 )
-from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.elastic.spots import ZERO, contact_spot, empty_spot, hold_if_reversed, spot_of
+from softfinger.proxy.kernels.elastic.surfaces import (
+    CLOSE,
+    drive_of,
+    expect,
+    place_probe,
+    relative_to,
+    report_on,
+    share_in_tick,
+    shift_pose,
+    surface_after,
+)
 from softfinger.proxy.kernels.jit.dispatch import chosen_by
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, State, Vec3
-from softfinger.proxy.kernels.model.elastic import Elastic, Surface
+from softfinger.proxy.kernels.model import Scene, State
+from softfinger.proxy.kernels.model.elastic import Elastic
 from softfinger.proxy.kernels.numerics import mat3, vec3
-from softfinger.proxy.kernels.numerics.frames import turn_into, turn_out_of
-from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
-from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, UNSOLVED
+from softfinger.proxy.record import FREE
 
 ROUNDS = 8
 """Largest number of rigid steps of a finger in a tick."""
 SOLVED = 1e-11
 """Error of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
-CLOSE = 1e-6
-"""Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m. A larger error
-of the last round is reported as UNSOLVED."""
-Blocks = tuple[tuple[Mat3, Mat3], tuple[Mat3, Mat3]]
-
-ROTATION_MAX_RAD = 10.0 * pi / 180.0
-STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
-
-
-@jit
-def shift_pose(body: Any, pose: Pose, surface: Vec3) -> Pose:
-    """Return the pose relative to the displaced surface."""
-    return Pose(vec3.sub(pose.position, turn_out_of(body.pose, surface)), pose.orientation)
-
-
-@jit
-def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
-    """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
-    probe = state.probe
-    moved = shift_pose(body, Pose(probe.position, probe.orientation), surface)
-    return replace(state, "probe", Probe(moved.position, probe.orientation, probe.velocity))
-
-
-@jit
-def place_probe(state: FingerState, pose: Pose) -> FingerState:
-    """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
-    return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
-
-
-@jit
-def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
-    """Return the motion (3,) m of the probe in this tick, and what drives the displacement relative to it.
-
-    That is the motion less the part of the last change that a damped surface makes in any case. Both are in the object
-    frame.
-    """
-    motion = turn_into(body.pose, vec3.sub(pose.position, state.probe.position))
-    return motion, vec3.add_scaled(motion, gain - 1.0, last.change)
-
-
-@jit
-def expect(last: Surface, change: Vec3, largest: float) -> Vec3:
-    """Return the displacement (3,) m after an expected change, unless this exceeds `largest`, m, or is not a number."""
-    return vec3.add(last.displacement, change) if vec3.norm(change) <= largest else last.displacement
-
-
-@jit
-def share_in_tick(elastic: Elastic, dt: float) -> float:
-    """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
-    if elastic.damping == 0.0:
-        return 1.0
-    return dt / (dt + elastic.damping)
-
-
-@jit
-def surface_after(
-    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
-) -> Surface:
-    """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
-
-    bent  largest rotation, rad, and strain of the body, and the square of the error, m2, of the displacement
-    """
-    elastic, body, rate = scene.elastic, scene.objects.body, last.rate
-    moved = vec3.sub(displacement, last.displacement)
-    if dt > 0.0:
-        gain = 1.0 / (finger.velocity_time_constant + dt)
-        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, moved)
-    beyond = 0.0
-    if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
-        beyond += LARGE_DISPLACEMENT
-    if bent[0] > ROTATION_MAX_RAD:
-        beyond += LARGE_ROTATION
-    if bent[1] > STRAIN_MAX:
-        beyond += LARGE_STRAIN
-    if bent[2] > CLOSE**2:
-        beyond += UNSOLVED
-    if contact.mode == FREE:
-        return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
-    return Surface(displacement, moved, last.inverse, rate, turn_out_of(body.pose, displacement), beyond)
-
-
-@jit
-def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
-    """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
-
-    slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves
-           energy only with it. A contact with friction has none: it dissipates more than a slope below the coefficient
-           of friction returns.
-    """
-    moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
-    if contact.mode == FREE:
-        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
-    force = turn_out_of(body.pose, slope)
-    one, two, three = contact.contacts
-    one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
-    two = replace(two, "point", vec3.add(two.point, moved))
-    three = replace(three, "point", vec3.add(three.point, moved))
-    return replace(
-        contact,
-        "velocity", vec3.add(contact.velocity, rate),
-        "center", vec3.add(contact.center, moved),
-        "point", vec3.add(contact.point, moved),
-        "force", vec3.add(contact.force, force),
-        "contacts", (one, two, three),
-    )  # fmt: skip
 
 
 @step_once.of(Elastic)
@@ -213,41 +113,6 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     surface = surface_after(scene, finger, last, u, contact, (*bending_under(elastic, spot), square), dt)
     surface = replace(surface, "inverse", (mat3.IDENTITY if contact.mode == FREE else inverse,))
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
-
-
-@jit
-def linearize_both(elastic: Elastic, one: Spot, two: Spot, rows: Any, gain: float) -> Any:
-    """Return Newton's matrix of two fingers, four blocks (3, 3), and the gradients (3,) N of load times displacement.
-
-    rows  of the nodes of `one` under loads at `one` and `two`, and of `two` at `two`
-    """
-    r11, r12, r22 = rows
-    r21 = compute_node_rows(elastic, two, one)
-    at_one = mat3.plus(slope_at(one, one, r11), 1.0, slope_at(one, two, r12))
-    at_two = mat3.plus(slope_at(two, two, r22), 1.0, slope_at(two, one, r21))
-    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_one, 1.0, slope_by(one, one, r11, r11)))
-    b = mat3.plus(mat3.ZEROS, gain, slope_by(one, two, r12, r21))
-    c = mat3.plus(mat3.ZEROS, gain, slope_by(two, one, r21, r12))
-    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_two, 1.0, slope_by(two, two, r22, r22)))
-    gradients = mat3.times(mat3.transpose(at_one), one.load), mat3.times(mat3.transpose(at_two), two.load)
-    return (a, b, c, d), gradients
-
-
-@jit
-def invert_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Blocks:
-    """Return the rows of blocks of the inverse of ((a, b), (c, d))."""
-    a_inverse = mat3.inverse(a)
-    left, right = mat3.product(c, a_inverse), mat3.product(a_inverse, b)
-    corner = mat3.inverse(mat3.plus(d, -1.0, mat3.product(left, b)))
-    up = mat3.plus(mat3.ZEROS, -1.0, mat3.product(right, corner))
-    down = mat3.plus(mat3.ZEROS, -1.0, mat3.product(corner, left))
-    return (mat3.plus(a_inverse, -1.0, mat3.product(up, left)), up), (down, corner)
-
-
-@jit
-def times_both(blocks: Blocks, one: Vec3, two: Vec3) -> tuple[Vec3, Vec3]:
-    (a, b), (c, d) = blocks
-    return vec3.add(mat3.times(a, one), mat3.times(b, two)), vec3.add(mat3.times(c, one), mat3.times(d, two))
 
 
 @press.of(2)
