@@ -45,6 +45,7 @@ CAUSE_RESTART: Final = 7
 LARGE_DISPLACEMENT: Final = 1
 LARGE_ROTATION: Final = 2
 LARGE_STRAIN: Final = 4
+UNSOLVED: Final = 8
 """Bits of `contact.nonlinear`."""
 
 UNSEARCHED: Final = 1
@@ -137,7 +138,7 @@ class Offsets(NamedTuple):
         "",
         (
             "limits of linear elasticity that are exceeded: 1 displacement above 10 % of the object's size, 2 rotation "
-            "above 10 degrees, 4 strain above 10 %"
+            "above 10 degrees, 4 strain above 10 %; 8 displacement not solved to 1 um in this tick"
         ),
     ]
 

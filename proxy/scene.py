@@ -18,6 +18,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
 from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
+from softfinger.proxy.kernels.numerics import mat3
 from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.many import many_objects
@@ -156,7 +157,8 @@ def _surfaces(scene: model.Scene) -> Any:
     """Return the displacement under each finger before the first pose, None without an elastic object."""
     if scene.elastic is None:
         return None
-    return tuple(model.Surface(model.ZERO, model.ZERO, model.ZERO, model.ZERO, 0.0) for _ in scene.fingers)
+    count, surface = range(len(scene.fingers)), model.Surface(model.ZERO, model.ZERO, (), model.ZERO, model.ZERO, 0.0)
+    return tuple(surface._replace(inverse=tuple(mat3.IDENTITY if i == j else mat3.ZEROS for j in count)) for i in count)
 
 
 def patches_of(objects: model.Single | model.Many) -> int:

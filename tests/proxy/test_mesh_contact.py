@@ -188,6 +188,14 @@ def test_a_first_pose_inside_is_pushed_out(tmp_path):
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
 
 
+@pytest.mark.plain
+def test_a_finger_at_rest_may_touch_to_rounding(tmp_path):
+    """The gap is smaller than the radius by rounding, and the path of the tick has no length."""
+    mesh = thing("part", "mesh", file=saved(tmp_path, *box(0.03, 0.03, 0.02)), position_m=[0.0, 0.0, -0.02])
+    records = go(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
+    assert not field(records, AT.force).any() and np.isfinite(records).all()
+
+
 def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
     """A finger that would pass a sheet within one tick is stopped, from either side."""
     running = engine(thing("sheet", "mesh", file=saved(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))

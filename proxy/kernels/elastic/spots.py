@@ -1,9 +1,10 @@
-"""Spots of an elastic surface: contact points with their load, the compliance between them, and slopes of both."""
+"""Spots of an elastic surface: contact points with their load, and the slopes of both."""
 
 from math import sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.friction.stick_slip import ROUNDING, SLIP_TIME_CONSTANT_S
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -38,6 +39,8 @@ class Spot(NamedTuple):
     slopes   gradients (3,) 1/m of the weights with the position of the probe; 0 while the contact sticks
     load     (3,) N    on the object
     spring   N/m       rows (3,) of the slope of the load with the position of the probe
+    excess   (3,) N    of the friction, on the finger, that the cone removes
+    stuck    N/m       `spring` without the cone
     """
 
     nodes: tuple[int, int, int]
@@ -45,74 +48,19 @@ class Spot(NamedTuple):
     slopes: Mat3
     load: Vec3
     spring: Mat3
+    excess: Vec3
+    stuck: Mat3
 
 
 @jit
 def empty_spot() -> Spot:
     """Return a spot without load on no facet."""
-    return Spot((-1, -1, -1), ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
+    return spot_without_load((-1, -1, -1), ZERO, mat3.ZEROS)
 
 
 @jit
-def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
-    """Return m plus the block of two nodes times `weight`."""
-    at = 9 * (a * int(elastic.number) + b)
-    c = elastic.compliance
-    return (
-        (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),
-        (m[1][0] + weight * c[at + 3], m[1][1] + weight * c[at + 4], m[1][2] + weight * c[at + 5]),
-        (m[2][0] + weight * c[at + 6], m[2][1] + weight * c[at + 7], m[2][2] + weight * c[at + 8]),
-    )
-
-
-@jit
-def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
-    """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 at a rigid vertex."""
-    found = mat3.ZEROS
-    if node >= 0:
-        for j in range(3):
-            if spot.nodes[j] >= 0:
-                found = add_block(found, elastic, node, spot.nodes[j], elastic.softness * spot.weights[j])
-    return found
-
-
-@jit
-def compute_node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
-    """Return the compliance (3, 3) m/N of each node of `one` under loads at `two`."""
-    a, b, c = one.nodes
-    return compute_node_row(elastic, a, two), compute_node_row(elastic, b, two), compute_node_row(elastic, c, two)
-
-
-@jit
-def compliance_of(spot: Spot, rows: Any) -> Mat3:
-    """Return the compliance (3, 3) m/N at a spot from the `rows` of its nodes."""
-    found = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
-    return mat3.plus(mat3.plus(found, spot.weights[1], rows[1]), spot.weights[2], rows[2])
-
-
-@jit
-def slope_at(one: Spot, two: Spot, rows: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` under the load of `two` with the position of `one`.
-
-    rows  of the nodes of `one` under loads at `two`
-    """
-    found = mat3.ZEROS
-    for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(rows[i], two.load), one.slopes[i])
-    return found
-
-
-@jit
-def slope_by(one: Spot, two: Spot, rows: Any, back: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` with the position of `two`, whose load and point change.
-
-    rows  of the nodes of `one` under loads at `two`
-    back  of the nodes of `two` under loads at `one`: transposed, by reciprocity, the response to loads on these nodes
-    """
-    found = mat3.product(compliance_of(one, rows), two.spring)
-    for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
-    return found
+def spot_without_load(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
+    return Spot(nodes, weights, slopes, ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
 
 
 @jit
@@ -144,7 +92,7 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
         to_b = vec3.scale(scale * vec3.dot(to_b, along), along)
         to_c = vec3.scale(scale * vec3.dot(to_c, along), along)
     nodes = (int(elastic.nodes[i]), int(elastic.nodes[j]), int(elastic.nodes[k]))
-    return Spot(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c), ZERO, mat3.ZEROS)
+    return spot_without_load(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c))
 
 
 @by_type
@@ -184,10 +132,13 @@ def contact_spot(
     beside = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
     drag = friction_on(body.material.friction, force, n)
     size = vec3.norm(drag)
-    side, length = unlimited_friction(finger, last, state, contact, dt)
-    if contact.mode == ROLLING and length <= (1.0 + LIMITED) * size:
-        spring = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, beside), vec3.scale(stiffness, n), n)
-        return replace(found, "slopes", mat3.ZEROS if side > 0.0 else found.slopes, "spring", spring)
+    side, unlimited = unlimited_friction(finger, last, state, contact, dt)
+    length = vec3.norm(unlimited)
+    stuck = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, beside), vec3.scale(stiffness, n), n)
+    if length <= (1.0 + LIMITED) * size and (contact.mode == ROLLING or (size > 0.0 and not slips(last, state, dt))):
+        return replace(found, "slopes", mat3.ZEROS if side > 0.0 else found.slopes, "spring", stuck)
+    if length > size > 0.0:
+        found = replace(found, "excess", vec3.sub(turn_into(body.pose, unlimited), drag), "stuck", stuck)
     if contact.normal_force > 0.0:
         along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
         if size > 0.0:  # the cone limits the friction, which turns with the deflection
@@ -209,19 +160,41 @@ def contact_spot(
 @jit
 def unlimited_friction(
     finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
-) -> tuple[float, float]:
-    """Return the stiffness, N/m, of the spring along the surface, and its force, N, before the cone limits it.
+) -> tuple[float, Vec3]:
+    """Return the stiffness, N/m, of the spring along the surface, and its force (3,) N, before the cone limits it.
 
-    A contact that starts to stick in this tick has no deflection, and follows the probe.
+    A contact that starts to stick in this tick has no deflection, and follows the probe. The frame is the world.
     """
     before, spring = last.contacts[0].deflection, finger.coupling.stiffness
     if contact.mode != ROLLING:
         moved = vec3.sub(state.probe.position, last.probe.position)
-        return spring, spring * vec3.norm(vec3.reject(vec3.sub(before, moved), contact.normal))
+        return spring, vec3.scale(spring, vec3.reject(vec3.sub(before, moved), contact.normal))
     if last.contacts[0].body < 0.0:
-        return 0.0, 0.0
+        return 0.0, ZERO
     now, damper = state.contacts[0].deflection, finger.coupling.damping / dt if dt > 0.0 else 0.0
-    return spring + damper, vec3.norm(vec3.add_scaled(vec3.scale(spring, now), damper, vec3.sub(now, before)))
+    return spring + damper, vec3.add_scaled(vec3.scale(spring, now), damper, vec3.sub(now, before))
+
+
+@jit
+def slips(last: FingerState, state: FingerState, dt: float) -> bool:
+    """Return True if a sliding contact slips in this tick: without slip, the filtered speed only decays."""
+    decay = SLIP_TIME_CONSTANT_S / (SLIP_TIME_CONSTANT_S + dt)
+    return state.contacts[0].slip_speed > (1.0 + ROUNDING) * decay * last.contacts[0].slip_speed
+
+
+@jit
+def hold_if_reversed(spot: Spot, error: Vec3) -> tuple[Spot, Vec3]:
+    """Return the spot as if it stuck if a correction by `error` (3,) m ends its slip, and the load (3,) N this adds.
+
+    The load of a slipping contact does not change along its slip. On a surface softer than the finger's spring, a
+    correction with this slope passes the place where the contact sticks, and the friction is reversed in each round.
+    The load of a sticking contact is linear: one correction finds that place.
+    """
+    excess = spot.excess
+    if vec3.dot(excess, vec3.add(excess, mat3.times(spot.stuck, error))) >= 0.0:
+        return spot, ZERO
+    load = vec3.sub(spot.load, excess)
+    return replace(spot, "slopes", mat3.ZEROS, "load", load, "spring", spot.stuck), vec3.scale(-1.0, excess)
 
 
 @jit
@@ -255,22 +228,4 @@ def spot_of(
         return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
     if known.weights == ZERO:
         return nearest_spot(elastic, objects, after.probe.position)
-    return Spot(known.nodes, known.weights, mat3.ZEROS, ZERO, mat3.ZEROS)
-
-
-@jit
-def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
-    """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
-
-    Those of the components of the load on each node are added, wherever in the body they are.
-    """
-    rotation, strain = 0.0, 0.0
-    for i in range(3):
-        if spot.nodes[i] < 0:
-            continue
-        for j in range(3):
-            share = elastic.softness * spot.weights[i] * abs(spot.load[j])
-            at = 6 * spot.nodes[i] + 2 * j
-            rotation += share * elastic.bending[at]
-            strain += share * elastic.bending[at + 1]
-    return rotation, strain
+    return spot_without_load(known.nodes, known.weights, mat3.ZEROS)

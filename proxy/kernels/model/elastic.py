@@ -1,6 +1,6 @@
 """Elastic surface of a mesh, and its displacement under a fingertip."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.model.vectors import Vec3
@@ -33,7 +33,8 @@ class Surface(NamedTuple):
     """Surface under a fingertip.
 
     displacement  (3,) m    in the object frame
-    change        (3,) m    of it since the tick before: the start of the next tick
+    change        (3,) m    of it since the tick before
+    inverse       (3, 3)    of Newton's matrix, the block for each finger: with it the next tick begins
     rate          (3,) m/s  filtered rate of it
     moved         (3,) m    the displacement in the world frame, 0 without contact
     beyond        bits of `contact.nonlinear`
@@ -41,6 +42,7 @@ class Surface(NamedTuple):
 
     displacement: Vec3
     change: Vec3
+    inverse: Any
     rate: Vec3
     moved: Vec3
     beyond: float

@@ -1,0 +1,118 @@
+"""Displaced surface under a fingertip: its expected displacement before a tick, its state and the contact after it."""
+
+from math import pi
+from typing import Any
+
+from softfinger.proxy.kernels.elastic.spots import ZERO
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, Vec3
+from softfinger.proxy.kernels.model.elastic import Elastic, Surface
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import turn_into, turn_out_of
+from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, UNSOLVED
+
+CLOSE = 1e-6
+"""Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m. A larger error
+of the last round is reported as UNSOLVED."""
+ROTATION_MAX_RAD = 10.0 * pi / 180.0
+STRAIN_MAX = 0.1
+"""Rotation and strain above which the body is no longer linear."""
+
+
+@jit
+def shift_pose(body: Any, pose: Pose, surface: Vec3) -> Pose:
+    """Return the pose relative to the displaced surface."""
+    return Pose(vec3.sub(pose.position, turn_out_of(body.pose, surface)), pose.orientation)
+
+
+@jit
+def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
+    """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
+    probe = state.probe
+    moved = shift_pose(body, Pose(probe.position, probe.orientation), surface)
+    return replace(state, "probe", Probe(moved.position, probe.orientation, probe.velocity))
+
+
+@jit
+def place_probe(state: FingerState, pose: Pose) -> FingerState:
+    """Return the state of a finger with its probe in the world, where guard, passivity and record need it."""
+    return replace(state, "probe", Probe(pose.position, pose.orientation, state.probe.velocity))
+
+
+@jit
+def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
+    """Return the motion (3,) m of the probe in this tick, and what drives the displacement relative to it.
+
+    That is the motion less the part of the last change that a damped surface makes in any case. Both are in the object
+    frame.
+    """
+    motion = turn_into(body.pose, vec3.sub(pose.position, state.probe.position))
+    return motion, vec3.add_scaled(motion, gain - 1.0, last.change)
+
+
+@jit
+def expect(last: Surface, change: Vec3, largest: float) -> Vec3:
+    """Return the displacement (3,) m after an expected change, unless this exceeds `largest`, m, or is not a number."""
+    return vec3.add(last.displacement, change) if vec3.norm(change) <= largest else last.displacement
+
+
+@jit
+def share_in_tick(elastic: Elastic, dt: float) -> float:
+    """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
+    if elastic.damping == 0.0:
+        return 1.0
+    return dt / (dt + elastic.damping)
+
+
+@jit
+def surface_after(
+    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
+) -> Surface:
+    """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
+
+    bent  largest rotation, rad, and strain of the body, and the square of the error, m2, of the displacement
+    """
+    elastic, body, rate = scene.elastic, scene.objects.body, last.rate
+    moved = vec3.sub(displacement, last.displacement)
+    if dt > 0.0:
+        gain = 1.0 / (finger.velocity_time_constant + dt)
+        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, moved)
+    beyond = 0.0
+    if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
+        beyond += LARGE_DISPLACEMENT
+    if bent[0] > ROTATION_MAX_RAD:
+        beyond += LARGE_ROTATION
+    if bent[1] > STRAIN_MAX:
+        beyond += LARGE_STRAIN
+    if bent[2] > CLOSE**2:
+        beyond += UNSOLVED
+    if contact.mode == FREE:
+        return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
+    return Surface(displacement, moved, last.inverse, rate, turn_out_of(body.pose, displacement), beyond)
+
+
+@jit
+def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
+    """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
+
+    slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves
+           energy only with it. A contact with friction has none: it dissipates more than a slope below the coefficient
+           of friction returns.
+    """
+    moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
+    if contact.mode == FREE:
+        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
+    force = turn_out_of(body.pose, slope)
+    one, two, three = contact.contacts
+    one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
+    two = replace(two, "point", vec3.add(two.point, moved))
+    three = replace(three, "point", vec3.add(three.point, moved))
+    return replace(
+        contact,
+        "velocity", vec3.add(contact.velocity, rate),
+        "center", vec3.add(contact.center, moved),
+        "point", vec3.add(contact.point, moved),
+        "force", vec3.add(contact.force, force),
+        "contacts", (one, two, three),
+    )  # fmt: skip
