@@ -284,6 +284,11 @@ class Page:
         for client in self.server.get_clients().values():
             client.add_notification(title, text, auto_close_seconds=NOTIFICATION_S, color="orange")
 
+    def clear_message(self, text: str) -> None:
+        """Hide the message above the controls if it is `text`."""
+        if self._message.content == text:
+            self.show_message("")
+
     def _update_panel(self) -> None:
         now = time.monotonic()
         if now - self._text_updated_s > TEXT_S and self._newest and not self._paused.value:
