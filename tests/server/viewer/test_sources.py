@@ -215,9 +215,7 @@ def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
         live.close()
 
 
-def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(
-    page: Page, endpoints: tuple[str, str]
-) -> None:
+def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, endpoints: tuple[str, str]) -> None:
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page.fingers)
