@@ -41,7 +41,7 @@ ${SHEET} { max-height: 42% !important; } /* the fingertip is in the middle of th
   --mantine-color-blue-filled: var(--mantine-color-blue-8) !important;
   --mantine-primary-color-filled: var(--mantine-color-blue-8) !important; }
 :root[data-mantine-color-scheme="dark"] :is([role="tab"], [style*=" color: var(--mantine-primary-color-filled)"]) {
-  --mantine-primary-color-filled: var(--mantine-color-blue-4); } /* tabs, not the buttons with white text */
+  --mantine-primary-color-filled: var(--mantine-color-blue-4); --tabs-color: var(--mantine-color-blue-4); } /* tabs, not the buttons with white text */
 .mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
 [data-theme-switch]::before { content: ""; display: inline-block; width: 2em; height: 1.1em; margin-right: 0.5em;
   box-sizing: border-box; border: 1px solid; border-radius: 1em; vertical-align: -0.15em;
