@@ -216,7 +216,7 @@ def _show(finding: FileReport) -> None:
     if finding.errors:
         print(f"{finding.file}: not usable", file=sys.stderr)
         for error in finding.errors:
-            print(f"  {error}", file=sys.stderr)
+            print(f"  {error.removeprefix(f'{finding.file}: ')}", file=sys.stderr)
         return
     print(f"{finding.file}: {finding.kind}, usable")
     _print_rows(finding.summary)
