@@ -58,6 +58,7 @@ happens to draw the panel before it applies the theme."""
 PROMPT_STYLE: Final = """<style>
 [style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); width: 640px !important;
   max-width: 100vw; }
+[style*="right: 0px"][style*="z-index: 5"] > * > * { width: 100% !important; }
 [style*="right: 0px"][style*="box-shadow"] { display: none; }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
