@@ -5,6 +5,7 @@
 //     ./subscribe                                 # tcp://127.0.0.1:5555, for ever
 //     ./subscribe ipc:///run/softfinger 4         # another endpoint, four changes
 #include <array>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <map>
@@ -34,7 +35,8 @@ int main(int count, char **words) {
         const int now = message.at("contact").as<Map>().at("mode").as<int>();
         if (now == mode) continue;
         mode = now;
-        const auto force = message.at("force").as<std::array<double, 3>>();
+        auto force = message.at("force").as<std::array<double, 3>>();
+        for (double &component : force) component = std::round(1e3 * component) / 1e3 + 0.0; // without -0.000
         std::printf("%ld %s %.3f %.3f %.3f\n", message.at("tick").as<long>(), modes[mode], force[0], force[1], force[2]);
         std::fflush(stdout);
         --left;

@@ -29,7 +29,7 @@ while changes > 0
         continue
     end
     mode = double(contact.mode);
-    force = cellfun(@double, cell(message.force));
+    force = round(1e3 * cellfun(@double, cell(message.force))) / 1e3 + 0; % without -0.000
     fprintf("%d %s %.3f %.3f %.3f\n", int64(message.tick), modes(mode + 1), force);
     changes = changes - 1;
 end

@@ -19,7 +19,8 @@ for await (const [, body] of socket) {
   const message = decode(body);
   if (message.contact.mode === mode) continue;
   mode = message.contact.mode;
-  console.log(message.tick, modes[mode], ...message.force.map((component) => component.toFixed(3)));
+  const force = message.force.map((component) => (Math.round(1e3 * component) / 1e3 + 0).toFixed(3)); // without -0.000
+  console.log(message.tick, modes[mode], ...force);
   if (--left <= 0) break;
 }
 socket.close();

@@ -27,6 +27,6 @@ while left != 0:
     message = msgpack.unpackb(body)
     if message["contact"]["mode"] != mode:
         mode = message["contact"]["mode"]
-        x, y, z = message["force"]
+        x, y, z = (round(component, 3) + 0.0 for component in message["force"])  # without -0.000
         print(f"{message['tick']} {MODES[mode]} {x:.3f} {y:.3f} {z:.3f}", flush=True)
         left -= 1

@@ -68,7 +68,8 @@ while changes > 0
   message = unpack(uint8(zmq_recv(socket, 4096, 0)), 1);
   if message.field_state.mode != mode
     mode = message.field_state.mode;
-    printf("%d %s %.3f %.3f %.3f\n", message.sequence, modes{mode + 1}, message.force{:});
+    force = round(1e3 * [message.force{:}]) / 1e3 + 0; % without -0.000
+    printf("%d %s %.3f %.3f %.3f\n", message.sequence, modes{mode + 1}, force);
     changes--;
   end
 end

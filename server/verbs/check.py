@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,6 +19,7 @@ from softfinger.config.words import format_value, near
 from softfinger.server.offline.part_faults import part_faults
 from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
 from softfinger.server.offline.worlds import check_start
+from softfinger.server.progress import progress, report_compilation
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -105,10 +107,11 @@ def examine_file(file: str) -> FileReport:
         kind = kind_of(read_toml(path, file), file)
         if kind == "experiment":
             return _experiment(file, path)
-        config = load_scene(path) if kind == "scene" else load_rig(path)
-        if faults := part_faults(config, file):
-            return FileReport(file, kind, [], faults, {}, {})
-        summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
+        with report_compilation("kernels that call the device") if kind == "rig" else nullcontext():
+            config = load_scene(path) if kind == "scene" else load_rig(path)
+            if faults := part_faults(config, file):
+                return FileReport(file, kind, [], faults, {}, {})
+            summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
     except FaultyConfig as error:
         faults = [*map(str, error.faults), *part_faults(error.config, file)]
         return FileReport(file, kind, [], faults, {}, {})
@@ -136,7 +139,6 @@ def with_costs(finding: FileReport) -> FileReport:
     if finding.kind != "scene" or finding.errors:
         return finding
     from softfinger.server.offline.cost import keep_contact, make_touching_poses, measure, without_parts
-    from softfinger.server.progress import progress
 
     scene = load_scene(_locate(finding.file))
     parts = list(without_parts(scene))
@@ -214,7 +216,7 @@ def _show(finding: FileReport) -> None:
     if finding.errors:
         print(f"{finding.file}: not usable", file=sys.stderr)
         for error in finding.errors:
-            print(f"  {error}", file=sys.stderr)
+            print(f"  {error.removeprefix(f'{finding.file}: ')}", file=sys.stderr)
         return
     print(f"{finding.file}: {finding.kind}, usable")
     _print_rows(finding.summary)

@@ -102,11 +102,11 @@ class HandControls:
         self._drag_mode = gui.add_dropdown("a drag", tuple(DRAG_MODES))
         self._finger = gui.add_dropdown("finger", ("",), visible=False)
         names = (("x, mm", 60.0), ("y, mm", 60.0), ("z, mm", 60.0))
-        turns = (("turned about x, deg", 90.0), ("about y, deg", 90.0), ("about z, deg", 180.0))
+        turns = (("about x, deg", 90.0), ("about y, deg", 90.0), ("about z, deg", 180.0))
         self._sliders = [gui.add_slider(name, -end, end, 0.1, 0.0) for name, end in (*names, *turns)]
         for slider in self._sliders:
             slider.on_update(self._on_slider)
-        self._handles = gui.add_checkbox("handles on the finger", False)
+        self._handles = gui.add_checkbox("handles", False)
         self._handles.on_update(lambda event: self._show())
         self._release_button = gui.add_button("let go")
         self._release_button.on_click(lambda event: self._release())

@@ -3,7 +3,6 @@
 const SHEET = "[style*='max-height: 60%']"; // viser shows it in narrow windows instead of the docked panel
 const NOTE = "Software WebGL";
 const NOTE_MS = 8000;
-const NAMES_MS = 500;
 const doc = page.document;
 
 function fold(tries) {
@@ -42,7 +41,7 @@ ${SHEET} { max-height: 42% !important; } /* the fingertip is in the middle of th
   --mantine-color-blue-filled: var(--mantine-color-blue-8) !important;
   --mantine-primary-color-filled: var(--mantine-color-blue-8) !important; }
 :root[data-mantine-color-scheme="dark"] :is([role="tab"], [style*=" color: var(--mantine-primary-color-filled)"]) {
-  --mantine-primary-color-filled: var(--mantine-color-blue-4); } /* tabs, not the buttons with white text */
+  --mantine-primary-color-filled: var(--mantine-color-blue-4); --tabs-color: var(--mantine-color-blue-4); } /* tabs, not the buttons with white text */
 .mantine-Slider-markLabel { color: var(--mantine-color-dimmed) !important; }
 [data-theme-switch]::before { content: ""; display: inline-block; width: 2em; height: 1.1em; margin-right: 0.5em;
   box-sizing: border-box; border: 1px solid; border-radius: 1em; vertical-align: -0.15em;
@@ -51,7 +50,11 @@ ${SHEET} { max-height: 42% !important; } /* the fingertip is in the middle of th
   background: radial-gradient(circle at calc(100% - 0.5em), transparent 0.3em, currentColor 0.36em); }`;
 doc.head.append(style);
 fold(20);
-setInterval(nameControls, NAMES_MS);
+nameControls();
+const hasControl = (node) => node.querySelector?.("label, input, .mantine-ActionIcon-root");
+new MutationObserver((changes) => {
+  if (changes.some((change) => [...change.addedNodes].some(hasControl))) nameControls();
+}).observe(doc.body, { childList: true, subtree: true });
 setTimeout(closeNote, doc.querySelector(SHEET) ? 0 : NOTE_MS);
 
 // A held key answers one question of an experiment. Fields and the keys of the hand repeat.

@@ -121,7 +121,10 @@ class LivePage:
         was_silent = self._silent_s > SILENCE_S
         self._silent_s = 0.0 if has_ticks else self._silent_s + dt
         if self._scene is not None and (self._silent_s > SILENCE_S) != was_silent:
-            self._page.show_message("" if was_silent else SILENT)
+            if was_silent:
+                self._page.clear_message(SILENT)
+            else:
+                self._page.show_message(SILENT)
 
     def _request_description(self) -> None:
         """Request the daemon's description."""
@@ -256,7 +259,12 @@ class LivePage:
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
         self._page.show_message(PREPARING)
-        request = QueuedCommand("set_scene", values, lambda _: self._page.show_message(""), self._show_refusal)
+
+        def on_refused(text: str) -> None:
+            self._page.clear_message(PREPARING)
+            self._show_refusal(text)
+
+        request = QueuedCommand("set_scene", values, lambda _: self._page.clear_message(PREPARING), on_refused)
         self._scene_commands.submit(name, request)
 
     def _show_refusal(self, text: str) -> None:

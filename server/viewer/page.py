@@ -55,17 +55,17 @@ NOTIFICATION_S: Final = 12.0
 PANEL_WIDTH: Final = 384
 """Width of the docked panel, pixels: that of the theme. Without it, viser 1.1.1 uses its default width if a browser
 happens to draw the panel before it applies the theme."""
-PROMPT_WIDTH: Final = 640
-"""Width of the column of a page that has only prompts, pixels."""
 PROMPT_STYLE: Final = """<style>
-[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); max-width: 100vw; }
+[style*="right: 0px"][style*="z-index: 5"] { right: 50% !important; transform: translateX(50%); width: 640px !important;
+  max-width: 100vw; }
+[style*="right: 0px"][style*="z-index: 5"] > * > * { width: 100% !important; }
 [style*="right: 0px"][style*="box-shadow"] { display: none; }
 [style*="max-height: 60%"] { max-height: 100% !important; height: 100%; }
 .mantine-Button-root { min-height: 2.6em; font-size: 1.1em; }
 @media (min-width: 1800px) { [style*="right: 0px"][style*="z-index: 5"] { zoom: 1.6; } }
 </style>"""
 """Centres the docked panel of viser 1.1, without the shadow of its docked place, and enlarges it in large windows; the
-sheet of a phone fills it."""
+sheet of a phone fills it. viser's own width of the panel is lost in a window that was narrow."""
 
 
 _push: Final = AsyncMessageBuffer.push
@@ -140,7 +140,6 @@ class Page:
         for part in (self._state_text, self._paused, self.tabs):
             part.visible = False
         self.server.gui.add_html(PROMPT_STYLE)
-        self.server.gui.main_panel.set_width(PROMPT_WIDTH)
 
     def add_views(self) -> None:
         """Add the tabs for view settings and plots; call after the data source has added its tabs."""
@@ -283,6 +282,11 @@ class Page:
         self.refusal = f"{title} {text}"
         for client in self.server.get_clients().values():
             client.add_notification(title, text, auto_close_seconds=NOTIFICATION_S, color="orange")
+
+    def clear_message(self, text: str) -> None:
+        """Hide the message above the controls if it is `text`."""
+        if self._message.content == text:
+            self.show_message("")
 
     def _update_panel(self) -> None:
         now = time.monotonic()

@@ -70,9 +70,9 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
         "fingertip.radius_m = 0",
         "object: is missing",
         "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
-        "driver.toml: device.driver = 'replya'",
-        "both.toml: both scene (fingertip) and rig (device)",
-        "neither.toml: neither scene nor rig",
+        "driver.toml: not usable\n  device.driver = 'replya'",
+        "both.toml: not usable\n  both scene (fingertip) and rig (device)",
+        "neither.toml: not usable\n  neither scene nor rig",
         "no scene, rig or experiment is named 'repaly' (did you mean 'replay'?)",
     ]:
         assert part in err
@@ -196,3 +196,9 @@ def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
     done = called("check", str(tmp_path / "scene.toml"))
     assert done.returncode == 2
     assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it is truncated", done.stderr)
+
+
+def test_an_error_names_its_file_once(tmp_path: Path) -> None:
+    file = tmp_path / "missing.toml"
+    done = called("check", str(file))
+    assert done.returncode == 2 and done.stderr == f"{file}: not usable\n  no such file\n"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from softfinger.server.progress import name_warmup, progress_text
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_layout, read_table
+from softfinger.server.verbs import check
 
 RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
@@ -153,6 +156,22 @@ def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pyte
     with display.progress("next", 4) as done:
         done(1)
     assert shown == {"outer": [0.125, 0.1875, 0.5, 0.5, 0.5, 1.0], "next": [0.25]}
+
+
+def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driver with kinematics is compiled for seconds when its rig is checked first."""
+    reported: list[str] = []
+
+    @contextmanager
+    def report(kernels: str) -> Iterator[None]:
+        reported.append(kernels)
+        yield
+        reported.append("end")
+
+    monkeypatch.setattr(check, "report_compilation", report)
+    monkeypatch.setattr(check, "rig_summary", lambda rig: reported.append("summary") or [])
+    check.examine_file("simulated")
+    assert reported == ["kernels that call the device", "summary", "end"]
 
 
 class Looking(Folder):

@@ -122,13 +122,15 @@ def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client
 
 
 def test_a_slider_changes_the_material_of_the_daemon(screen: Screen, client: Client) -> None:
-    """A number next to it sets the stiffness; both coefficients of friction keep their ratio."""
+    """A number next to it sets the stiffness; both coefficients of friction keep their ratio. Screen readers get its
+    name."""
 
     def material() -> dict[str, object]:
         made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
         return made
 
     screen.tab("Feel")
+    assert eventually(lambda: screen.page.get_by_role("slider", name="stiffness, N/m").count() == 1)
     screen.fill("stiffness, N/m", "740")
     assert eventually(lambda: material()["stiffness_n_per_m"] == 740.0)
     screen.fill("friction", "0.3")

@@ -37,6 +37,8 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         for width in (390, 2560, 840):
             run.page.set_viewport_size({"width": width, "height": 520})
             assert eventually(lambda: abs(run.middle("I agree") - width / 2) < 10.0), width  # noqa: B023 - called at once
+        agree = run.page.get_by_role("button", name="I agree")
+        assert agree.bounding_box()["width"] > 500.0  # the column has 640 pixels, also after the window was narrow
         run.click("I agree")
         assert run.waits("About you: question 1 of 2", "Which hand?")
         run.write("your answer", "the <b>left</b> one")

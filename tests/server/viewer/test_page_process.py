@@ -25,7 +25,7 @@ from helpers.called import called
 from helpers.programs import Program
 
 from softfinger.server.viewer.door import process as of_page
-from softfinger.server.viewer.door.process import RESTARTS
+from softfinger.server.viewer.door.process import RESTARTS, log_address
 
 pytestmark = pytest.mark.real_time
 
@@ -157,6 +157,12 @@ def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeyp
         process.send_signal(signal.SIGINT)
         process.wait()
         assert not file.exists()
+
+
+def test_the_address_is_alone_on_its_line(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        log_address("http://localhost:8080/secret/")
+    assert caplog.messages[0].splitlines()[1:] == ["http://localhost:8080/secret/"]
 
 
 def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -> None:

@@ -26,7 +26,7 @@ from softfinger.server.recording.results import write_results
 from softfinger.server.viewer.driven import ObjectControls
 from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.live import SILENCE_S, SILENT, LivePage
+from softfinger.server.viewer.live import PREPARING, SILENCE_S, SILENT, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.nodes.camera import initial_camera
 from softfinger.server.viewer.page import Page
@@ -204,6 +204,25 @@ def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
             live.step(SILENCE_S)
             assert page._message.visible and page._message.content == SILENT
         assert fed(live, lambda: not page._message.visible)
+        with monkeypatch.context() as silence:
+            silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+            live.step(2.0 * SILENCE_S)
+        page.show_message("force off")
+        newest = page._newest[""][AT.tick]
+        assert fed(live, lambda: page._newest[""][AT.tick] > newest)
+        assert page._message.visible and page._message.content == "force off"
+    finally:
+        live.close()
+
+
+def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, endpoints: tuple[str, str]) -> None:
+    live = LivePage(page, Addresses(*endpoints))
+    try:
+        assert fed(live, lambda: page.fingers)
+        live._set_scene("scene", {"scene": "no-such-scene"})
+        assert page._message.content == PREPARING
+        assert fed(live, lambda: "no-such-scene" in page.refusal)
+        assert not page._message.visible
     finally:
         live.close()
 
