@@ -323,6 +323,17 @@ def test_a_kernel_without_branches_skips_the_passes_for_them() -> None:
         assert numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x))(1.0) == 4.0
 
 
+def test_an_in_place_operation_compiles_for_new_types() -> None:
+    """`lower_binop`: numba types it as in place, and generates the code of the plain operation."""
+
+    def subtract(x: Any, y: Any) -> Any:
+        x -= y
+        return x
+
+    kernel: Any = decorators.jit(subtract)
+    assert numba.njit(**decorators.OPTIONS)(lambda x, y: kernel(x, y))(np.float32(5.0), np.float32(1.5)) == 3.5
+
+
 def test_an_error_of_type_inference_names_its_place() -> None:
     kernel: Any = decorators.jit(lambda x: x + None)
     with pytest.raises(numba.TypingError, match=r"test_numba_internals\.py"):

@@ -155,7 +155,7 @@ class _InlinedLower(Lower):  # type: ignore[misc]
 
     def lower_binop(self, result: Any, expression: Any, operation: Any) -> Any:
         """Generate an operation by its signature from type inference; numba infers it again."""
-        if not (expression.static_lhs is expression.static_rhs is ir.UNDEFINED):
+        if expression.op != "binop" or not (expression.static_lhs is expression.static_rhs is ir.UNDEFINED):
             return super().lower_binop(result, expression, operation)
         context, builder, signature = self.context, self.builder, self.fndesc.calltypes[expression]
         operands = [
