@@ -29,7 +29,8 @@ _find_singly_assigned_variable, _singly_assigned_vars, _blk_local_varmap, _cur_i
 RETCODE_OK (in `convention.py`), Compiler.define_pipelines, enable_object_caching
                          Variables are values, never deleted; kernels that cannot fail are not checked; machine code is
                          optimised once. Without all of these: a scene compiles for 1.2 times as long.
-PassManager, _runPass, _analysis, DefaultPassBuilder and its passes (in `passes.py`)
+PassManager, _runPass, _analysis, DefaultPassBuilder and its passes, _strip_phi_nodes
+(in `passes.py`)
                          Such a kernel is compiled without timers and checks of each pass, and without those that have
                          no effect in it. Without: 11 % more calls.
 TypeInferer, constraints, callstack, WarningsFixer, resolve_function_type, typingctx (in `passes.py`), lower_binop
@@ -38,8 +39,7 @@ TypeInferer, constraints, callstack, WarningsFixer, resolve_function_type, typin
 ffi.lib._lock, _cblist   LLVM's lock sends no events during a compilation. Without: 4 % more calls.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
 JITCodeLibrary, get_executable, compile_result, CompilerBase
-                         Such a kernel has no machine code. Without: a scene compiles
-                         for 1.2 times as long, and takes 1.5 times the disk space.
+                         Such a kernel has no machine code. Without: a scene takes 1.5 times the disk space.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
                          A cache that trusts no other user (`cache.py`). Without: numba unpickles any file found, and
                          ends the program if a file is damaged.
@@ -120,6 +120,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], folder: Folder, kind: str = "") -> None:
         self._function, self._folder, self._kind = function, folder, kind
         self._own = sources_of(function.__code__.co_filename)
+        self._missing = dict[Any, Any]()  # keys of kernels that are not cached, by signature
 
     @property
     def cache_path(self) -> str:
@@ -132,11 +133,14 @@ class KernelCache(NullCache):  # type: ignore[misc]
         code needs only the addresses of its callees; `compile` does the preparation itself.
         """
         key = self.key(signature, target_context.codegen())
-        return None if key is None else load(self._folder, self._name(key), target_context, key)
+        compiled = None if key is None else load(self._folder, self._name(key), target_context, key)
+        if compiled is None:
+            self._missing[signature] = key
+        return compiled
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Store a compiled kernel if possible."""
-        key = self.key(signature, compiled.codegen)
+        key = self._missing.pop(signature)
         if key is not None:
             self.save(self._name(key), key, compiled)
 
