@@ -154,14 +154,14 @@ def settle_for(
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
         active, left = add_touched(objects, radius, goal, active, near)
-    found, lift, budget = False, 0.0, left
+    is_clear, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
         center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
         if is_multipoint and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
         if gap >= radius * (1.0 - INSIDE):
-            found = True
+            is_clear = True
             break
         if left < 0:
             break
@@ -174,8 +174,8 @@ def settle_for(
                 if count_of(active) == 3:
                     active = drop_weakest(active)
                 active = add_constraint(active, at, normal)
-    late = not found
-    if not found:
+    late = not is_clear
+    if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
         gap, _, left = deepest(objects, last_center, radius, active_objects(last_active), left)
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
