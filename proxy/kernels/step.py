@@ -23,6 +23,7 @@ from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
     friction_of_contacts,
     land_among_several,
+    make_no_approach,
 )
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
@@ -86,18 +87,14 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 
     While the bodies have a fault, nothing is touched: their poses are unknown.
     """
-    bodies = scene.bodies
-    if has_fault(bodies):
-        return release_all(scene, state.world, state.fingers, poses, dt)
-    count = bodies.block[SUBSTEPS]
-    start = state.fingers
-    state, contacts = step_once(scene, state, map_each(interpolate_pose, (start, poses), 1.0 / count), dt / count)
-    push_bodies(bodies, contacts, state.fingers)
-    for i in range(1, count):
-        if step_bodies(bodies) == NO_FAULT:
-            substep_poses = map_each(interpolate_pose, (start, poses), (i + 1.0) / count)
-            state, contacts = step_once(scene, state, substep_poses, dt / count)
-            push_bodies(bodies, contacts, state.fingers)
+    bodies, start = scene.bodies, state.fingers
+    if not has_fault(bodies):
+        count = bodies.block[SUBSTEPS]
+        for i in range(count):
+            if i == 0 or step_bodies(bodies) == NO_FAULT:
+                substep_poses = map_each(interpolate_pose, (start, poses), (i + 1.0) / count)
+                state, contacts = step_once(scene, state, substep_poses, dt / count)
+                push_bodies(bodies, contacts, state.fingers)
     if has_fault(bodies):
         return release_all(scene, state.world, start, poses, dt)
     return state, contacts
@@ -183,23 +180,24 @@ def contact_with_one_object(
 def contact_with_several_objects(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
-    if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
-        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
+    shapes, motion, approach = all_bare(objects), ProbeMotion(probe, state.probe, dt), make_no_approach(probe)
+    if state.stuck < STUCK_TICKS or not is_clear(shapes, finger.radius, probe.position):
+        state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].body < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
     forces = friction_of_contacts(finger, objects, approach, motion)
     landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
+    active = landing.active
+    if not is_alone:
+        settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
+        active = settled.active
+    effects = effects_of_tick(scene, finger, objects, state, active, probe, dt)
     if is_alone:
-        ground = ground_at(objects, landing.active[0].body)
-        load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
-        effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
+        ground = ground_at(objects, active[0].body)
+        load = load_on(finger, objects, ground, active[0], motion, approach.began)
         outcome = outcome_of_one(finger, ground, probe, approach, forces[0], landing, load, effects)
-        return make_state(probe, outcome), make_contact(finger, probe, outcome)
-    settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
-    effects = effects_of_tick(scene, finger, objects, state, settled.active, probe, dt)
-    outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
+    else:
+        outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
     return make_state(probe, outcome), make_contact(finger, probe, outcome)
 
 

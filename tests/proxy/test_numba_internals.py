@@ -17,11 +17,13 @@ import numpy as np
 import pytest
 from numba import types
 from numba.core import event
+from numba.core.compiler import run_frontend
 from numba.core.registry import cpu_target
+from numba.core.typeinfer import TypeInferer
 
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.compiler import numba_internals
+from softfinger.proxy.kernels.jit.compiler import numba_internals, passes
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     SEEN,
     CFunction,
@@ -245,7 +247,7 @@ def test_a_function_of_scalars_is_resolved_once() -> None:
     """`resolve_function_type`: numba's answer, the same object for the same types; of tuples numba is asked again."""
     context = cpu_target.typing_context
     context.refresh()
-    cached = numba_internals.ScalarSignatures(context)
+    cached = passes.ScalarSignatures(context)
     add = context.resolve_value_type(operator.add)
     for kind in (types.float64, types.int64, types.boolean):
         given = (add, (kind, kind), {})
@@ -253,6 +255,89 @@ def test_a_function_of_scalars_is_resolved_once() -> None:
         assert cached.resolve_function_type(*given) is cached.resolve_function_type(*given)
     pair = types.UniTuple(types.float64, 2)
     assert cached.resolve_function_type(add, (pair, pair), {}).return_type == types.UniTuple(types.float64, 4)
+
+
+def straight(x: float, n: int) -> Any:
+    pair = x, n
+    return pair[0] * pair[1] + 1, pair
+
+
+def branched(x: float, n: int) -> Any:
+    total = 1
+    if x > 2.0:
+        total = n + 1
+    elif n:
+        x = total / 2.0
+    return x + total, (total, x)
+
+
+def looped(x: float, n: int) -> Any:
+    total, last = 0, x
+    for i in range(n):
+        last = total + 0.5
+        total += i
+    return total, last
+
+
+@pytest.mark.parametrize(("function", "rounds"), [(straight, 0), (branched, 0), (looped, 1)])
+def test_values_before_their_uses_are_typed_in_one_round(
+    monkeypatch: pytest.MonkeyPatch, function: Any, rounds: int
+) -> None:
+    """`TypeInferer`: a kernel has the type and the results of numba's own compilation; only loops need its rounds."""
+    ran: list[str] = []
+    numba_propagate = TypeInferer.propagate
+
+    def count(self: Any, raise_errors: bool = True) -> Any:
+        ran.append(self.func_id.func_name)
+        return numba_propagate(self, raise_errors)
+
+    monkeypatch.setattr(TypeInferer, "propagate", count)
+    kernel: Any = decorators.jit(function)
+    caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n))
+    plain: Any = numba.njit(**decorators.OPTIONS)(function)
+    for given in ((1.5, 3), (2.5, 0), (0.0, 0)):
+        assert caller(*given) == plain(*given) == function(*given)
+    (typed,), (reference,) = kernel.dispatcher.nopython_signatures, plain.nopython_signatures
+    assert typed == reference
+    assert ran.count(function.__name__) == rounds + 1  # and once for numba's own compilation
+
+
+def test_a_kernel_without_branches_skips_the_passes_for_them() -> None:
+    """`is_straight`: one block, in which no variable is assigned twice; numba renames those that no closure reads."""
+
+    def renamed(x: float) -> float:
+        y = x + 1.0
+        y = y * 2.0
+        return y
+
+    def shared(x: float) -> float:
+        y = x + 1.0
+        doubled = lambda: 2.0 * y  # noqa: E731
+        y = doubled()
+        return y
+
+    for function, expected in ((straight, True), (renamed, True), (shared, False), (branched, False), (looped, False)):
+        assert passes.is_straight(run_frontend(function)) is expected
+    for function in (renamed, shared):
+        kernel: Any = decorators.jit(function)
+        assert numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x))(1.0) == 4.0
+
+
+def test_an_in_place_operation_compiles_for_new_types() -> None:
+    """`lower_binop`: numba types it as in place, and generates the code of the plain operation."""
+
+    def subtract(x: Any, y: Any) -> Any:
+        x -= y
+        return x
+
+    kernel: Any = decorators.jit(subtract)
+    assert numba.njit(**decorators.OPTIONS)(lambda x, y: kernel(x, y))(np.float32(5.0), np.float32(1.5)) == 3.5
+
+
+def test_an_error_of_type_inference_names_its_place() -> None:
+    kernel: Any = decorators.jit(lambda x: x + None)
+    with pytest.raises(numba.TypingError, match=r"test_numba_internals\.py"):
+        numba.njit(**decorators.OPTIONS)(lambda x: kernel(x))(1.0)
 
 
 def test_a_compilation_sends_no_events_of_locks() -> None:

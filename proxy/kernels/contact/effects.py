@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import TouchedObjects, apply_objects_effects
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Finger, FingerState, Probe, Scene, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import number_of
 
 
 class Effects(NamedTuple):
@@ -22,12 +21,6 @@ class Effects(NamedTuple):
     force: Vec3
     states: Any
     unknown: float
-
-
-@jit
-def with_scene_index(objects: Any, constraint: Constraint) -> Constraint:
-    """Return the constraint with the object's index in the scene file instead of its flat index."""
-    return Constraint(number_of(objects, constraint.body), constraint.normal, constraint.depth)
 
 
 @jit
@@ -49,10 +42,6 @@ def effects_of_tick(
     contact = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
-    one, two, three = active
-    touched = TouchedObjects(
-        one=with_scene_index(objects, one), two=with_scene_index(objects, two), three=with_scene_index(objects, three),
-        before=state.probe.position,
-    )  # fmt: skip
+    touched = TouchedObjects(active, state.probe.position)
     more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)
     return Effects(vec3.add(force, more), (states, states_of_objects), unknown)

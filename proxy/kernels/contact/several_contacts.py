@@ -21,8 +21,9 @@ from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
+from softfinger.proxy.kernels.contact.rest.facets import slide_over_facets
 from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
-from softfinger.proxy.kernels.contact.rest.several_objects import is_safe_step, slide_over_facets
+from softfinger.proxy.kernels.contact.rest.projection import is_safe_step
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3

@@ -8,7 +8,8 @@ from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
-from softfinger.proxy.kernels.contact.rest.several_objects import constraints_over_edges, settle_among_several
+from softfinger.proxy.kernels.contact.rest.facets import constraints_over_edges
+from softfinger.proxy.kernels.contact.rest.several_objects import settle_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Finger, Vec3

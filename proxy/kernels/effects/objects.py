@@ -6,24 +6,18 @@ from softfinger.proxy.kernels.effects.forces import NO_FORCE, Situation, apply_e
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
-from softfinger.proxy.kernels.model import Carrier, Constraint, Many, Single, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Carrier, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.motion import moving_pose
-from softfinger.proxy.kernels.query.objects import closest_or_bound_on
+from softfinger.proxy.kernels.query.objects import closest_or_bound_on, number_of
 
 
 class TouchedObjects(NamedTuple):
-    """Active constraints of the proxy, and the previous probe position.
+    """Active constraints of the proxy, and the probe position (3,) m at the last tick."""
 
-    one, two, three          constraints; their `body` is the scene index of the object, -1 for none
-    before           (3,) m  probe position at the last tick
-    """
-
-    one: Constraint
-    two: Constraint
-    three: Constraint
+    active: ActiveSet
     before: Vec3
 
 
@@ -55,16 +49,7 @@ def effects_of(
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)
     gap, _, normal, unsearched = closest_or_bound_on(whole_object(objects, body), contact.position)
-    is_touched = 1.0
-    # The normal of the contact, not of the nearest surface point: the probe may have passed through a thin body.
-    if body.number == touched.one.body:
-        normal = touched.one.normal
-    elif body.number == touched.two.body:
-        normal = touched.two.normal
-    elif body.number == touched.three.body:
-        normal = touched.three.normal
-    else:
-        is_touched = 0.0
+    is_touched, normal = contact_normal_on(objects, touched.active, body.number, normal)
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
         displacement = vec3.sub(move_point(carry_of(body), touched.before), touched.before)
@@ -75,6 +60,22 @@ def effects_of(
     )  # fmt: skip
     force, after = apply_effects(carrier.effects, states, situation)
     return (force, unsearched), after
+
+
+@jit
+def contact_normal_on(objects: Any, active: ActiveSet, number: float, normal: Vec3) -> tuple[float, Vec3]:
+    """Return 1 and the normal of the contact on object `number` of the scene file, or 0 and `normal` without one.
+
+    The normal of the nearest surface point differs from it if the probe has passed through a thin body.
+    """
+    one, two, three = active
+    if number == number_of(objects, one.body):
+        return 1.0, one.normal
+    if number == number_of(objects, two.body):
+        return 1.0, two.normal
+    if number == number_of(objects, three.body):
+        return 1.0, three.normal
+    return 0.0, normal
 
 
 @by_type

@@ -65,10 +65,10 @@ class KernelTable(ReadOnly):
 
     @functools.cached_property
     def array(self) -> Any:  # type: ignore[override]
-        found = np.zeros(TABLE_SIZE, np.int64)
+        addresses = np.zeros(TABLE_SIZE, np.int64)
         for slot in sorted(self.slots):
-            found[slot] = 1 if PLAIN else _address(SLOTS[slot], self._rows)
-        return found
+            addresses[slot] = 1 if PLAIN else _address(SLOTS[slot], self._rows)
+        return addresses
 
     @property
     def address(self) -> int:  # type: ignore[override]
@@ -154,14 +154,14 @@ def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-un
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
         fields = cgutils.unpack_tuple(builder, args[0])
         values = [fields[sizes], fields[facet], *cgutils.unpack_tuple(builder, args[3])]
-        there = cgutils.alloca_once(builder, context.get_value_type(given))
-        back = cgutils.alloca_once(builder, context.get_value_type(result))
-        builder.store(context.make_tuple(builder, given, values), there)
+        arguments_slot = cgutils.alloca_once(builder, context.get_value_type(given))
+        result_slot = cgutils.alloca_once(builder, context.get_value_type(result))
+        builder.store(context.make_tuple(builder, given, values), arguments_slot)
         table = builder.inttoptr(fields[kernels], ir.IntType(64).as_pointer())
         function = ir.FunctionType(ir.VoidType(), [_BYTES, _BYTES]).as_pointer()
         code = builder.inttoptr(builder.load(builder.gep(table, [args[1]])), function)
-        builder.call(code, [builder.bitcast(each, _BYTES) for each in (there, back)])
-        return builder.load(back)
+        builder.call(code, [builder.bitcast(each, _BYTES) for each in (arguments_slot, result_slot)])
+        return builder.load(result_slot)
 
     return result(shape, types.int64, like, types.Tuple(kinds)), generate
 

@@ -3,6 +3,6 @@
 The rest position is the point nearest to the probe that satisfies every constraint. The common case of one object has
 a separate solver, which includes the deflection by friction: `one_object`. With `several_objects`, the search starts
 from the last active set, adds every obstacle, and computes the smallest displacement that satisfies all constraints
-(`half_spaces`), until nothing changes. On a mesh, if the last active set no longer supports the proxy, it moves by
-supporting planes: `cutting_planes`.
+(`projection`), until nothing changes. On a mesh, the proxy moves from facet to facet (`facets`), or by supporting
+planes if the last active set no longer supports it (`cutting_planes`).
 """

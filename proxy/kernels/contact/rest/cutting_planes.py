@@ -241,24 +241,24 @@ def step_towards(
              surfaces; False for that nearest to the anchor: round a convex edge, only this allows the full path
     """
     planes = solve_planes(planes, probe, 0.0)
-    center, found, clipped, lift, begun = anchor, False, False, 0.0, budget
-    kept = budget // 4  # reserve for the halvings
-    budget -= kept
+    center, is_clear, clipped, lift, budget_at_start = anchor, False, False, 0.0, budget
+    reserve = budget // 4  # reserve for the halvings
+    budget -= reserve
     for added in range(ADDED):
         center = planes.center
-        way = vec3.sub(center, anchor)
-        length = vec3.norm(way)
+        path = vec3.sub(center, anchor)
+        length = vec3.norm(path)
         clipped = length > STRIDE * radius
         if clipped:
-            center = vec3.add_scaled(anchor, STRIDE * radius / length, way)
+            center = vec3.add_scaled(anchor, STRIDE * radius / length, path)
         gap, at, budget = deepest(objects, center, radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
-            found = True
+            is_clear = True
             break
         if budget < 0 or at < 0.0:
             break
         plane = supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
-        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * budget < begun):
+        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * budget < budget_at_start):
             lift = 2.0 * (radius - gap)
         one, two, three = planes.one, planes.two, planes.three
         if at == one.body:
@@ -272,19 +272,19 @@ def step_towards(
             continue
         planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
     active, late = constraints_of(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
-    budget = max(budget, 0) + kept
-    if found:
+    budget = max(budget, 0) + reserve
+    if is_clear:
         return Rest(center, active, clipped, budget)
     # Too many facets at about the same distance. Every point on the path to the last centre is closer to the probe
     # than the anchor.
-    way = vec3.sub(center, anchor)
+    path = vec3.sub(center, anchor)
     for _ in range(HALVINGS):
         if budget < 0:
             break
-        way = vec3.scale(0.5, way)
-        gap, _, budget = deepest(objects, vec3.add(anchor, way), radius, bodies_of(planes), budget)
+        path = vec3.scale(0.5, path)
+        gap, _, budget = deepest(objects, vec3.add(anchor, path), radius, bodies_of(planes), budget)
         if gap >= radius * (1.0 - INSIDE):
-            return Rest(vec3.add(anchor, way), active, True, SPENT if late else budget)
+            return Rest(vec3.add(anchor, path), active, True, SPENT if late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
     gap, _, budget = deepest(objects, anchor, radius, bodies_of(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):

@@ -1,12 +1,10 @@
 """Equilibrium of the proxy on several objects or triangles of a mesh, without friction."""
 
-from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.contact.rest.active_set import (
     active_objects,
-    active_set_of_one,
     add_constraint,
     add_touched,
     count_of,
@@ -20,12 +18,13 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     sort_by_load,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
-from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest, relax
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined, outlined_where
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
+from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.model import ActiveSet, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -34,18 +33,9 @@ from softfinger.proxy.kernels.query.kinds import (
     any_multipoint,
     by_multipoint,
     has_creases_at,
-    is_mesh_at,
     takes_long,
 )
-from softfinger.proxy.kernels.query.objects import (
-    closest_to_within,
-    constraint_of,
-    deepest,
-    is_inside,
-    is_world_plane,
-    neighbour_on,
-    normal_law_of,
-)
+from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on, normal_law_of
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SETTLED, STRIDE
 
@@ -139,83 +129,6 @@ def settle_on_facets(
     return Rest(center, sort_by_load(objects, support), late, budget)
 
 
-@jit
-def facet_under(objects: Any, index: float, x: Vec3) -> float:
-    """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
-    for _ in range(EDGES):
-        neighbour = neighbour_on(objects, index, x)
-        if neighbour == index:
-            break
-        index = neighbour
-    return index
-
-
-@jit
-def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
-    """Return the constraint of the facet under a proxy at `center` (3,) m, which may have crossed an edge."""
-    body = constraint.body
-    if body < 0.0 or not is_mesh_at(objects, body):
-        return constraint
-    neighbour = facet_under(objects, body, center)
-    if neighbour == others[0].body or neighbour == others[1].body or neighbour == others[2].body:
-        return constraint
-    return Constraint(neighbour, constraint.normal, constraint.depth)
-
-
-@by_multipoint
-def constraints_over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
-    """Return the constraints of the facets under a proxy at `center` (3,) m, see `constraint_over_edge`."""
-
-
-@constraints_over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
-def keep_constraints(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
-    return active
-
-
-@constraints_over_edges.of(WITH_MESH)
-def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
-    one = constraint_over_edge(objects, active[0], center, active)
-    two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
-    return one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
-
-
-@jit
-def slide_over_facets(
-    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, ActiveSet, bool]:
-    """Slide the proxy over the facets of a mesh to the equilibrium of `rest_on_curved`.
-
-    Returns the centre, the active constraints, and whether the proxy is at rest: a proxy without deflection may need
-    further steps.
-    """
-    rounds, square = SLIDING_ROUNDS, 0.0
-    if deflection == (0.0, 0.0, 0.0):
-        rounds, foot = ROUNDS, facet_under(objects, index, probe)
-        _, point, foot_normal, _ = closest_to_within(objects, foot, probe, BUDGET)
-        if vec3.dot(foot_normal, normal) > SAME_SIDE:
-            center = vec3.add_scaled(point, radius, foot_normal)
-            return center, active_set_of_one(foot, foot_normal, vec3.sub(center, probe)), True
-    for _ in range(rounds):
-        depth = vec3.dot(vec3.sub(center, probe), normal)
-        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
-        index = facet_under(objects, index, goal)
-        _, point, normal, _ = closest_to_within(objects, index, goal, BUDGET)
-        landing = vec3.add_scaled(point, radius, normal)
-        step = vec3.sub(landing, center)
-        center, square = landing, vec3.dot(step, step)
-        if square <= (SETTLED * radius) ** 2:
-            break
-    at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
-    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), at_rest
-
-
-@jit
-def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
-    """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
-    step = vec3.sub(end, start)
-    return vec3.dot(step, step) <= (STRIDE * radius) ** 2
-
-
 @settle_by_search.of(SINGLE_POINT)
 def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
@@ -241,14 +154,14 @@ def settle_for(
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
         active, left = add_touched(objects, radius, goal, active, near)
-    found, lift, budget = False, 0.0, left
+    is_clear, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
         center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
         if is_multipoint and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
         if gap >= radius * (1.0 - INSIDE):
-            found = True
+            is_clear = True
             break
         if left < 0:
             break
@@ -261,8 +174,8 @@ def settle_for(
                 if count_of(active) == 3:
                     active = drop_weakest(active)
                 active = add_constraint(active, at, normal)
-    late = not found
-    if not found:
+    late = not is_clear
+    if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
         gap, _, left = deepest(objects, last_center, radius, active_objects(last_active), left)
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
@@ -289,87 +202,6 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         active = one_constraint(neighbour, active[0].normal, 0.0)
         goal, active, _ = relax(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
-
-
-@jit
-def relax(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
-) -> tuple[Vec3, ActiveSet, int]:
-    """Return the point nearest to `base` in front of the tangent planes of all active objects, active set, and budget.
-
-    Each round computes the tangent planes at the last point. For a pinched proxy the point is between the planes, see
-    `solve_half_spaces`. In a hollow, the plane is computed at the probe, displaced by the other constraints, as in
-    `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
-    would diverge.
-    """
-    center, active, _, budget = project_until_rest(objects, radius, base, center, active, rounds, budget)
-    return center, active, budget
-
-
-@jit
-def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
-    """Return the point (3,) m at which the tangent plane of an object is computed.
-
-    This is the proxy or, for a hollow, the probe displaced by p along n and q along m.
-    """
-    return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
-
-
-@outlined
-def project_until_rest(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
-) -> tuple[Vec3, ActiveSet, float, int]:
-    """Return `relax`, and the distance, m, that the proxy moved in the last round."""
-    square = 1e300
-    tolerance = (SETTLED * radius) ** 2
-    one, two, three = active
-    n1, n2, n3 = one.normal, two.normal, three.normal
-    push = Depths(one.depth, two.depth, three.depth)
-    inside1, inside2, inside3 = (
-        is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
-    )  # fmt: skip
-    hollow = inside1 or inside2 or inside3
-    flat = (
-        is_world_plane(objects, one.body) and is_world_plane(objects, two.body) and is_world_plane(objects, three.body)
-    )
-    p1, p2, p3 = 0.0, 0.0, 0.0
-    for turn in range(rounds):
-        at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
-        point, n1, budget = constraint_of(objects, one.body, at, radius, n1, budget)
-        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
-        b2, b3 = b1, b1
-        if two.body < 0.0:
-            n2 = n1
-        else:
-            at = linearisation_point(inside2, center, base, p1, n1, p3, n3)
-            point, n2, budget = constraint_of(objects, two.body, at, radius, n2, budget)
-            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
-        if three.body < 0.0:
-            n3 = n1
-        else:
-            at = linearisation_point(inside3, center, base, p1, n1, p2, n2)
-            point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
-            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
-        if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
-            p1 = max(b1, 0.0)
-            p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
-            p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
-            continue
-        solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
-        push = solution.push
-        p1, p2, p3 = solution.place
-        landing = vec3.add(base, displacement(solution.place, n1, n2, n3))
-        step = vec3.sub(landing, center)
-        center = landing
-        square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
-        if square <= tolerance:
-            break
-    constraints = (
-        Constraint(one.body, n1, push.first),
-        Constraint(two.body, n2, push.second),
-        Constraint(three.body, n3, push.third),
-    )
-    return center, constraints, sqrt(square), budget
 
 
 @jit

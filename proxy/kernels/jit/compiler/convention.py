@@ -153,6 +153,18 @@ class _InlinedLower(Lower):  # type: ignore[misc]
         self.builder = llvm_ir.IRBuilder(self.entry_block)
         self.call_helper = self.call_conv.init_call_helper(self.builder)
 
+    def lower_binop(self, result: Any, expression: Any, operation: Any) -> Any:
+        """Generate an operation by its signature from type inference; numba infers it again."""
+        if expression.op != "binop" or not (expression.static_lhs is expression.static_rhs is ir.UNDEFINED):
+            return super().lower_binop(result, expression, operation)
+        context, builder, signature = self.context, self.builder, self.fndesc.calltypes[expression]
+        operands = [
+            context.cast(builder, self.loadvar(each.name), self.typeof(each.name), kind)
+            for each, kind in zip((expression.lhs, expression.rhs), signature.args, strict=True)
+        ]
+        code = context.get_function(context.typing_context.resolve_value_type(operation), signature)
+        return context.cast(builder, code(builder, operands), signature.return_type, result)
+
     def lower_inst(self, inst: Any) -> None:
         if isinstance(inst, ir.Return) and _is_whole(self.fndesc.restype):
             self.call_conv.return_value(self.builder, self.loadvar(inst.value.name))

@@ -1,4 +1,4 @@
-"""Undocumented parts of numba and llvmlite, all used in this file and in `convention.py` only.
+"""Undocumented parts of numba and llvmlite, all used in this file, `convention.py` and `passes.py` only.
 
 Their purposes, and the consequences without them:
 
@@ -26,18 +26,20 @@ get_or_insert_function, get_executable, _defns, StarArgTuple, StarArgUniTuple (a
                          A tuple is one argument of such a kernel. Without: LLVM gets three times as much code, and a
                          scene compiles for 1.1 times as long.
 _find_singly_assigned_variable, _singly_assigned_vars, _blk_local_varmap, _cur_ir_block, pre_block, storevar,
-RETCODE_OK (in `convention.py`), IRLegalization, Compiler.define_pipelines, enable_object_caching
+RETCODE_OK (in `convention.py`), Compiler.define_pipelines, enable_object_caching
                          Variables are values, never deleted; kernels that cannot fail are not checked; machine code is
                          optimised once. Without all of these: a scene compiles for 1.2 times as long.
-PassManager, _runPass, _analysis
-                         Such a kernel is compiled without timers and checks of each pass. Without: 6 % more calls.
-resolve_function_type, typingctx
-                         Functions of scalars are resolved once. Without: 7 % more calls.
+PassManager, _runPass, _analysis, DefaultPassBuilder and its passes, _strip_phi_nodes
+(in `passes.py`)
+                         Such a kernel is compiled without timers and checks of each pass, and without those that have
+                         no effect in it. Without: 11 % more calls.
+TypeInferer, constraints, callstack, WarningsFixer, resolve_function_type, typingctx (in `passes.py`), lower_binop
+(in `convention.py`)
+                         Statements and functions of scalars are typed once. Without: 16 % more calls.
 ffi.lib._lock, _cblist   LLVM's lock sends no events during a compilation. Without: 4 % more calls.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
-JITCodeLibrary, get_executable, compile_result, CompilerBase and its passes
-                         Such a kernel has no machine code, and skips passes without effect. Without: a scene compiles
-                         for 1.2 times as long, and takes 1.5 times the disk space.
+JITCodeLibrary, get_executable, compile_result, CompilerBase
+                         Such a kernel has no machine code. Without: a scene takes 1.5 times the disk space.
 _cache, NullCache, serialize.dumps, CompileResult._reduce and ._rebuild, lifted, has_dynamic_globals
                          A cache that trusts no other user (`cache.py`). Without: numba unpickles any file found, and
                          ends the program if a file is damaged.
@@ -49,8 +51,8 @@ CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
 types.Callable, types.Dispatcher, resolve_value_type, lower_constant
                          A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
-SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read both files
-completely before an upgrade of numba.
+SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read the three
+files completely before an upgrade of numba.
 """
 
 from __future__ import annotations
@@ -61,29 +63,26 @@ import logging
 import pickle
 import secrets
 from collections.abc import Callable
-from types import CodeType
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import llvmlite.binding as llvm
 from numba import types
 from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompilerBase, CompileResult, DefaultPassBuilder, compile_result
+from numba.core.compiler import Compiler, CompilerBase, CompileResult, compile_result
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import PassManager
 from numba.core.errors import TypingError
 from numba.core.event import trigger_event
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.core.typed_passes import AnnotateTypes, InlineOverloads, IRLegalization, NativeLowering, NopythonRewrites
-from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables
 from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
-from softfinger.proxy.kernels.jit.compiler.convention import InlinedLowering, insert_inlined
+from softfinger.proxy.kernels.jit.compiler.convention import insert_inlined
+from softfinger.proxy.kernels.jit.compiler.passes import make_passes
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
@@ -121,6 +120,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], folder: Folder, kind: str = "") -> None:
         self._function, self._folder, self._kind = function, folder, kind
         self._own = sources_of(function.__code__.co_filename)
+        self._missing = dict[Any, Any]()  # keys of kernels that are not cached, by signature
 
     @property
     def cache_path(self) -> str:
@@ -133,11 +133,14 @@ class KernelCache(NullCache):  # type: ignore[misc]
         code needs only the addresses of its callees; `compile` does the preparation itself.
         """
         key = self.key(signature, target_context.codegen())
-        return None if key is None else load(self._folder, self._name(key), target_context, key)
+        compiled = None if key is None else load(self._folder, self._name(key), target_context, key)
+        if compiled is None:
+            self._missing[signature] = key
+        return compiled
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Store a compiled kernel if possible."""
-        key = self.key(signature, compiled.codegen)
+        key = self._missing.pop(signature)
         if key is not None:
             self.save(self._name(key), key, compiled)
 
@@ -303,63 +306,12 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         """Do nothing: only functions called from Python use an environment, and numba would write to address 0."""
 
 
-IDLE: Final = (InlineInlinables, InlineOverloads, NopythonRewrites, AnnotateTypes, IRLegalization)
-"""Passes without effect in a kernel: functions that numba inlines in its own form of code, array expressions, an
-annotated listing, which would be cached, too, and the deletion of variables, which have no reference counts."""
-
-
-class UncheckedPasses(PassManager):  # type: ignore[misc]
-    """Pass manager that neither times nor checks the passes."""
-
-    def _runPass(self, index: int, each: Any, state: Any) -> None:
-        each.analysis = self._analysis
-        each.run_initialization(state)
-        each.run_pass(state)
-        each.run_finalizer(state)
-
-
-SCALARS: Final = (types.Number, types.Boolean)
-
-
-class ScalarSignatures:
-    """Typing context that resolves a function of scalars once.
-
-    numba tries all implementations at each of hundreds of additions.
-    """
-
-    _known: ClassVar[dict[Any, Any]] = {}
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
-
-    def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
-        if kws or not isinstance(function, types.Function) or not all(isinstance(each, SCALARS) for each in args):
-            return self._context.resolve_function_type(function, args, kws)
-        key = function, args
-        if key not in self._known:
-            self._known[key] = self._context.resolve_function_type(function, args, kws)
-        return self._known[key]
-
-
 class InlinedCompiler(CompilerBase):  # type: ignore[misc]
     """Compiler of a kernel that is called only by kernels."""
 
     def define_pipelines(self) -> list[Any]:
         self.state.library = InlinedCode(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        self.state.typingctx = ScalarSignatures(self.state.typingctx)
-        passes = UncheckedPasses("softfinger_inlined")
-        has_functions = any(isinstance(each, CodeType) for each in self.state.func_id.code.co_consts)
-        idle = IDLE if has_functions else (*IDLE, InlineClosureLikes)
-        passes.passes = [
-            (InlinedLowering if each is NativeLowering else each, text)
-            for each, text in DefaultPassBuilder.define_nopython_pipeline(self.state).passes
-            if each not in idle
-        ]
-        passes.finalize()
-        return [passes]
+        return [make_passes(self.state)]
 
 
 class InlinedDispatcher(CPUDispatcher):  # type: ignore[misc]

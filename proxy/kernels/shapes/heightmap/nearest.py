@@ -193,11 +193,11 @@ def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> Touched
     p, at = to_pitches(shape, x), to_pitches(shape, start)
     foot, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
     spent = LOOK * looks + AROUND
-    found = MapSearch(foot, FAR, True, spent)
+    result = MapSearch(foot, FAR, True, spent)
     if not convex_around(shape, p, foot):
-        found = search(shape, p, foot, budget - spent)
-        found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent)
-    return touch_at(shape, x, found)
+        result = search(shape, p, foot, budget - spent)
+        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent)
+    return touch_at(shape, x, result)
 
 
 @outlined
@@ -214,15 +214,15 @@ def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
         return Gap(sqrt(square_to_box(whole)) * shape.pitch if whole.w > 0.0 else -FAR, False, 1)
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
     spent = LOOK * looks + AROUND
-    found = MapSearch(foot, FAR, True, spent)
+    result = MapSearch(foot, FAR, True, spent)
     if not convex_around(shape, p, foot):
         if foot.square > most * most and not is_below(shape, x):
             foot = MapFoot(-FAR, -FAR, foot.height, most * most)
-        found = search(shape, p, foot, budget - spent)
-        found = MapSearch(found.foot, found.bound, found.whole, found.spent + spent + LOOK)
-        if found.foot.s == -FAR:  # no foot point within the limit
-            return Gap(FAR if found.whole else found.bound * shape.pitch, found.whole, found.spent)
-    near = touch_at(shape, x, found)
+        result = search(shape, p, foot, budget - spent)
+        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent + LOOK)
+        if result.foot.s == -FAR:  # no foot point within the limit
+            return Gap(FAR if result.whole else result.bound * shape.pitch, result.whole, result.spent)
+    near = touch_at(shape, x, result)
     return Gap(near.gap, near.whole, near.spent)
 
 

@@ -54,16 +54,16 @@ def nearest_facet(
     The distance is signed only if `within` is unlimited: at the first pose, which may be inside. Later, no centre
     crosses the surface.
     """
-    found = nearest(mesh, x, within, known, max(budget, 0), enough)
-    if found.bound < found.square:
-        return sqrt(found.bound), float(found.number), SPENT
-    left = SPENT if budget < 0 else max(budget - found.spent, 0)
-    if found.number < 0:
+    result = nearest(mesh, x, within, known, max(budget, 0), enough)
+    if result.bound < result.square:
+        return sqrt(result.bound), float(result.number), SPENT
+    left = SPENT if budget < 0 else max(budget - result.spent, 0)
+    if result.number < 0:
         return 1e300, -1.0, left
-    gap = sqrt(found.square)
+    gap = sqrt(result.square)
     if within >= ANYWHERE:
-        gap, _, _ = closest_on_triangle(mesh, float(found.number), x)
-    return gap, float(found.number), left
+        gap, _, _ = closest_on_triangle(mesh, float(result.number), x)
+    return gap, float(result.number), left
 
 
 @jit
@@ -136,9 +136,9 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 @closest_or_bound.of(Mesh)
 def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Search the entire mesh, for an effect that attracts to the surface."""
-    found = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
-    gap, point, normal = closest_on_triangle(shape, float(max(found.number, 0)), x)
-    return gap, point, normal, 1.0 if found.bound < found.square else 0.0
+    result = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
+    gap, point, normal = closest_on_triangle(shape, float(max(result.number, 0)), x)
+    return gap, point, normal, 1.0 if result.bound < result.square else 0.0
 
 
 @curvature.of(Mesh)

@@ -158,22 +158,22 @@ def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: 
     Visits the triangles connected by edges, up to CORNER_TRIANGLES_MAX in each direction, without a descent: for most
     of them the corner is the nearest point, so their distances do not show where a closer one is.
     """
-    vertex, found = mesh.corners[3 * number + at], -1
+    vertex, nearest = mesh.corners[3 * number + at], -1
     for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
-        here, corner = number, at
+        triangle, corner = number, at
         for _ in range(CORNER_TRIANGLES_MAX):
-            here = int(mesh.across[3 * here + (corner + turn) % 3])
-            if here < 0 or here == number:
+            triangle = int(mesh.across[3 * triangle + (corner + turn) % 3])
+            if triangle < 0 or triangle == number:
                 break
             corner = 0
-            while corner < 2 and mesh.corners[3 * here + corner] != vertex:
+            while corner < 2 and mesh.corners[3 * triangle + corner] != vertex:
                 corner += 1
-            foot = foot_on(corners_of(mesh, here), x)
+            foot = foot_on(corners_of(mesh, triangle), x)
             if is_nearer(foot, square):
-                found, square = here, foot.square
-        if here == number:
+                nearest, square = triangle, foot.square
+        if triangle == number:
             break
-    return found
+    return nearest
 
 
 @jit

@@ -1,0 +1,83 @@
+"""Motion of the proxy over the facets of a mesh, from each to its neighbours, without a search of the mesh."""
+
+from typing import Any
+
+from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
+from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES
+from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.query.kinds import SINGLE_POINT, WITH_HEIGHTMAP, WITH_MESH, by_multipoint, is_mesh_at
+from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
+from softfinger.proxy.kernels.shapes.budget import BUDGET, SETTLED
+
+
+@jit
+def facet_under(objects: Any, index: float, x: Vec3) -> float:
+    """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
+    for _ in range(EDGES):
+        neighbour = neighbour_on(objects, index, x)
+        if neighbour == index:
+            break
+        index = neighbour
+    return index
+
+
+@jit
+def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
+    """Return the constraint of the facet under a proxy at `center` (3,) m, which may have crossed an edge."""
+    body = constraint.body
+    if body < 0.0 or not is_mesh_at(objects, body):
+        return constraint
+    neighbour = facet_under(objects, body, center)
+    if neighbour == others[0].body or neighbour == others[1].body or neighbour == others[2].body:
+        return constraint
+    return Constraint(neighbour, constraint.normal, constraint.depth)
+
+
+@by_multipoint
+def constraints_over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
+    """Return the constraints of the facets under a proxy at `center` (3,) m, see `constraint_over_edge`."""
+
+
+@constraints_over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
+def keep_constraints(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    return active
+
+
+@constraints_over_edges.of(WITH_MESH)
+def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+    one = constraint_over_edge(objects, active[0], center, active)
+    two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
+    return one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
+
+
+@jit
+def slide_over_facets(
+    objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
+) -> tuple[Vec3, ActiveSet, bool]:
+    """Slide the proxy over the facets of a mesh to the equilibrium of `rest_on_curved`.
+
+    Returns the centre, the active constraints, and whether the proxy is at rest: a proxy without deflection may need
+    further steps.
+    """
+    rounds, square = SLIDING_ROUNDS, 0.0
+    if deflection == (0.0, 0.0, 0.0):
+        rounds, foot = ROUNDS, facet_under(objects, index, probe)
+        _, point, foot_normal, _ = closest_to_within(objects, foot, probe, BUDGET)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+            center = vec3.add_scaled(point, radius, foot_normal)
+            return center, active_set_of_one(foot, foot_normal, vec3.sub(center, probe)), True
+    for _ in range(rounds):
+        depth = vec3.dot(vec3.sub(center, probe), normal)
+        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        index = facet_under(objects, index, goal)
+        _, point, normal, _ = closest_to_within(objects, index, goal, BUDGET)
+        landing = vec3.add_scaled(point, radius, normal)
+        step = vec3.sub(landing, center)
+        center, square = landing, vec3.dot(step, step)
+        if square <= (SETTLED * radius) ** 2:
+            break
+    at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
+    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), at_rest

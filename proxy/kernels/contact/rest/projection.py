@@ -1,0 +1,101 @@
+"""Projection of the probe onto the tangent planes of the active objects, repeated until the proxy is at rest."""
+
+from math import sqrt
+from typing import Any
+
+from softfinger.proxy.kernels.contact.rest.active_set import count_of
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.query.objects import constraint_of, is_inside, is_world_plane
+from softfinger.proxy.kernels.shapes.budget import SETTLED, STRIDE
+
+
+@jit
+def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
+    """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
+    step = vec3.sub(end, start)
+    return vec3.dot(step, step) <= (STRIDE * radius) ** 2
+
+
+@jit
+def relax(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
+) -> tuple[Vec3, ActiveSet, int]:
+    """Return the point nearest to `base` in front of the tangent planes of all active objects, active set, and budget.
+
+    Each round computes the tangent planes at the last point. For a pinched proxy the point is between the planes, see
+    `solve_half_spaces`. In a hollow, the plane is computed at the probe, displaced by the other constraints, as in
+    `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
+    would diverge.
+    """
+    center, active, _, budget = project_until_rest(objects, radius, base, center, active, rounds, budget)
+    return center, active, budget
+
+
+@jit
+def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
+    """Return the point (3,) m at which the tangent plane of an object is computed.
+
+    This is the proxy or, for a hollow, the probe displaced by p along n and q along m.
+    """
+    return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
+
+
+@outlined
+def project_until_rest(
+    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
+) -> tuple[Vec3, ActiveSet, float, int]:
+    """Return `relax`, and the distance, m, that the proxy moved in the last round."""
+    square = 1e300
+    tolerance = (SETTLED * radius) ** 2
+    one, two, three = active
+    n1, n2, n3 = one.normal, two.normal, three.normal
+    push = Depths(one.depth, two.depth, three.depth)
+    inside1, inside2, inside3 = (
+        is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
+    )  # fmt: skip
+    hollow = inside1 or inside2 or inside3
+    flat = (
+        is_world_plane(objects, one.body) and is_world_plane(objects, two.body) and is_world_plane(objects, three.body)
+    )
+    p1, p2, p3 = 0.0, 0.0, 0.0
+    for turn in range(rounds):
+        at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
+        point, n1, budget = constraint_of(objects, one.body, at, radius, n1, budget)
+        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
+        b2, b3 = b1, b1
+        if two.body < 0.0:
+            n2 = n1
+        else:
+            at = linearisation_point(inside2, center, base, p1, n1, p3, n3)
+            point, n2, budget = constraint_of(objects, two.body, at, radius, n2, budget)
+            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
+        if three.body < 0.0:
+            n3 = n1
+        else:
+            at = linearisation_point(inside3, center, base, p1, n1, p2, n2)
+            point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
+            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+        if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
+            p1 = max(b1, 0.0)
+            p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
+            p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
+            continue
+        solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
+        push = solution.push
+        p1, p2, p3 = solution.place
+        landing = vec3.add(base, displacement(solution.place, n1, n2, n3))
+        step = vec3.sub(landing, center)
+        center = landing
+        square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
+        if square <= tolerance:
+            break
+    constraints = (
+        Constraint(one.body, n1, push.first),
+        Constraint(two.body, n2, push.second),
+        Constraint(three.body, n3, push.third),
+    )
+    return center, constraints, sqrt(square), budget
