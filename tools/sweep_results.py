@@ -27,16 +27,16 @@ log: Final = logging.getLogger(__name__)
 
 
 class StoredResults:
-    """Results by the key of their case: `done` contains the results in the file, `append` adds new ones."""
+    """Results by the key of their case: `by_key` contains the results in the file, `append` adds new ones."""
 
-    def __init__(self, done: dict[str, Any], file: _File | None) -> None:
-        self.done = done
+    def __init__(self, by_key: dict[str, Any], file: _File | None) -> None:
+        self.by_key = by_key
         self._file = file
 
     def append(self, rows: Iterable[tuple[str, Any, Any]]) -> None:
         """Add key, case and result of each case of a block; on return, they are in the file if there is one."""
         for key, case, result in rows:
-            self.done[key] = result
+            self.by_key[key] = result
             if self._file is not None:
                 self._file.add({"key": key, "case": case, "result": result})
         if self._file is not None:

@@ -88,13 +88,14 @@ class Probe(Session):
         parts = [self._record_motion("hold still")]
         self._rest_of(parts[0])
         wanted = self._translations()
-        for one in TRANSLATIONS:
-            rows = self._record_motion(one.words) if one in wanted else self._record("further options", self._seconds)
+        for motion in TRANSLATIONS:
+            is_wanted = motion in wanted
+            rows = self._record_motion(motion.words) if is_wanted else self._record("further options", self._seconds)
             parts.append(rows)
-            asked = self._guided and one in wanted
-            found = motions.move(one.words, one.kind, one.expected, rows) if asked else None
-            if found is not None:
-                self._report["moves"].append(found)
+            requested = self._guided and is_wanted
+            result = motions.move(motion.words, motion.kind, motion.expected, rows) if requested else None
+            if result is not None:
+                self._report["moves"].append(result)
         parts.append(self._record_motion("press each button in turn, and turn the handle"))
         together = join_rows(parts)
         if len(together):
@@ -114,9 +115,9 @@ class Probe(Session):
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
         for axis in self._pushed_axes():
-            found = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
-            if found is not None:
-                self._report["pushes"].append(found | {"felt": self._ask_direction_felt(motions.AXES[axis])})
+            result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
+            if result is not None:
+                self._report["pushes"].append(result | {"felt": self._ask_direction_felt(motions.AXES[axis])})
 
     def _ask_direction_felt(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""
