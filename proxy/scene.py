@@ -103,7 +103,7 @@ def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
 
 
 def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
-    """Return True if a scene is the same model with changes; False if they cannot be applied separately."""
+    """Return True if `changes` leave the model the same; False if the changed scene is invalid."""
     try:
         return same_model(build_scene(apply_overrides(scene, changes, "")), built)
     except ConfigError:

@@ -98,7 +98,7 @@ class Push(NamedTuple):
     duration: float
 
 
-class Scratch(NamedTuple):
+class Buffers(NamedTuple):
     """Memory of the loop: (2,) int64 for the clock, (SAMPLE_SIZE,) and (6,) float64 for the device."""
 
     timespec: NDArray[np.int64]
@@ -145,7 +145,7 @@ class Exchanged(NamedTuple):
 
 @jit
 def exchange_once(
-    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Scratch
+    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Buffers
 ) -> Exchanged:
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
@@ -195,7 +195,7 @@ def exchange_loop(
     push: Push,
     guard: Guard,
     words: NDArray[np.int64],
-    scratch: Scratch,
+    scratch: Buffers,
     rows: Array,
 ) -> tuple[int, int, int]:
     """Exchange until the rows are full, or as `span` requires.
@@ -243,8 +243,8 @@ def exchange_loop(
     return ending, status, 0 if span.waiting == 1 else number
 
 
-def make_scratch() -> Scratch:
-    return Scratch(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
+def make_scratch() -> Buffers:
+    return Buffers(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
 
 
 def compile_exchange() -> None:

@@ -81,9 +81,9 @@ def test_run_counts_in_a_separate_line() -> None:
             lines = [line for line in screen.lines if "Ctrl-C stops" in line]
             assert len(lines) < 2
             for line in lines:
-                found = re.fullmatch(r"\d:\d\d:\d\d (\d+) ticks, \d+ missed, \d+ records dropped; Ctrl-C stops *", line)
-                assert found, line
-                counts.append(int(found[1]))
+                match = re.fullmatch(r"\d:\d\d:\d\d (\d+) ticks, \d+ missed, \d+ records dropped; Ctrl-C stops *", line)
+                assert match, line
+                counts.append(int(match[1]))
         assert process.wait(30) == 0
     assert len(set(counts)) > 2 and counts == sorted(counts)
     assert screen.lines[-2:] == ["stopped after 2000 ticks; force is zero", ""]
@@ -111,7 +111,7 @@ def test_stability_shows_its_share() -> None:
         for piece in pieces:
             screen.feed(piece)
             shares += [
-                int(found[1]) for line in screen.lines if (found := re.search(r"finding limits .* (\d+)%", line))
+                int(match[1]) for line in screen.lines if (match := re.search(r"finding limits .* (\d+)%", line))
             ]
         assert process.wait(30) == 0
     assert len(set(shares)) > 2 and shares == sorted(shares)
@@ -139,7 +139,7 @@ def test_long_waits_show_their_share(
     fit_groups(study.file, rows)
     lines = capsys.readouterr().err.splitlines()
     for what in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):
-        shares = [int(found[1]) for line in lines if (found := re.fullmatch(rf"{what} (\d+)% \.\.\. \d+ s", line))]
+        shares = [int(match[1]) for line in lines if (match := re.fullmatch(rf"{what} (\d+)% \.\.\. \d+ s", line))]
         assert len(set(shares)) > 2 and shares == sorted(shares), what
 
 

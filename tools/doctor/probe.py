@@ -24,7 +24,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, write_report
-from softfinger.tools.doctor.session import TRANSLATIONS, Session
+from softfinger.tools.doctor.session import TRANSLATIONS, DeviceSession
 from softfinger.tools.exchange import START, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     def guard_of(device: Device) -> Guard:
         return pushing(rig, device, PUSH_N, "--push") if args.push else make_disarmed_guard(rig)
 
-    def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-        return Probe(exchange, info, report, PART_S, guided, freedom)
+    def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
+        return ProbeSession(exchange, info, report, PART_S, guided, freedom)
 
     def work() -> None:
         record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
@@ -76,7 +76,7 @@ def attached_rig() -> str:
     )
 
 
-class Probe(Session):
+class ProbeSession(DeviceSession):
     """Ten seconds of parts that follow each other without input from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:

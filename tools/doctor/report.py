@@ -27,7 +27,7 @@ from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.report_text import lines
-from softfinger.tools.doctor.session import FORCE_MIN_S, Session
+from softfinger.tools.doctor.session import FORCE_MIN_S, DeviceSession
 from softfinger.tools.exchange import Exchange, make_disarmed_guard
 from softfinger.tools.measure import show
 
@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         def guard_of(device: Device) -> Guard:
             return make_disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
 
-        def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-            return Session(exchange, info, report, args.seconds, guided, freedom)
+        def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
+            return DeviceSession(exchange, info, report, args.seconds, guided, freedom)
 
         session = record(rig, report, guard_of, session_of, args.with_force)
         if args.plot is not None and len(session.timing):
@@ -179,9 +179,9 @@ def record(
     rig: Rig,
     report: dict[str, Any],
     guard_of: Callable[[Device], Guard],
-    session_of: Callable[[Exchange, DeviceInfo], Session],
+    session_of: Callable[[Exchange, DeviceInfo], DeviceSession],
     force_n: float | None,
-) -> Session:
+) -> DeviceSession:
     """Open the device, run a session, and store the results in `report`, also after an error.
 
     Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.

@@ -40,7 +40,7 @@ TRANSLATIONS: Final = (
 TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
-class Session:
+class DeviceSession:
     """Recording of the parts. Results are stored in `report` after each part, so that an aborted report has them.
 
     exchange  runs
