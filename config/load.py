@@ -136,10 +136,10 @@ def build(struct_type: type[T], mapping: object, where: str) -> T:
 
 
 def build_changed(
-    struct_type: type[T], given: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
+    struct_type: type[T], table: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> T:
     """Convert a mapping with overrides by dotted key, which have the origins `sources`; raises as `build`."""
-    mapping, origins, homeless = change_values(given, overrides, sources)
+    mapping, origins, homeless = change_values(table, overrides, sources)
     value, faults = examine(struct_type, mapping, where, origins)
     return _check_scene(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
 

@@ -82,12 +82,12 @@ class Library(NamedTuple):
     instead: Mapping[str, str] = MappingProxyType({})
     marked: bool = True
 
-    def fill(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def fill(self, table: Mapping[str, Any]) -> dict[str, Any]:
         """Return a table that names an entry, completed with the values of the entry."""
-        dropped = {theirs for ours, theirs in self.instead.items() if given.get(ours) is not None}
-        values = self.entries()[given[self.key]].values
+        dropped = {theirs for ours, theirs in self.instead.items() if table.get(ours) is not None}
+        values = self.entries()[table[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
-        return _over(base, given) | ({"resolved": True} if self.marked else {})
+        return _over(base, table) | ({"resolved": True} if self.marked else {})
 
 
 @lru_cache(maxsize=1)

@@ -32,13 +32,13 @@ class OverriddenMapping(NamedTuple):
 
 
 def change_values(
-    given: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]
+    original: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> OverriddenMapping:
     """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
 
     Raises ConfigError for a value that is given twice.
     """
-    mapping, origins, homeless = copy.deepcopy(dict(given)), dict[str, str](), list[Fault]()
+    mapping, origins, homeless = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
     ways = {dotted: index_entries(mapping, dotted) for dotted in overrides}
     if len(set(ways.values())) < len(ways):
         source = sources.get(next(iter(ways)), "override")

@@ -38,9 +38,9 @@ def locate(uri: str, folder: Path, home: Path) -> Path:
     return next(inside, ways[0][1])
 
 
-def _ways(given: str, folder: Path) -> Iterator[tuple[Path, Path]]:
+def _ways(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
     """Yield folders that may have the package of a file, upwards from `folder`, and the path of the file in each."""
-    within = given.partition("://")[2].lstrip("/")
+    within = file_name.partition("://")[2].lstrip("/")
     start = Path(os.path.abspath(folder))
     for above in (start, *start.parents):
         yield above, above / within

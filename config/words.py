@@ -34,8 +34,8 @@ def describe_allowed(info: inspect.Type, key: str) -> str:
         case inspect.TupleType():
             return f"a list of {len(kind.item_types)} {_items(kind.item_types, key)}"
         case inspect.VarTupleType() | inspect.ListType():
-            what = _items((kind.item_type,), key)
-            return "a list" + (_length(kind, what) or f" of {what}")
+            items = _items((kind.item_type,), key)
+            return "a list" + (_length(kind, items) or f" of {items}")
         case inspect.UnionType():
             return " or ".join(dict.fromkeys(describe_allowed(option, key) for option in options(kind)))
         case inspect.NoneType():
@@ -83,10 +83,10 @@ def _is_table(info: inspect.Type) -> bool:
     return all(isinstance(unwrap(member)[0], inspect.StructType) for member in members)
 
 
-def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, what: str) -> str:
+def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, unit: str) -> str:
     """Return ` of 1 to 64 characters`, or an empty text if any length is allowed."""
     low, high = kind.min_length or 0, kind.max_length
-    return f" of {low} to {high} {what}" if high is not None else f" of at least {low} {what}" if low else ""
+    return f" of {low} to {high} {unit}" if high is not None else f" of at least {low} {unit}" if low else ""
 
 
 def _span(kind: inspect.FloatType | inspect.IntType) -> str:

@@ -135,10 +135,10 @@ class RigidBodies:
         fault = int(self._fault[0])
         if fault == at.NO_FAULT:
             return None
-        what = f"[world] {self.world.model}: the bodies were released and no longer move"
+        text = f"[world] {self.world.model}: the bodies were released and no longer move"
         if fault == at.SLOW:
             return SafetyStop(
-                f"{what}: most steps took longer than world.budget_us = {self.world.budget_us:g}; take fewer bodies or "
+                f"{text}: most steps took longer than world.budget_us = {self.world.budget_us:g}; take fewer bodies or "
                 "simpler geoms, raise the budget, or lower servo.rate_hz"
             )
         remedy = (
@@ -151,7 +151,7 @@ class RigidBodies:
             said = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
         else:
             said = self._said or words_in(self._rescue)
-        return SafetyStop(f"{what}: MuJoCo said: {said}: {remedy}")
+        return SafetyStop(f"{text}: MuJoCo said: {said}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """Return the kernels' Bodies, with `riders` as described there."""
@@ -169,7 +169,7 @@ class RigidBodies:
         if number < 0 and body.isdecimal() and int(body) < self.model.nbody:
             number = int(body)
         if number < 0:
-            names = [self.model.body(each).name or str(each) for each in range(1, self.model.nbody)]
+            names = [self.model.body(index).name or str(index) for index in range(1, self.model.nbody)]
             raise ConfigError(f"motion.body = {body!r} is not a body of {self.world.model}; it has {', '.join(names)}")
         return int(number)
 
@@ -222,10 +222,10 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
         return RigidBodies(scene.world)
     owner: RigidBodies = before.bodies.block.owner
     for key in ("model", "mass_kg", "substeps", "budget_us", "timestep", "keyframe"):
-        now, given = getattr(owner.world, key), getattr(scene.world, key)
-        if now != given:
+        now, new = getattr(owner.world, key), getattr(scene.world, key)
+        if now != new:
             raise ConfigError(
-                f"world.{key} cannot change while the scene runs (now {now!r}, given {given!r}): load the scene again"
+                f"world.{key} cannot change while the scene runs (now {now!r}, given {new!r}): load the scene again"
             )
     return owner
 
@@ -261,7 +261,7 @@ def check_bodies(scene: kernels.Scene) -> None:
 
 def _library(package: Any) -> ctypes.CDLL:
     folder = Path(package.__file__).parent
-    found = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
-    if not found:
+    libraries = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
+    if not libraries:
         raise ConfigError(f"[world]: {folder} has no libmujoco: reinstall the package mujoco-core")
-    return ctypes.CDLL(str(found[0]))
+    return ctypes.CDLL(str(libraries[0]))

@@ -350,12 +350,12 @@ class Engine:
         named = isinstance(poses, Mapping)
         if not named and len(self.fingers) > 1:
             raise self._several()
-        given: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
-        together = poses_together(given, self.fingers)
+        poses_by_finger: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
+        together = poses_together(poses_by_finger, self.fingers)
         records = np.zeros((*together.shape[:2], RECORD_SIZE))
         self._run(together, self.dt if dt is None else self._check_dt(dt), records)
-        each = {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
-        return each if named else each[self.fingers[0]]
+        by_finger = {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
+        return by_finger if named else by_finger[self.fingers[0]]
 
     def _run(self, poses: Array, dt: float, records: Array) -> None:
         """Step with checked poses (n, fingers, 7), and fill `records` (n, fingers, RECORD_SIZE)."""

@@ -119,7 +119,7 @@ def thin_map(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
     Returns x (columns,) and y (rows,), m, and heights (rows, columns).
     """
     rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)) for n in heights.shape)
-    x, y = ((kept - 0.5 * (n - 1)) * pitch for kept, n in ((columns, heights.shape[1]), (rows, heights.shape[0])))
+    x, y = ((indices - 0.5 * (n - 1)) * pitch for indices, n in ((columns, heights.shape[1]), (rows, heights.shape[0])))
     return x, y, heights[np.ix_(rows, columns)]
 
 
@@ -131,7 +131,7 @@ def coefficients(values: Grid) -> Grid:
 def _along_rows(values: Grid) -> Grid:
     """Fit a spline along the first axis, for each column: Thomas' algorithm for (1, 4, 1) of the inner rows."""
     count = len(values)
-    found = values.copy()
+    result = values.copy()
     if count > 2:
         right, share = 6.0 * values[1:-1], np.empty(count - 2)
         right[0] -= values[0]
@@ -143,10 +143,10 @@ def _along_rows(values: Grid) -> Grid:
             right[k] = (right[k] - right[k - 1]) * share[k]
         for k in range(count - 4, -1, -1):
             right[k] -= share[k] * right[k + 1]
-        found[1:-1] = right
-    inner = found[[1, -2]] if count > 1 else found[[0, 0]]
-    before, behind = 2.0 * found[0] - inner[0], 2.0 * found[-1] - inner[1]
-    return np.concatenate([np.repeat(before[None], RIM, 0), found, np.repeat(behind[None], RIM, 0)])
+        result[1:-1] = right
+    inner = result[[1, -2]] if count > 1 else result[[0, 0]]
+    before, behind = 2.0 * result[0] - inner[0], 2.0 * result[-1] - inner[1]
+    return np.concatenate([np.repeat(before[None], RIM, 0), result, np.repeat(behind[None], RIM, 0)])
 
 
 def facets_of_cells(spline: Grid) -> Facets:
@@ -171,7 +171,7 @@ def _bezier(spline: Grid) -> list[list[Grid]]:
         c0, c1, c2, c3 = (c[k : len(c) - 3 + k] for k in range(4))
         return [(c0 + 4.0 * c1 + c2) / 6.0, (2.0 * c1 + c2) / 3.0, (c1 + 2.0 * c2) / 3.0, (c1 + 4.0 * c2 + c3) / 6.0]
 
-    return [[each.T for each in split(row.T)] for row in split(spline)]
+    return [[patch.T for patch in split(row.T)] for row in split(spline)]
 
 
 def facets_of_four(small: Facets, size: float) -> Facets:
@@ -180,16 +180,16 @@ def facets_of_four(small: Facets, size: float) -> Facets:
     A tile has the mean slope of its parts, and a thickness that includes theirs.
     """
     pads = [(0, small.a.shape[0] % 2), (0, small.a.shape[1] % 2)]
-    padded = [np.pad(each, pads, mode="edge") for each in small]
-    a, b1, b2, thick, *bending = ([each[j::2, i::2] for j in (0, 1) for i in (0, 1)] for each in padded)
-    bends = [np.maximum.reduce(each) for each in bending]
+    padded = [np.pad(part, pads, mode="edge") for part in small]
+    a, b1, b2, thick, *bending = ([part[j::2, i::2] for j in (0, 1) for i in (0, 1)] for part in padded)
+    bends = [np.maximum.reduce(part) for part in bending]
     # Missing parts at the rim are masked, as if the tile were smaller.
     rows, columns = np.indices(a[0].shape)
-    there = [(2 * rows + j < small.a.shape[0]) & (2 * columns + i < small.a.shape[1]) for j in (0, 1) for i in (0, 1)]
-    count = sum(mask.astype(float) for mask in there)
-    slope1, slope2 = (sum(mask * each for mask, each in zip(there, of, strict=True)) / count for of in (b1, b2))
+    present = [(2 * rows + j < small.a.shape[0]) & (2 * columns + i < small.a.shape[1]) for j in (0, 1) for i in (0, 1)]
+    count = sum(mask.astype(float) for mask in present)
+    slope1, slope2 = (sum(mask * part for mask, part in zip(present, of, strict=True)) / count for of in (b1, b2))
     lows, highs = [], []
-    for k, mask in enumerate(there):
+    for k, mask in enumerate(present):
         u, v = (k % 2 - 0.5) * size, (k // 2 - 0.5) * size
         off = a[k] - slope1 * u - slope2 * v
         spread = thick[k] + 0.5 * size * (np.abs(b1[k] - slope1) + np.abs(b2[k] - slope2))

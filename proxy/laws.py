@@ -40,16 +40,16 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     All are of the most general type needed. The unused parameters of an object are neutral: coefficient 0 without
     friction, speed 0 without a Stribeck curve, scale 1 without a direction.
     """
-    given = [thing.material.friction for thing in scene.object]
-    present = [friction for friction in given if friction is not None]
+    parameters = [thing.material.friction for thing in scene.object]
+    present = [friction for friction in parameters if friction is not None]
     if not present:
-        return [None for _ in given]
+        return [None for _ in parameters]
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     curved = any(friction.stribeck_speed_m_per_s is not None for friction in present)
     viscous = any(friction.viscous_s_per_m is not None for friction in present)
     directed = any(friction.direction_x is not None for friction in present)
     laws: list[FrictionLaw] = []
-    for friction in given:
+    for friction in parameters:
         f = friction or _SMOOTH
         if literal:
             laws.append(model.PaperFriction(f.static, f.kinetic))
@@ -64,10 +64,10 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
 
 def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     """Return a law for each object, all of one type, as in `friction_laws`; None for all if none has torsion."""
-    given = [thing.material.torsion for thing in scene.object]
-    present = [torsion for torsion in given if torsion is not None]
+    parameters = [thing.material.torsion for thing in scene.object]
+    present = [torsion for torsion in parameters if torsion is not None]
     if not present:
-        return [None for _ in given]
+        return [None for _ in parameters]
     growing = any(torsion.exponent is not None for torsion in present)
     models = {torsion.model for torsion in present}
     laws: list[TorsionLaw] = []

@@ -32,9 +32,9 @@ def many_objects(
     if len(objects) > ENTRIES:
         raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; remove some")
     needs = _needs(objects, fingers, rolling)
-    entries = [_entry(each, needs) for each in objects]
-    surfaces = [each.shape.surface for each in entries]
-    movers = [row for row, each in enumerate(entries) if each.motion.kind != model.STILL]
+    entries = [_entry(thing, needs) for thing in objects]
+    surfaces = [thing.shape.surface for thing in entries]
+    movers = [row for row, thing in enumerate(entries) if thing.motion.kind != model.STILL]
     meshes = float(surfaces.count(model.FACETED))
     mark = model.Creased if model.CREASED in surfaces else model.Faceted if meshes else model.Smooth
     return model.Many(
@@ -43,8 +43,8 @@ def many_objects(
         movers=ReadOnly(np.array(movers or [0], np.int64)),
         moving=float(len(movers)),
         search=mark(meshes),
-        materials=Rows([each.material._replace(normal=None) for each in objects]),
-        textures=_textures([each.texture for each in objects]),
+        materials=Rows([thing.material._replace(normal=None) for thing in objects]),
+        textures=_textures([thing.texture for thing in objects]),
         effects=effects,
     )
 
@@ -56,7 +56,7 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
         for kernel, wanted in (
             (kinds.UNROLL, isinstance(rolling, model.RotationVector)),
             (kinds.AHEAD, isinstance(rolling, model.EulerZxz | model.EulerZyx)),
-            (kinds.CHART, any(each.texture is not None for each in objects)),
+            (kinds.CHART, any(thing.texture is not None for thing in objects)),
             (kinds.MINKOWSKI, any(finger.form is not None for finger in fingers)),
         )
         if wanted
@@ -94,11 +94,13 @@ def _motion(motion: Any) -> model.Motion:
 
 def _textures(textures: list[model.Texture | None]) -> Rows | None:
     """Return a texture for each object, all with the same parts; a missing texture has 0 columns."""
-    given = [each for each in textures if each is not None]
-    if not given:
+    present = [texture for texture in textures if texture is not None]
+    if not present:
         return None
-    relief = model.Relief(0.0) if any(each.relief is not None for each in given) else None
-    grip = model.Grip(1.0, 1.0) if any(each.grip is not None for each in given) else None
+    relief = model.Relief(0.0) if any(texture.relief is not None for texture in present) else None
+    grip = model.Grip(1.0, 1.0) if any(texture.grip is not None for texture in present) else None
     none = model.Texture(NO_VALUES, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 1.0, relief, grip)
-    return Rows([none if each is None else each._replace(relief=each.relief or relief, grip=each.grip or grip)
-                 for each in textures])  # fmt: skip
+    return Rows([
+        none if texture is None else texture._replace(relief=texture.relief or relief, grip=texture.grip or grip)
+        for texture in textures
+    ])  # fmt: skip

@@ -27,8 +27,8 @@ def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
         names = ", ".join(fingers) or "one, whose poses are given without a name"
         raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
     checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
-    if len({len(each) for each in checked}) > 1:
-        counts = ", ".join(f"{len(each)} of {name}" for name, each in zip(fingers, checked, strict=True))
+    if len({len(rows) for rows in checked}) > 1:
+        counts = ", ".join(f"{len(rows)} of {name}" for name, rows in zip(fingers, checked, strict=True))
         raise PoseError(f"all fingers need the same number of poses, not {counts}")
     return np.ascontiguousarray(np.stack(checked, axis=1))
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 
-def silent(what: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+def silent(operation: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
     """Show nothing. During the block of a display, calls of its result report the number done, out of `total`."""
     return nullcontext(lambda number: None)
 

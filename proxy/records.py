@@ -49,9 +49,9 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
             return self._field(key)
-        found = super().__getitem__(key)
-        whole = not isinstance(found, Records) or found.shape[-1:] == (RECORD_SIZE,)
-        return found if whole else found.view(np.ndarray)
+        item = super().__getitem__(key)
+        whole = not isinstance(item, Records) or item.shape[-1:] == (RECORD_SIZE,)
+        return item if whole else item.view(np.ndarray)
 
     def _field(self, name: str) -> NDArray[Any]:
         field = NAMED.get(name)
@@ -74,7 +74,7 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
 
         row = self.view(np.ndarray).reshape(-1, RECORD_SIZE)[-1:]
         cells = "".join(
-            f"<tr><th>{field.name}</th><td>{', '.join(f'{each:.6g}' for each in row[0, field.at :][: field.size])}</td>"
+            f"<tr><th>{field.name}</th><td>{', '.join(f'{x:.6g}' for x in row[0, field.at :][: field.size])}</td>"
             f"<td>{escape(field.unit)}</td><td>{escape(field.meaning)}</td></tr>"
             for field in (FIELDS if len(row) else ())
         )

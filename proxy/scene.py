@@ -64,7 +64,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
                 carriers.append(model.Carrier(float(len(bodies)), effects))
             made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
             bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
-    fingers, rolling = tuple(_finger(each, scene.rolling) for each in scene.fingers), _rolling(scene)
+    fingers, rolling = tuple(_finger(finger, scene.rolling) for finger in scene.fingers), _rolling(scene)
     return model.Scene(
         fingers=fingers,
         objects=many_objects(bodies, tuple(carriers), fingers, rolling)
@@ -87,9 +87,9 @@ def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     return kernel_elastic(thing, thing.elastic, bodies[0].shape.row[0])
 
 
-def same_model(one: Any, other: Any) -> bool:
+def same_model(first: Any, second: Any) -> bool:
     """Return whether two scenes have the same compiled code and, of many objects, room for as many."""
-    return bool(numba.typeof(one) == numba.typeof(other)) and _count(one) == _count(other)
+    return bool(numba.typeof(first) == numba.typeof(second)) and _count(first) == _count(second)
 
 
 def _count(scene: model.Scene) -> float:
@@ -104,32 +104,32 @@ def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
 
 
 def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
-    """Return True if a scene is the same model with changes; False if they cannot be applied separately."""
+    """Return True if `changes` leave the model the same; False if the changed scene is invalid."""
     try:
         return same_model(build_scene(apply_overrides(scene, changes, "")), built)
     except ConfigError:
         return False
 
 
-def _finger(given: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
-    coupling, probe = given.coupling, given.probe
+def _finger(parts: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
+    coupling, probe = parts.coupling, parts.probe
     k_tau = None if rolling is None else rolling.torque_stiffness_n_per_m
     return model.Finger(
-        radius=given.radius_m,
+        radius=parts.radius_m,
         coupling=model.Coupling(
             coupling.stiffness_n_per_m, coupling.damping_ns_per_m, coupling.torsional_damping_nms_per_rad
         ),
         torque_stiffness=coupling.stiffness_n_per_m if k_tau is None else k_tau,
         velocity_time_constant=probe.velocity_time_constant_s,
         position_resolution=probe.position_resolution_m,
-        patch=kernel_patch(given.patch),
-        form=None if given.radii_m is None else model.EllipsoidTip(given.radii_m, given.orientation_wxyz),
+        patch=kernel_patch(parts.patch),
+        form=None if parts.radii_m is None else model.EllipsoidTip(parts.radii_m, parts.orientation_wxyz),
     )
 
 
 def start_state(scene: model.Scene) -> model.State:
     """Return the state before the first pose."""
-    effects = (start_states(scene.effects), tuple(start_states(each.effects) for each in scene.objects.effects))
+    effects = (start_states(scene.effects), tuple(start_states(objects.effects) for objects in scene.objects.effects))
     finger = model.FingerState(
         started=0.0,
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),

@@ -231,17 +231,17 @@ class DriverContract:
             assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, STALE)
             assert math.hypot(*bench.displayed()) > 0.0
 
-    @pytest.mark.parametrize("way", ["stop", "close", "error"])
-    def test_no_force_is_left_without_a_servo(self, way: str, bench: Bench) -> None:
+    @pytest.mark.parametrize("ending", ["stop", "close", "error"])
+    def test_no_force_is_left_without_a_servo(self, ending: str, bench: Bench) -> None:
         """`stop`, `close` and an exception in the context, which propagates unchanged, all remove an applied force."""
         device = bench.open()
         servo = Servo(device)
         servo.read()
         servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
         assert math.hypot(*bench.displayed()) > 0.0
-        if way == "stop":
+        if ending == "stop":
             device.stop()
-        elif way == "close":
+        elif ending == "close":
             device.close()
         else:
             with pytest.raises(ZeroDivisionError), device:
@@ -249,30 +249,30 @@ class DriverContract:
         assert not any(bench.displayed())
         device.close()
 
-    @pytest.mark.parametrize("way", ["last_tick", "stop_word", "crash"])
-    def test_no_force_is_left_after_a_servo(self, way: str, bench: Bench) -> None:
+    @pytest.mark.parametrize("ending", ["last_tick", "stop_word", "crash"])
+    def test_no_force_is_left_after_a_servo(self, ending: str, bench: Bench) -> None:
         """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
                 [device],
                 make_pulling_tuning(),
                 RATE_HZ,
-                100 if way == "last_tick" else None,
-                failing if way == "crash" else None,
+                100 if ending == "last_tick" else None,
+                failing if ending == "crash" else None,
             )
             servo.compile()
-            if way == "crash":  # without a tick of the loop, apply a force first
+            if ending == "crash":  # without a tick of the loop, apply a force first
                 Servo(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             servo.start()
-            if way == "stop_word":
+            if ending == "stop_word":
                 run_for(servo, 100)
                 assert any(bench.displayed())
                 servo.stop()
             end = servo.join(30.0)
             assert end is not None
-            assert end.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[way]
+            assert end.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[ending]
             assert not any(bench.displayed())
-            if way != "crash":
+            if ending != "crash":
                 assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
             servo.close()
 

@@ -60,9 +60,9 @@ def describe_compilation() -> str:
 
 @contextmanager
 def progress(
-    what: str, total: int | None = None, detail: Callable[[], str] = describe_compilation
+    label: str, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> Iterator[Callable[[int], None]]:
-    """Report progress of `what` to stderr during the block; call the result with the number done, out of `total`.
+    """Report progress of `label` to stderr during the block; call the result with the number done, out of `total`.
 
     While `detail` returns a text, that text replaces the share. One thread at a time calls `detail`.
     """
@@ -73,7 +73,7 @@ def progress(
             lambda count: advance(count / (total or 1))
         )
     else:
-        shown = _open_display(what, total, detail)
+        shown = _open_display(label, total, detail)
     with shown as show:
         operation = _Operation(show)
         operations.append(operation)
@@ -100,25 +100,25 @@ class _Operation:
 
 
 @contextmanager
-def _open_display(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _open_display(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     """Yield the setter of the displayed count; it does nothing if another thread has the display."""
     if _quiet.is_set() or not _display_lock.acquire(blocking=False):
         yield lambda number: None
         return
     try:
-        with _bar(what, total, detail) if on_terminal() else _lines(what, total, detail) as set_count:
+        with _bar(label, total, detail) if on_terminal() else _lines(label, total, detail) as set_count:
             yield set_count
     finally:
         _display_lock.release()
 
 
 def progress_text(
-    what: str, count: float = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
+    label: str, count: float = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
     if text := detail():
-        return f"{what}: {text}"
-    return f"{what} {count / total:.0%}" if total else what
+        return f"{label}: {text}"
+    return f"{label} {count / total:.0%}" if total else label
 
 
 @contextmanager
@@ -163,9 +163,9 @@ def counter() -> Iterator[Callable[[str], None] | None]:
 
 
 @contextmanager
-def _bar(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _bar(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     display = _display(total is not None, detail)
-    task = display.add_task(what, total=total)
+    task = display.add_task(label, total=total)
     timer = threading.Timer(QUIET_S, display.start)
     timer.daemon = True
     timer.start()
@@ -211,7 +211,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
 
 
 @contextmanager
-def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     start_s, finished, count = time.monotonic(), threading.Event(), 0.0
 
     def set_count(number: float) -> None:
@@ -221,7 +221,7 @@ def _lines(what: str, total: int | None, detail: Callable[[], str]) -> Iterator[
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            text = progress_text(what, count, total, detail)
+            text = progress_text(label, count, total, detail)
             write_line(f"{text} ... {time.monotonic() - start_s:.0f} s")
             wait = PLAIN_PERIOD_S
 

@@ -53,7 +53,7 @@ def main() -> None:
         run.click("begin")
         assert run.waits("Which was stiffer?")
         pictures.append(seen(run))
-    width = sum(each.width for each in pictures) + GAP
+    width = sum(picture.width for picture in pictures) + GAP
     both = Image.new("RGB", (width, pictures[0].height), "grey")
     both.paste(pictures[0], (0, 0))
     both.paste(pictures[1], (pictures[0].width + GAP, 0))

@@ -85,11 +85,11 @@ class Copy:
             "SOFTFINGER_CACHE_DIR": str(folder / "kernels"),
         }
         asked = [sys.executable, "-c", "import softfinger.server.cli as it; print(it.__file__)"]
-        found = subprocess.run(
+        process = subprocess.run(
             asked, cwd=self.folder, env=self._environment, capture_output=True, text=True, check=True
         )
-        if Path(found.stdout.strip()).resolve() != self.folder.resolve() / "server" / "cli.py":
-            raise SystemExit(f"softfinger is imported from {found.stdout.strip()}, not from the copy")
+        if Path(process.stdout.strip()).resolve() != self.folder.resolve() / "server" / "cli.py":
+            raise SystemExit(f"softfinger is imported from {process.stdout.strip()}, not from the copy")
 
     def test(self, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
         """Run tests until one fails."""

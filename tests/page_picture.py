@@ -53,13 +53,13 @@ def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
     several = len(recordings) > 1
     found = run_recording(recordings if several else recordings[""], scene)
     records = {name: np.asarray(found[name] if several else found) for name in recordings}
-    moved = [np.linalg.norm(each[:, AT.contact_displacement :][:, :3], axis=1) for each in records.values()]
+    moved = [np.linalg.norm(record[:, AT.contact_displacement :][:, :3], axis=1) for record in records.values()]
     tick = int(np.sum(moved, axis=0).argmax())
     told = about(scene=describe(load_scene(scene)), scene_name=scene)
     recording = RecordingFile(path.open("wb", buffering=0), tuple(records), told)
-    for name, each in records.items():
-        each[:, AT.timestamp] += EPOCH_S
-        recording.ticks(each, name)
+    for name, record in records.items():
+        record[:, AT.timestamp] += EPOCH_S
+        recording.ticks(record, name)
     recording.close()
     with served(str(path), "--tick", str(tick)) as screen:
         settled(screen, tick)
@@ -71,7 +71,7 @@ def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
 def main() -> None:
     """Redraw each page."""
     with tempfile.TemporaryDirectory() as folder:
-        drawn = [draw_page(), *(draw_elastic(*each, Path(folder)) for each in ELASTIC.items())]
+        drawn = [draw_page(), *(draw_elastic(*item, Path(folder)) for item in ELASTIC.items())]
     for file in drawn:
         print(f"{file}: {file.stat().st_size // 1024} kB")
 

@@ -211,8 +211,8 @@ def test_signs_are_as_documented(row):
     """Each documented motion gives the documented force and torque."""
     motion, force, torque = row
     engine = Engine(build(Scene, paper_mapping(), "conventions"))
-    amount = float(found[1]) if (found := re.search(r"([\d.]+) (?:mm|rad)", motion)) else 0.0
-    axis = {"x": 0, "z": 2}[found[1]] if (found := re.search(r"\+([xz])", motion)) else 2
+    amount = float(match[1]) if (match := re.search(r"([\d.]+) (?:mm|rad)", motion)) else 0.0
+    axis = {"x": 0, "z": 2}[match[1]] if (match := re.search(r"\+([xz])", motion)) else 2
     for share in np.linspace(0.0, 1.0, 101):
         position, orientation = np.array([0.0, 0.0, 0.009]), np.array([1.0, 0.0, 0.0, 0.0])
         if motion.startswith("drag"):

@@ -39,9 +39,9 @@ def said(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
 
 
 def number(pattern: str, text: str) -> float:
-    found = re.search(pattern, text)
-    assert found, text
-    return float(found[1])
+    match = re.search(pattern, text)
+    assert match, text
+    return float(match[1])
 
 
 def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:

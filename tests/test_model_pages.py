@@ -27,9 +27,9 @@ def test_a_page_starts_with_three_sentences_and_a_figure(page: Path) -> None:
     """A title, a paragraph of three sentences, and a figure that a command draws, small and undated."""
     _, sentences, picture, *_ = page.read_text("utf-8").split("\n\n")
     assert len(re.findall(r"[.?!](?=\s|$)", sentences)) == 3, sentences
-    found = re.fullmatch(r"!\[[^]]+\]\(\.\./figures/([\w-]+)\.svg\)", picture)
-    assert found and found[1] in {f"model-{name}" for name in figures.FIGURES} | {"patches"}
-    drawn = (DOCS / "figures" / f"{found[1]}.svg").read_text("utf-8")
+    match = re.fullmatch(r"!\[[^]]+\]\(\.\./figures/([\w-]+)\.svg\)", picture)
+    assert match and match[1] in {f"model-{name}" for name in figures.FIGURES} | {"patches"}
+    drawn = (DOCS / "figures" / f"{match[1]}.svg").read_text("utf-8")
     assert len(drawn) < SVG_MAX and "dc:date" not in drawn
 
 

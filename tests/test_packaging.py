@@ -217,11 +217,11 @@ def test_a_driver_of_another_package_passes_the_contract_of_the_wheel(installed:
     run(
         sys.executable, "-m", "pip", "--python", installed / "python", "install", *options.split(), source, cwd=tmp_path
     )
-    done = run(
+    result = run(
         *(installed / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", source / "test_lissajous.py"),
         cwd=source,
     )
-    assert re.search(r"^\d+ passed", done.stdout, re.MULTILINE), done.stdout
+    assert re.search(r"^\d+ passed", result.stdout, re.MULTILINE), result.stdout
 
 
 COMPILES = """

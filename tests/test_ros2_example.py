@@ -55,7 +55,7 @@ def test_ros_messages_equal_the_telemetry(release: Stores) -> None:
     record = Records(run()[1000:1001])[0].copy()
     record["probe.orientation"][:] = np.cos(0.5), 0.0, np.sin(0.5), 0.0
     record["force"][:], record["torque"][:] = (0.1, 0.2, 0.3), (0.0, 0.001, 0.002)
-    pose, wrench = (through(store, each) for each in imported(store.types).messages(sample_of(record)))
+    pose, wrench = (through(store, message) for message in imported(store.types).messages(sample_of(record)))
 
     assert pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec == pytest.approx(record["timestamp"], abs=1e-6)
     assert pose.header == wrench.header and pose.header.frame_id == "world"

@@ -107,10 +107,10 @@ class HoldController:
                     return force
         return None
 
-    def _exchange(self, function: Any, values: Array, what: str) -> None:
+    def _exchange(self, function: Any, values: Array, operation: str) -> None:
         status = function(self._handle, values.ctypes.data)
         if status < 0:
-            raise DeviceLost(f"the Falcon was lost during calibration (status {status} on {what}): start again")
+            raise DeviceLost(f"the Falcon was lost during calibration (status {status} on {operation}): start again")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -98,7 +98,7 @@ class Push(NamedTuple):
     duration: float
 
 
-class Scratch(NamedTuple):
+class Buffers(NamedTuple):
     """Memory of the loop: (2,) int64 for the clock, (SAMPLE_SIZE,) and (6,) float64 for the device."""
 
     timespec: NDArray[np.int64]
@@ -145,7 +145,7 @@ class Exchanged(NamedTuple):
 
 @jit
 def exchange_once(
-    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Scratch
+    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Buffers
 ) -> Exchanged:
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
@@ -174,15 +174,15 @@ def exchange_once(
 
 
 @jit
-def fill_row(row: Array, begun: int, woke: int, late: int, done: Exchanged, sample: Array) -> None:
+def fill_row(row: Array, begun: int, woke: int, late: int, exchanged: Exchanged, sample: Array) -> None:
     """Store the times of a tick, the status of the device, the force and the sample."""
     row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
-    row[READ], row[WRITE] = (done.read - woke) / NS_PER_S, (done.wrote - done.before) / NS_PER_S
-    row[EMPTY_READ] = (done.empty_read - done.wrote) / NS_PER_S
-    row[EMPTY_WRITE] = (done.empty_wrote - done.empty_read) / NS_PER_S
-    row[READ_STATUS], row[WRITE_STATUS] = done.status, done.status_out
+    row[READ], row[WRITE] = (exchanged.read - woke) / NS_PER_S, (exchanged.wrote - exchanged.before) / NS_PER_S
+    row[EMPTY_READ] = (exchanged.empty_read - exchanged.wrote) / NS_PER_S
+    row[EMPTY_WRITE] = (exchanged.empty_wrote - exchanged.empty_read) / NS_PER_S
+    row[READ_STATUS], row[WRITE_STATUS] = exchanged.status, exchanged.status_out
     for k in range(3):
-        row[FORCE + k] = done.guarded.force[k]
+        row[FORCE + k] = exchanged.guarded.force[k]
     for k in range(SAMPLE_SIZE):
         row[SAMPLE + k] = sample[k]
 
@@ -195,7 +195,7 @@ def exchange_loop(
     push: Push,
     guard: Guard,
     words: NDArray[np.int64],
-    scratch: Scratch,
+    scratch: Buffers,
     rows: Array,
 ) -> tuple[int, int, int]:
     """Exchange until the rows are full, or as `span` requires.
@@ -243,8 +243,8 @@ def exchange_loop(
     return ending, status, 0 if span.waiting == 1 else number
 
 
-def make_scratch() -> Scratch:
-    return Scratch(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
+def make_scratch() -> Buffers:
+    return Buffers(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
 
 
 def compile_exchange() -> None:
@@ -262,7 +262,7 @@ class _RecordedPart:
         self.span, self.push = span, push
         self.rows = np.empty((count, ROW_SIZE))
         self.rows.fill(0.0)  # avoids first-touch page faults in the loop
-        self.done = threading.Event()
+        self.finished = threading.Event()
 
 
 class Exchange:
@@ -293,13 +293,13 @@ class Exchange:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
-    def record(self, seconds: float, push: Push = NO_PUSH, what: str = "the exchange with the device") -> Array:
+    def record(self, seconds: float, push: Push = NO_PUSH, operation: str = "the exchange with the device") -> Array:
         """Return rows (n, ROW_SIZE) of `seconds` at the rig's rate; fewer if the device has ended.
 
-        `what` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
+        `operation` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """
         part = _RecordedPart(PartTiming(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
-        with progress(f"recording {what}", len(part.rows)) as update:
+        with progress(f"recording {operation}", len(part.rows)) as update:
             return self._record(part, update)
 
     def burst(self) -> Array:
@@ -310,16 +310,16 @@ class Exchange:
         """Return the error of a device that failed; None while it runs, and at the end of a recording."""
         return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
 
-    def _record(self, part: _RecordedPart, done: Callable[[int], None]) -> Array:
+    def _record(self, part: _RecordedPart, advance: Callable[[int], None]) -> Array:
         first = int(self._words[_TICKS])
         self._parts.put(part)
         self._words[_NEXT] = 1
         watchdog = Watchdog()
-        while not part.done.wait(STALL_POLL_S):
+        while not part.finished.wait(STALL_POLL_S):
             if self._over.is_set():
                 break
             ticks = int(self._words[_TICKS])
-            done(ticks - first)
+            advance(ticks - first)
             if idle_s := watchdog.measure_stall_s(ticks, self._armed):
                 stalled = SafetyStop(
                     f"{self.device.info.name}: no exchange for {idle_s:.2f} s after exchange {ticks}: "
@@ -328,7 +328,7 @@ class Exchange:
                 shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=stalled)
                 raise stalled
         self._raise_crash()
-        return part.rows if part.done.is_set() else part.rows[:0]
+        return part.rows if part.finished.is_set() else part.rows[:0]
 
     def _run(self) -> None:
         applied: realtime.AppliedSettings | None = None
@@ -349,7 +349,7 @@ class Exchange:
                     self.ended = shutdown.LoopEnd(ending, status)
                 part.rows = part.rows[:count]
                 if part is not waiting:
-                    part.done.set()
+                    part.finished.set()
         except BaseException as error:  # for any error, the device must be zeroed and the caller informed
             self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, error)
         first = None if self.ended is None else self.ended.error

@@ -67,7 +67,7 @@ def run_cases(
     """
     keys = [case_key(function, case) for case in cases]
     with open_rows(results) as rows:
-        todo = {key: case for key, case in zip(keys, cases, strict=True) if key not in rows.done}
+        todo = {key: case for key, case in zip(keys, cases, strict=True) if key not in rows.by_key}
         if todo:
             finished = len(keys) - len(todo)
             with _workers(scheduler, threads) as workers, progress(label, len(keys)) as update:
@@ -77,7 +77,7 @@ def run_cases(
                     rows.append((key, todo[key], row) for key, row in zip(block_keys, decoded, strict=True))
                     finished += len(block_keys)
                     update(finished)
-        return [rows.done[key] for key in keys]
+        return [rows.by_key[key] for key in keys]
 
 
 def case_key(function: Compute, case: Any) -> str:

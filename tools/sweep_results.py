@@ -27,16 +27,16 @@ log: Final = logging.getLogger(__name__)
 
 
 class StoredResults:
-    """Results by the key of their case: `done` contains the results in the file, `append` adds new ones."""
+    """Results by the key of their case: `by_key` contains the results in the file, `append` adds new ones."""
 
-    def __init__(self, done: dict[str, Any], file: _File | None) -> None:
-        self.done = done
+    def __init__(self, by_key: dict[str, Any], file: _ResultFile | None) -> None:
+        self.by_key = by_key
         self._file = file
 
     def append(self, rows: Iterable[tuple[str, Any, Any]]) -> None:
         """Add key, case and result of each case of a block; on return, they are in the file if there is one."""
         for key, case, result in rows:
-            self.done[key] = result
+            self.by_key[key] = result
             if self._file is not None:
                 self._file.add({"key": key, "case": case, "result": result})
         if self._file is not None:
@@ -68,7 +68,7 @@ def open_rows(path: Path | None) -> Iterator[StoredResults]:
             with new_file(target) as target_file:
                 new = files.enter_context(open(os.dup(target_file.fileno()), "wb"))
                 _lock(new, path)
-                file = _File(path, new)
+                file = _ResultFile(path, new)
                 for row in finished:
                     file.add(row)
                 file.flush()
@@ -121,7 +121,7 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         log.info("%s has no finished case", path)
 
 
-class _File:
+class _ResultFile:
     """MCAP file that is being written."""
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:

@@ -300,10 +300,10 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             yield "mesh", self.mesh, "of a MuJoCo model cannot be elastic: export it to a file"
 
 
-def _too_tight(least_m: float, measure: str = "radius", what: str = "") -> str:
+def _too_tight(least_m: float, measure: str = "radius", part: str = "") -> str:
     """Return the fault of a shape without room for the fingertip; `least_m` is its radius or diameter."""
     room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
-    return f"{what} {room}".strip() + ": widen it, or take a smaller fingertip"
+    return f"{part} {room}".strip() + ": widen it, or take a smaller fingertip"
 
 
 Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Heightmap | Mesh

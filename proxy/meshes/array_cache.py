@@ -114,7 +114,7 @@ def _read(key: str, memory: mmap.mmap) -> CachedArrays:
     if header["key"] != key or len(memory) != _FIXED + length + header["bytes"]:
         raise Unsound("it belongs to another mesh or is truncated")
     return CachedArrays(
-        {name: _array(memory, _FIXED + length, each) for name, each in header["arrays"].items()}, header["values"]
+        {name: _array(memory, _FIXED + length, entry) for name, entry in header["arrays"].items()}, header["values"]
     )
 
 
@@ -142,9 +142,9 @@ def _sum(array: NDArray[Any]) -> int:
 
 def _make_room(folder: Folder, newest: str) -> None:
     assert folder.path is not None
-    with os.scandir(folder.path) as found:
-        files = [(each.stat().st_mtime_ns, each.stat().st_size, each.path) for each in found
-                 if each.name.endswith(ENDING) and each.name != newest]  # fmt: skip
+    with os.scandir(folder.path) as entries:
+        files = [(entry.stat().st_mtime_ns, entry.stat().st_size, entry.path) for entry in entries
+                 if entry.name.endswith(ENDING) and entry.name != newest]  # fmt: skip
     room = BYTES_MAX - (folder.path / newest).stat().st_size
     for _, size, path in sorted(files, reverse=True):
         room -= size

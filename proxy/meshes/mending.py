@@ -47,12 +47,12 @@ class RepairedMesh(NamedTuple):
         return self.open_edges == self.crowded_edges == self.winding.one_sided == 0
 
 
-def mend(given: Arrays, loose: bool) -> RepairedMesh:
+def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     """Repair a mesh, and wind its triangles.
 
     Parameters
     ----------
-    given
+    arrays
         Vertices, m, finite, and triangles with valid indices.
     loose
         Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
@@ -67,8 +67,8 @@ def mend(given: Arrays, loose: bool) -> RepairedMesh:
     ValueError
         If the mesh is too small, too large or too far from its origin, or if no triangle has an area.
     """
-    vertices, triangles = given
-    used, triangles = _drop_unused_vertices(given)
+    vertices, triangles = arrays
+    used, triangles = _drop_unused_vertices(arrays)
     unused = len(vertices) - len(used)
     vertices = vertices[used]
     _check_size(vertices)
@@ -120,19 +120,19 @@ def _check_size(vertices: Vertices) -> None:
 def _ends(vertices: Vertices) -> tuple[list[float], list[float]]:
     """Return the minimum and maximum of each coordinate; column by column takes NumPy a tenth of the time."""
     columns = vertices.T
-    return [float(each.min()) for each in columns], [float(each.max()) for each in columns]
+    return [float(column.min()) for column in columns], [float(column.max()) for column in columns]
 
 
 def _size(vertices: Vertices) -> float:
     return max(high - low for low, high in zip(*_ends(vertices), strict=True))
 
 
-def _drop_unused_vertices(given: Arrays) -> tuple[NDArray[np.int64], Triangles]:
+def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]:
     """Return the indices of the used vertices, and the triangles (m, 3) as indices into these."""
-    has = np.zeros(len(given.vertices), np.bool_)
-    has[given.triangles.ravel()] = True
+    has = np.zeros(len(arrays.vertices), np.bool_)
+    has[arrays.triangles.ravel()] = True
     place = np.cumsum(has, dtype=np.int32) - np.int32(1)
-    return np.flatnonzero(has), place[given.triangles]
+    return np.flatnonzero(has), place[arrays.triangles]
 
 
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -133,8 +133,8 @@ def _unite(
             parent[b], turned[b] = a, against
         else:
             parent[a], turned[a] = b, against
-    for each in range(len(parent)):  # a parent has a lower index, so its root is already known
-        above = parent[each]
-        if above != each:
-            turned[each] ^= turned[above]
-            parent[each] = parent[above]
+    for vertex in range(len(parent)):  # a parent has a lower index, so its root is already known
+        above = parent[vertex]
+        if above != vertex:
+            turned[vertex] ^= turned[above]
+            parent[vertex] = parent[above]

@@ -89,11 +89,11 @@ def about(thing: schema.Mesh) -> About:
     Raises ConfigError, with the object's name, if the file is unusable.
     """
     state = _state(thing)
-    found: About | None = _abouts.get(state)
-    if found is None:
-        found = _about(_read_and_mend(thing, _bytes(thing)))
-        _remember(thing, state, found)
-    return found
+    summary: About | None = _abouts.get(state)
+    if summary is None:
+        summary = _about(_read_and_mend(thing, _bytes(thing)))
+        _remember(thing, state, summary)
+    return summary
 
 
 def latest_picture(thing: schema.Mesh) -> About:
@@ -101,8 +101,8 @@ def latest_picture(thing: schema.Mesh) -> About:
 
     Without a previous build, return the result of `about`.
     """
-    found: About | None = _abouts.get(_source(thing))
-    return about(thing) if found is None else found
+    summary: About | None = _abouts.get(_source(thing))
+    return about(thing) if summary is None else summary
 
 
 STAGES: Final = 4
@@ -117,25 +117,25 @@ def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = array_c
         return tree
     data = _bytes(thing)
     key = _key(data, thing, builder)
-    tree, found = _from_disk(key, builder, folder) or (None, None)
-    if tree is None or found is None:
+    tree, summary = _from_disk(key, builder, folder) or (None, None)
+    if tree is None or summary is None:
         if thing.elastic is not None:
             _body(thing)  # shows its own progress
-        with progress.display(f"building the mesh of {thing.name}", STAGES) as done:
-            mended = _read_and_mend(thing, data, done)
+        with progress.display(f"building the mesh of {thing.name}", STAGES) as advance:
+            mended = _read_and_mend(thing, data, advance)
             tree = builder.build(*mended[0])
-            done(3)
-            found = _about(mended)
-            done(STAGES)
-        array_cache.save(key, _to_disk(tree, found), folder)
-    _remember(thing, state, found)
+            advance(3)
+            summary = _about(mended)
+            advance(STAGES)
+        array_cache.save(key, _to_disk(tree, summary), folder)
+    _remember(thing, state, summary)
     _trees.put((state, builder), tree)
     return tree
 
 
-def _remember(thing: schema.Mesh, state: Any, found: About) -> None:
-    _abouts.put(state, found)
-    _abouts.put(_source(thing), found)
+def _remember(thing: schema.Mesh, state: Any, summary: About) -> None:
+    _abouts.put(state, summary)
+    _abouts.put(_source(thing), summary)
 
 
 def _source(thing: schema.Mesh) -> tuple[Any, ...]:
@@ -148,7 +148,7 @@ def _bytes(thing: schema.Mesh) -> bytes:
     try:
         if thing.mesh is None:
             return read_bytes(thing.file)
-        return b"".join(each.tobytes() for each in read_mesh(thing.file, thing.root, thing.mesh))
+        return b"".join(array.tobytes() for array in read_mesh(thing.file, thing.root, thing.mesh))
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
 
@@ -160,7 +160,7 @@ def _body(thing: schema.Mesh) -> Body:
 
 
 def _read_and_mend(
-    thing: schema.Mesh, data: bytes, done: Callable[[int], None] = lambda stage: None
+    thing: schema.Mesh, data: bytes, advance: Callable[[int], None] = lambda stage: None
 ) -> tuple[Arrays, MeshReport]:
     if thing.elastic is not None:
         mended = mend(_body(thing).surface, loose=False)
@@ -173,9 +173,9 @@ def _read_and_mend(
         loose = thing.file.lower().endswith(".stl")
         with np.errstate(over="ignore"):  # infinite coordinates are rejected later
             vertices = vertices * thing.scale
-        done(1)
+        advance(1)
         mended = mend(Arrays(vertices, triangles), loose)
-        done(2)
+        advance(2)
     except ConfigError as error:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
     except ValueError as error:
@@ -192,10 +192,10 @@ def _state(thing: schema.Mesh) -> Any:
     if thing.mesh is not None:
         return hashlib.sha256(_bytes(thing)).digest(), *_source(thing)
     try:
-        found = os.stat(thing.file)
+        status = os.stat(thing.file)
     except (OSError, ValueError):
         return None, *_source(thing)
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, *_source(thing)
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_source(thing)
 
 
 def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
@@ -205,24 +205,24 @@ def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
     if thing.elastic is not None:
         from softfinger.proxy.elastic.prepared import body_of
 
-        made = (*made, *(hashlib.sha256(each.tobytes()).digest() for each in body_of(thing).surface))
+        made = (*made, *(hashlib.sha256(array.tobytes()).digest() for array in body_of(thing).surface))
     digest.update(repr(made).encode())
     return digest.hexdigest()
 
 
-def _to_disk(tree: Any, found: About) -> array_cache.CachedArrays:
+def _to_disk(tree: Any, summary: About) -> array_cache.CachedArrays:
     fields = tree._asdict()
-    arrays = {name: each for name, each in fields.items() if isinstance(each, np.ndarray)}
-    numbers = {name: np.asarray(each).item() for name, each in fields.items() if name not in arrays}
-    pictures = {f"picture.{name}": each for name, each in found.picture._asdict().items()}
-    return array_cache.CachedArrays(arrays | pictures, {"numbers": numbers, "report": asdict(found.report)})
+    arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
+    numbers = {name: np.asarray(value).item() for name, value in fields.items() if name not in arrays}
+    pictures = {f"picture.{name}": value for name, value in summary.picture._asdict().items()}
+    return array_cache.CachedArrays(arrays | pictures, {"numbers": numbers, "report": asdict(summary.report)})
 
 
 def _from_disk(key: str, builder: Builder[Tree], folder: Folder) -> tuple[Tree, About] | None:
-    there = array_cache.load(key, folder)
-    if there is None:
+    cached = array_cache.load(key, folder)
+    if cached is None:
         return None
-    arrays, values = dict(there.arrays), there.values
+    arrays, values = dict(cached.arrays), cached.values
     picture = Arrays(arrays.pop("picture.vertices"), arrays.pop("picture.triangles"))
     report = msgspec.convert(values["report"], MeshReport)
     return builder.kind(**arrays, **values["numbers"]), About(report, picture)

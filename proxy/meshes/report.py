@@ -43,20 +43,20 @@ class MeshReport:
         """Return label and text of each property; `inside`: the object is touched from inside."""
         size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
-        found = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
-        found.append(("surface", self._surface()))
-        found.append(("mended", "; ".join(self.mended) or "nothing was to be"))
-        found.append(("noted", "; ".join(self.noted)))
+        table = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
+        table.append(("surface", self._surface()))
+        table.append(("mended", "; ".join(self.mended) or "nothing was to be"))
+        table.append(("noted", "; ".join(self.noted)))
         if inside and not self.watertight:
-            found.append(("inside", self._explain_no_inside()))
-        return found
+            table.append(("inside", self._explain_no_inside()))
+        return table
 
     def _explain_no_inside(self) -> str:
-        why, what = "it is not watertight", "correct the faults in the notes"
+        why, remedy = "it is not watertight", "correct the faults in the notes"
         if self.open_edges:
-            why, what = f"it has {self.open_edges:,} open edges", "close its holes"
+            why, remedy = f"it has {self.open_edges:,} open edges", "close its holes"
         return (
-            f"inside = true does nothing here: {why}, so it is felt from the side on which the hand starts; or {what}"
+            f"inside = true does nothing here: {why}, so it is felt from the side on which the hand starts; or {remedy}"
         )
 
     def _surface(self) -> str:
@@ -82,12 +82,12 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     else:
         units = [("a thousand times larger", 1e3)]
     if scale is None:
-        asked = "multiply the scale of its <mesh> by "
-        asked += ", or ".join(f"{factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+        advice = "multiply the scale of its <mesh> by "
+        advice += ", or ".join(f"{factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
     else:
-        asked = "give "
-        asked += ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
-    return (f"it is {size:.3g} m in size: if that is not meant, {asked}",)
+        advice = "give "
+        advice += ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
+    return (f"it is {size:.3g} m in size: if that is not meant, {advice}",)
 
 
 def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshReport:

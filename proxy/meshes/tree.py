@@ -52,8 +52,8 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     corners, place = np.empty((count, 3), np.int32), np.full(len(vertices), -1, np.int32)
     used = build.renumber(triangles, order, corners, place)
     arranged = np.empty((used, 3))
-    kept = place >= 0
-    arranged[place[kept]] = vertices[kept]
+    is_used = place >= 0
+    arranged[place[is_used]] = vertices[is_used]
     size = float(np.sqrt(((most - least) ** 2).sum()))
     lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
     tree, node, child = build.Branches(low, high, lanes, first), 0, 1

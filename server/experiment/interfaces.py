@@ -69,14 +69,14 @@ class Apparatus(Protocol):
 class NullApparatus:
     """No apparatus: only design, answers, journal and tables, as fast as possible.
 
-    done  receives the number of the trial
+    on_trial  receives the number of the trial
     """
 
-    def __init__(self, done: Callable[[int], None] = lambda trial: None) -> None:
-        self._done = done
+    def __init__(self, on_trial: Callable[[int], None] = lambda trial: None) -> None:
+        self._on_trial = on_trial
 
     def touch(self, stimulus: Stimulus) -> TouchResult:
-        self._done(stimulus.trial)
+        self._on_trial(stimulus.trial)
         return TouchResult({}, [])
 
 

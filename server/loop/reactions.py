@@ -53,40 +53,41 @@ def received_share(requested: Vec3, received: Vec3) -> float:
 
 
 @by_type
-def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
+def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3) -> Any:
     """Return the wrenches of contacts until the next tick, a tuple of Reaction; `before` unchanged without an observer.
 
-    given   wrench on the fingertip, about its `center` (3,) m, after the guard
+    applied  wrench on the fingertip, about its `center` (3,) m, after the guard
     """
 
 
 @reactions_of.of(None)
 def unchanged_reactions(
-    passivity: None, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
+    passivity: None, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3
 ) -> Any:
     return before
 
 
 @reactions_of.of(Passivity)
 def observed_reactions(
-    passivity: Passivity, bodies: Any, before: Any, contact: Contact, given: GuardState, center: Vec3
+    passivity: Passivity, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3
 ) -> Any:
-    return reactions_on(bodies, contact, given, center)
+    return reactions_on(bodies, contact, applied, center)
 
 
 @by_type
-def reactions_on(bodies: Any, contact: Contact, given: GuardState, center: Vec3) -> Any:
+def reactions_on(bodies: Any, contact: Contact, applied: GuardState, center: Vec3) -> Any:
     """Return the reactions, or None in a scene without bodies."""
 
 
 @reactions_on.of(None)
-def no_reactions_on(bodies: None, contact: Contact, given: GuardState, center: Vec3) -> None:
+def no_reactions_on(bodies: None, contact: Contact, applied: GuardState, center: Vec3) -> None:
     return None
 
 
 @reactions_on.of(Bodies)
-def reactions_on_bodies(bodies: Bodies, contact: Contact, given: GuardState, center: Vec3) -> Any:
-    force_share, torque_share = received_share(contact.force, given.force), received_share(contact.torque, given.torque)
+def reactions_on_bodies(bodies: Bodies, contact: Contact, applied: GuardState, center: Vec3) -> Any:
+    force_share = received_share(contact.force, applied.force)
+    torque_share = received_share(contact.torque, applied.torque)
     return map_each(reaction, (contact.contacts,), bodies, force_share, torque_share, center)
 
 

@@ -140,10 +140,10 @@ def schedule_next(
     shared: Shared, schedule: Schedule, pace: Pace, woke: int, timespec: NDArray[np.int64]
 ) -> tuple[int, Pace]:
     """Return the duration of the tick that started at `woke`, ns, and the pace of the next tick."""
-    done = now_ns(timespec)
-    pace = next_pace(pace, done, schedule.period_ns)
+    end = now_ns(timespec)
+    pace = next_pace(pace, end, schedule.period_ns)
     store_release(shared.progress, 1, pace.missed)
-    return done - woke, pace
+    return end - woke, pace
 
 
 @entry

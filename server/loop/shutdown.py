@@ -166,8 +166,8 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
         return DeviceTimeout(
             f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
-    what = "sent an answer that is not in its protocol" if ended.status == PROTOCOL else "is gone"
-    return DeviceLost(f"{name} {what} (status {ended.status} on {action}){because}: plug it in again, then start again")
+    text = "sent an answer that is not in its protocol" if ended.status == PROTOCOL else "is gone"
+    return DeviceLost(f"{name} {text} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
 def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:

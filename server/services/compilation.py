@@ -108,11 +108,11 @@ class SceneChanges(Worker):
         """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
 
     @contextmanager
-    def _display(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    def _display(self, operation: str, total: int) -> Iterator[Callable[[int], None]]:
         """Report the progress of a mesh or an elastic body."""
-        log.info("%s", what)
+        log.info("%s", operation)
         try:
-            yield lambda number: self._report(progress_text(what, number, total))
+            yield lambda number: self._report(progress_text(operation, number, total))
         finally:
             self._report("")
 

@@ -45,14 +45,14 @@ class RecordingTotals(NamedTuple):
     events_dropped: int
     worst_write_s: float
 
-    def with_recording(self, one: RecorderState) -> RecordingTotals:
+    def with_recording(self, recorder: RecorderState) -> RecordingTotals:
         """Return the statistics with one recording added."""
         return RecordingTotals(
-            self.ticks + one.ticks,
-            self.bytes + one.bytes,
-            self.ticks_dropped + one.dropped,
-            self.events_dropped + one.events_dropped,
-            max(self.worst_write_s, one.worst_write_s),
+            self.ticks + recorder.ticks,
+            self.bytes + recorder.bytes,
+            self.ticks_dropped + recorder.dropped,
+            self.events_dropped + recorder.events_dropped,
+            max(self.worst_write_s, recorder.worst_write_s),
         )
 
 

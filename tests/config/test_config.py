@@ -632,8 +632,8 @@ def test_dotted_entry_names_match_the_longest_name() -> None:
     """Names may contain dots; an override path matches the longest name."""
     balls = [{"name": name, "shape": "sphere", "radius_m": 0.02, "material": "rubber"} for name in ("a", "a.b")]
     mapping = {"fingertip": {"radius_m": 0.01}, "object": balls}
-    found = load_scene(mapping, {"object.a.b.radius_m": 0.03, "object.a.radius_m": 0.04})
-    assert [ball.radius_m for ball in found.object] == [0.04, 0.03]
+    config = load_scene(mapping, {"object.a.b.radius_m": 0.03, "object.a.radius_m": 0.04})
+    assert [ball.radius_m for ball in config.object] == [0.04, 0.03]
 
 
 def test_another_driver_drops_the_options_of_the_first() -> None:

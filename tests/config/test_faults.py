@@ -55,9 +55,9 @@ def test_the_page_lists_every_kind() -> None:
 )
 def test_a_fault_is_reported_with_its_key(given: dict[str, Any], words: str) -> None:
     """The error has the key, the value and the allowed values: one line per mistake."""
-    with pytest.raises(ConfigError, match=words) as told:
+    with pytest.raises(ConfigError, match=words) as error:
         faults(**given)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 def test_an_unknown_name_is_reported_with_a_similar_one() -> None:

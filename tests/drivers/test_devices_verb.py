@@ -210,15 +210,15 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
     """A Teensy's debug channel is not claimed; without a descriptor an LPC1768 is claimed by all rigs with its ids."""
     teensy, *_ = BOARDS.values()
-    raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=one.descriptor) for one in teensy.interfaces)
+    raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=interface.descriptor) for interface in teensy.interfaces)
     claim = find_claim(raw)
     assert claim is not None and "woodenhaptics-2019" in claim.rigs
     assert find_claim(debug) is None
     assert "another channel of a board" in diagnose(debug, None).reason
     rigs = {}
     for board in ("lpc1768-8", "lpc1768-14"):
-        (one,) = BOARDS[board].interfaces
-        claim = find_claim(at("", 0x1234, 0x0006)._replace(descriptor=one.descriptor))
+        (interface,) = BOARDS[board].interfaces
+        claim = find_claim(at("", 0x1234, 0x0006)._replace(descriptor=interface.descriptor))
         assert claim is not None
         rigs[board] = set(claim.rigs)
     assert "woodenhaptics-2015" in rigs["lpc1768-8"]

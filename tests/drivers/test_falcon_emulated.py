@@ -252,10 +252,10 @@ def test_a_weight_gives_the_gain() -> None:
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
     done, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.rsplit("{", 1)[0])
+    content = json.loads(done.stdout.rsplit("{", 1)[0])
     # tolerance: at rest the force of 0.39 N may change by up to 0.05 N from window to window
-    assert found["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
-    assert found["counts_per_nm_used"] == 10000.0
+    assert content["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
+    assert content["counts_per_nm_used"] == 10000.0
 
 
 def test_a_force_of_the_wrong_sign_is_noticed() -> None:

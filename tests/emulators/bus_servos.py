@@ -112,10 +112,10 @@ class BusServos(FarTerminal):
         address = int.from_bytes(parameters[:wide], "little")
         if instruction == SYNC_READ and number == BROADCAST:
             size = int.from_bytes(parameters[wide : 2 * wide], "little")
-            for each in parameters[2 * wide :]:
-                if each not in self.servos:
+            for parameter in parameters[2 * wide :]:
+                if parameter not in self.servos:
                     return  # the next servo waits for its answer, and all after it
-                self._answer(each, bytes(self.servos[each].memory[address : address + size]))
+                self._answer(parameter, bytes(self.servos[parameter].memory[address : address + size]))
         elif instruction == WRITE and number in self.servos:
             self.servos[number].store(address, parameters[wide:], now)
             self._answer(number, b"")

@@ -97,7 +97,7 @@ class Bed:
             f"busnum=1 devnum={number} bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
         )
         lines = [f"P: {self.device}", f"N: {self.path.removeprefix('/dev/')}={blob}", f"E: DEVNAME={self.path}"]
-        lines += [f"E: {one}" for one in names.split()] + [f"A: {one}\\n" for one in attributes.split()]
+        lines += [f"E: {word}" for word in names.split()] + [f"A: {word}\\n" for word in attributes.split()]
         self.bed.add_from_string("\n".join([*lines, f"H: descriptors={blob}", ""]))
 
     def _past(self, event: str) -> bool:

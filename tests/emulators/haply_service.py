@@ -209,10 +209,10 @@ class Service:
             shown: dict[str, Any] = {"session_id": session} if whole else {}
             for group, devices in self.devices.items():
                 shown[group] = [
-                    {"device_id": one.name, "state": one.state(now), "status": one.status}
-                    | ({"config": self._config(group, one, session)} if whole else {})
-                    for one in devices.values()
-                    if one.name not in self.gone
+                    {"device_id": device.name, "state": device.state(now), "status": device.status}
+                    | ({"config": self._config(group, device, session)} if whole else {})
+                    for device in devices.values()
+                    if device.name not in self.gone
                 ]
             for group, grips in self.grips.items():
                 shown[group] = [

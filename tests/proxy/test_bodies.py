@@ -354,7 +354,7 @@ def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": rules}})
     assert {thing.name: thing.material.stiffness_n_per_m for thing in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
     assert scene.world is not None
-    notes = {each.name: each.note for each in convert_geoms(scene.world)}
+    notes = {geom.name: geom.note for geom in convert_geoms(scene.world)}
     assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
 
 
@@ -638,7 +638,7 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
     for _ in range(2):
         state, contacts = step(engine.scene, state, poses, 1e-3)
         assert step_bodies(engine.scene.bodies) != NO_FAULT
-        assert all(each.force == each.torque == (0.0, 0.0, 0.0) and each.mode == FREE for each in contacts)
+        assert all(contact.force == contact.torque == (0.0, 0.0, 0.0) and contact.mode == FREE for contact in contacts)
 
 
 @PLAIN_ONLY

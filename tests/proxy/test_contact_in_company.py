@@ -294,7 +294,7 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
     records = running.run(held, dt)
-    on_ball = -sum(float(each["force"][-1, 0]) for each in records.values())
+    on_ball = -sum(float(record["force"][-1, 0]) for record in records.values())
     frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
     assert frequency == pytest.approx(expected, rel=1e-4)
 

@@ -123,10 +123,10 @@ def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> Non
     # Without site: the installed package must not be imported first.
     command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
     edits = "\n".join(["", *moved_by])
-    done = subprocess.run(
+    process = subprocess.run(
         command, env=os.environ | {"PYTHONPATH": site}, input=edits + "\n", capture_output=True, text=True, check=True
     )
-    lines = done.stdout.splitlines()
+    lines = process.stdout.splitlines()
     kept = [lines[first : first + 1 + len(names)] for first in range(0, len(lines), 1 + len(names))]
     found = [[one != other for one, other in zip(before, after, strict=True)] for before, after in pairwise(kept)]
     assert dict(zip(moved_by, found, strict=True)) == moved_by

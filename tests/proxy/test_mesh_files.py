@@ -69,7 +69,7 @@ def ply_text(mesh: Mesh) -> bytes:
 
 def stl_binary(mesh: Mesh) -> bytes:
     """Return a binary STL file, not written by trimesh; its normals are zero, as from many programs."""
-    body = b"".join(struct.pack("<12fH", 0, 0, 0, *mesh.vertices[each].ravel(), 0) for each in mesh.triangles)
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *mesh.vertices[triangle].ravel(), 0) for triangle in mesh.triangles)
     return b"by hand".ljust(80) + struct.pack("<I", len(mesh.triangles)) + body
 
 

@@ -65,9 +65,9 @@ def scripts(tmp_path: Path) -> Path:
 
 def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("SOFTFINGER_CACHE_DIR", str(cache))
-    done = subprocess.run([sys.executable, "-B", str(script)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and done.stderr == "", done.stderr
-    return done.stdout.strip()
+    process = subprocess.run([sys.executable, "-B", str(script)], capture_output=True, text=True, check=False)
+    assert process.returncode == 0 and process.stderr == "", process.stderr
+    return process.stdout.strip()
 
 
 def units(cache: Path) -> dict[str, int]:

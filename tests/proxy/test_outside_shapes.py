@@ -249,9 +249,9 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(program.format(name=name))
     command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 @pytest.mark.exhaustive  # the beads below also test this, with a called kernel
@@ -307,9 +307,9 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
         poses = rolling_over(ball)
         engine.reset()
         expected = Engine(scene(sphere)).run(poses)
-        found = engine.run(poses)
-        assert (column(found, "contact.mode") != FREE).mean() > 0.5
-        np.testing.assert_allclose(found, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
+        records = engine.run(poses)
+        assert (column(records, "contact.mode") != FREE).mean() > 0.5
+        np.testing.assert_allclose(records, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
 
 
 @pytest.mark.plain

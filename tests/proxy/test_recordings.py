@@ -190,4 +190,4 @@ def test_every_recording_has_a_description() -> None:
     """motions.toml describes exactly the shipped recordings."""
     descriptions = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
     assert sorted(descriptions) == list_shipped_recordings()
-    assert all(set(each) == {"motion", "course"} for each in descriptions.values())
+    assert all(set(description) == {"motion", "course"} for description in descriptions.values())

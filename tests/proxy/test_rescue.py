@@ -54,15 +54,15 @@ def stepped(model, data, count):
 
 def output_of(code: str, *words: str, **environment: str) -> str:
     """Return the output of a program that starts with HEAD."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", HEAD + code, *words],
         env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
 ERRORS = """

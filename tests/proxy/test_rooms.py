@@ -23,11 +23,11 @@ print(touch.force.tolist())
 def rendered(package: Path) -> str:
     """Force of the paper's plane on a probe 0.5 mm deep, by the package in that folder."""
     environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", RENDERED], capture_output=True, text=True, timeout=120, env=environment, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.sampled(1)

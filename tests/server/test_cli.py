@@ -140,8 +140,8 @@ def test_help_imports_no_compiler():
 
 def test_run_for_a_duration_logs_plain_lines():
     """Without a terminal `run` logs its settings and a clean end as plain lines, and prints nothing on stdout."""
-    done = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
-    assert done.returncode == 0 and done.stdout == ""
+    result = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
+    assert result.returncode == 0 and result.stdout == ""
     for piece in (
         "paper-plane",
         "replay",
@@ -150,8 +150,8 @@ def test_run_for_a_duration_logs_plain_lines():
         "real time:",
         "stopped after 200 ticks",
     ):
-        assert piece in done.stderr
-    assert "\r" not in done.stderr and "\x1b" not in done.stderr
+        assert piece in result.stderr
+    assert "\r" not in result.stderr and "\x1b" not in result.stderr
 
 
 def test_bad_config_reports_all_errors_at_once(tmp_path):
@@ -194,8 +194,8 @@ def test_an_endpoint_in_use_gives_exit_code_7():
     """A second daemon on the same endpoint exits with code 7 and an error with the port."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
-        done = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
-    assert done.returncode == 7 and str(port) in done.stderr
+        result = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
+    assert result.returncode == 7 and str(port) in result.stderr
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])

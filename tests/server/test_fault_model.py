@@ -76,11 +76,11 @@ def test_each_published_fault_has_a_row():
 
 def test_measured_reactions_are_within_their_rows():
     """In the results of `make faults-seen` no reaction took longer than its row plus handover and TURN."""
-    seen = json.loads(SEEN_IN.read_text("utf-8"))
-    assert all(each["passed"] == each["of"] for each in seen if "test" in each)
+    content = json.loads(SEEN_IN.read_text("utf-8"))
+    assert all(each["passed"] == each["of"] for each in content if "test" in each)
     by_name = {hazard.name: hazard for hazard in HAZARDS}
     timed = set()
-    for each in (each for each in seen if "driver" in each):
+    for each in (each for each in content if "driver" in each):
         hazard = by_name[each["hazard"]]
         assert each["event"] == "none" or each["event"] in hazard.events, each
         assert each["state"] in set(DaemonState), each

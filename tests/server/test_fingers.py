@@ -73,7 +73,7 @@ def test_two_replays_equal_simulate() -> None:
     poses = [resample(load_poses(name), 1000.0) for name in recordings]
     count = min(map(len, poses))
     assert (ended.ending, ended.finger, len(records)) == (s.FINISHED, 1, count)
-    simulated = simulate(make_tuning(two_fingers(), GUARD), np.stack([each[:count] for each in poses], axis=1), 1000.0)
+    simulated = simulate(make_tuning(two_fingers(), GUARD), np.stack([pose[:count] for pose in poses], axis=1), 1000.0)
     np.testing.assert_array_equal(told(records), told(simulated))
     for place, device in enumerate(devices):
         assert np.linalg.norm(records[:, place, AT.force : AT.force + 3], axis=1).max() > 0.4
@@ -263,7 +263,7 @@ def test_simulate_refuses_recordings_that_do_not_match(
     """Too few, too many or unnamed recordings are refused before anything is compiled."""
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
-    assert cli.main([*words, *(word for each in poses for word in ("--poses", each))]) == 2
+    assert cli.main([*words, *(word for pose in poses for word in ("--poses", pose))]) == 2
     assert said in capsys.readouterr().err
 
 

@@ -230,11 +230,11 @@ def test_forwarded_messages_equal_published_ones() -> None:
                     frames.append(socket.recv_multipart())
                 assert [msgpack.unpackb(body) for body in contacts] == [contact_map(record) for record in records]
             process.send_signal(signal.SIGINT)
-            found = json.loads(process.stdout.read())
+            content = json.loads(process.stdout.read())
             assert process.wait(WAIT_S) == 0
         context.destroy(0)
-    assert found["messages"] >= len(records) and found["lost"] == 4
-    assert found["telemetry"]["connections_max"] == 2 and found["telemetry"]["refused"] == 0
+    assert content["messages"] >= len(records) and content["lost"] == 4
+    assert content["telemetry"]["connections_max"] == 2 and content["telemetry"]["refused"] == 0
 
 
 @pytest.mark.parametrize(

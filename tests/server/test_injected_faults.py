@@ -97,9 +97,9 @@ def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, Far
     case = CASES[name]
     fault = case.fault | {"at_tick": at, "ticks": case.lasts}
     with FAR_ENDS[driver](tmp_path) as far:
-        seen = run(far.device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
+        result = run(far.device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
         given = far.received()
-    return seen, far, np.column_stack([ticks_of(given[:, 0], seen), given[:, 1:]])
+    return result, far, np.column_stack([ticks_of(given[:, 0], result), given[:, 1:]])
 
 
 def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
@@ -166,8 +166,8 @@ def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: 
     held = HELD * 3 // 4
     faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
     with FAR_ENDS["replay"](tmp_path) as far:
-        seen = run(far.device, faults, 100 + 2 * held, RATE_HZ, tmp_path)
-    assert seen.error is None and seen.ticks == 100 + 2 * held
+        result = run(far.device, faults, 100 + 2 * held, RATE_HZ, tmp_path)
+    assert result.error is None and result.ticks == 100 + 2 * held
 
 
 EVERYWHERE = {

@@ -147,7 +147,7 @@ def test_lsl_has_the_time_of_the_tick(told: Told) -> None:
     found = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
     assert len(found) == MARKS
     for event, stamp in found:
-        told_here = next(each for each in marks(told.published) if each["label"] == event["label"])
+        told_here = next(mark for mark in marks(told.published) if mark["label"] == event["label"])
         assert event["tick"] == told_here["tick"] and event["data"] == told_here["data"]
         distance = stamp - stamps[event["tick"]]
         assert distance == pytest.approx(told_here["timestamp"] - times[event["tick"]], abs=DIGIT_S)

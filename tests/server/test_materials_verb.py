@@ -41,7 +41,7 @@ def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) 
     lines = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
     assert lines == [[name, "material"] for name in materials()] + [[name, "fingertip"] for name in fingertips()]
     assert main(["materials", "--json"]) == 0
-    listed = {each["name"]: each for each in json.loads(capsys.readouterr().out)}
+    listed = {load["name"]: load for load in json.loads(capsys.readouterr().out)}
     assert list(listed) == [name for name, _ in lines]
     assert listed["wood"]["values"] == materials()["wood"].values
     assert {"friction": 0.61, "sd": 0.21}.items() <= listed["silicone"]["measured"][0].items()

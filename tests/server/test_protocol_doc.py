@@ -96,8 +96,8 @@ def doc_tables():
         found[topic] = {} if topic == "state" else {"`schema`": "int"}  # defined at the top of the page
         found[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
         for kinds, key, kind, _ in below.pop(KINDS, []):
-            for each in kinds.split(", "):
-                found.setdefault(f"{topic} {each.strip('`')}", {})[key] = kind.partition(",")[0]
+            for word in kinds.split(", "):
+                found.setdefault(f"{topic} {word.strip('`')}", {})[key] = kind.partition(",")[0]
         assert not below
     (record,) = [rows for head, rows in rows_below(RECORD, "# The record of a tick").items() if head == HEADER]
     found["contact"] |= {key.replace("contacts0", "contacts[]"): kind.partition(",")[0] for key, kind, _ in record}

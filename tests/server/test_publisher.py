@@ -383,5 +383,5 @@ def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
 def test_a_publisher_that_is_stuck_in_one_step_ends():
     """The system kills it after STUCK_S of CPU time."""
     program = "from softfinger.server.socket_process.process import limit_step\nlimit_step()\nwhile True: pass"
-    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
-    assert done.returncode == -signal.SIGPROF
+    process = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
+    assert process.returncode == -signal.SIGPROF

@@ -50,17 +50,17 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
                 far.hush()
                 hushed.append(time.monotonic())
 
-        seen = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
+        result = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
         given = far.received()
-    assert type(seen.error) is DeviceTimeout, seen.error
-    (at,) = ticks_of(np.array(hushed), seen)
-    ticks, norms = ticks_of(given[:, 0], seen), np.linalg.norm(given[:, 1:], axis=1)
+    assert type(result.error) is DeviceTimeout, result.error
+    (at,) = ticks_of(np.array(hushed), result)
+    ticks, norms = ticks_of(given[:, 0], result), np.linalg.norm(given[:, 1:], axis=1)
     assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
     assert norms[-1] == 0.0
     zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
     left = int(ticks[zero] - at)
     assert left <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
-    assert seen.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
+    assert result.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
     record_property(
         SEEN,
         {

@@ -403,7 +403,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("endpoint", "words"), [(each, why) for why, text in REFUSED.items() for each in text.split()])
+@pytest.mark.parametrize(("endpoint", "words"), [(word, why) for why, text in REFUSED.items() for word in text.split()])
 def test_an_endpoint_is_refused_with_its_reason(endpoint, words):
     """One that other machines could reach, a malformed one, a socket without a file mode, a missing folder."""
     with pytest.raises(ConfigError, match=words):

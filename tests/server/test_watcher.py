@@ -40,10 +40,10 @@ def port() -> Iterator[tuple[int, int]]:
 def watched(name: str, fd: int, told: bytes) -> str:
     """Return the output of a device's watcher after the daemon's last data on the pipe."""
     words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
-    done = subprocess.run(
+    process = subprocess.run(
         words, input=told, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
     )
-    return done.stderr.decode()
+    return process.stderr.decode()
 
 
 def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:

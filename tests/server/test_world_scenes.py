@@ -149,7 +149,7 @@ def test_three_boxes_are_stacked_and_stay() -> None:
     """The third box rests on the other two, released and level."""
     hands = SimulatedHands("stack-boxes")
     records = hands.until(4.3)
-    assert all(each["force"][-1].tolist() == [0.0, 0.0, 0.0] for each in records.values())
+    assert all(record["force"][-1].tolist() == [0.0, 0.0, 0.0] for record in records.values())
     boxes = hands.data.xpos[1:]
     soft = 0.0004  # MuJoCo's contacts under the weight above
     for place, (x, y, z) in enumerate(boxes):
@@ -187,10 +187,10 @@ def test_scenes_played_by_hands_are_replayed_exactly(
     assert "no contact" not in capsys.readouterr().out
     scene = ["--scene", name, "--rig", f"simulated-{name}"]
     assert cli.main(["replay", file, *scene, "--tolerance", "0", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["equal"] and told["compared"] == round(seconds / DT)
+    content = json.loads(capsys.readouterr().out)
+    assert content["equal"] and content["compared"] == round(seconds / DT)
     assert cli.main(["replay", file, "--tolerance", "0", "--json"]) == 0  # the file has scene and rig
-    assert json.loads(capsys.readouterr().out) == told
+    assert json.loads(capsys.readouterr().out) == content
 
 
 @PLAIN_ONLY

@@ -19,14 +19,14 @@ def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.Cap
     drawing = tmp_path / "memory.svg"
     words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
     assert cli.main(["bench", "commands", *words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["set_params"] == 100
-    assert found["ticks"] > 500
-    assert 50 < found["changes_felt"] <= 100  # of two within a tick, which a stall of the machine makes, one is felt
-    assert found["torn"] == 0
-    assert found["largest_step_n"] <= found["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
-    assert found["largest_step_n"] > 0.0
-    assert len(found["resident_mb"]) == 1
+    content = json.loads(capsys.readouterr().out)
+    assert content["set_params"] == 100
+    assert content["ticks"] > 500
+    assert 50 < content["changes_felt"] <= 100  # of two within a tick, which a stall of the machine makes, one is felt
+    assert content["torn"] == 0
+    assert content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
+    assert content["largest_step_n"] > 0.0
+    assert len(content["resident_mb"]) == 1
     assert drawing.stat().st_size > 0
 
 

@@ -57,8 +57,8 @@ def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFix
     """Daemon, publisher, page and subscribers are there, ticks went on at their rate, and a figure is drawn."""
     drawing = tmp_path / "soak.svg"
     cli.main(["bench", "soak", "--minutes", "0.2", "--json", "--plot", str(drawing)])
-    found = json.loads(capsys.readouterr().out)
-    names = set(found["processes"])
+    content = json.loads(capsys.readouterr().out)
+    names = set(content["processes"])
     assert {
         "daemon",
         "daemon: telemetry",
@@ -66,6 +66,6 @@ def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFix
         "page",
         *(f"subscriber {k}" for k in range(1, 5)),
     } <= names
-    assert found["ticks"] + found["missed"] > 11_000
-    assert all(each["threads"]["last"] >= 1.0 for each in found["processes"].values())
+    assert content["ticks"] + content["missed"] > 11_000
+    assert all(each["threads"]["last"] >= 1.0 for each in content["processes"].values())
     assert drawing.stat().st_size > 0

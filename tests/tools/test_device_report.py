@@ -90,7 +90,7 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
     assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
     assert not re.search(r"/home/|/root\b", text)
     assert {row["id"] for row in found["questions"]} == {
-        one.id for one in questions() if found["driver"] in one.drivers
+        question.id for question in questions() if found["driver"] in question.drivers
     }
     return found
 
@@ -143,8 +143,8 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
     """An omega on the stub: serial numbers are shortened, TIMEGUARD returns are counted."""
     rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
-    done = run(home, "--rig", rig, "--seconds", "0.3")
-    assert done.returncode == 0, done.stderr
+    result = run(home, "--rig", rig, "--seconds", "0.3")
+    assert result.returncode == 0, result.stderr
     found = checked(home / "softfinger-forcedimension-report.json", home)
     assert found["device"]["name"] == "omega.3, serial ...30"
     assert found["maker_library"] == [stub_library.name]
@@ -229,8 +229,8 @@ def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
     """The fault without the searched home, and the open questions, which only the file has; exit code 4."""
-    done = run(home, "--rig", "omega-3", "--seconds", "0.3")
-    assert done.returncode == 4 and "not answered" not in done.stdout
+    result = run(home, "--rig", "omega-3", "--seconds", "0.3")
+    assert result.returncode == 4 and "not answered" not in result.stdout
     found = checked(home / "softfinger-forcedimension-report.json", home)
     assert found["ended"] == "by a fault" and not found["complete"]
     assert found["fault"] == {"kind": "DeviceNotFound", "message": found["fault"]["message"], "in_use": False}

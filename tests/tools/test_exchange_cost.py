@@ -22,9 +22,9 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
     done = run_program(command)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["ticks"] == 300
-    assert list(found["seconds"]) == [
+    content = json.loads(done.stdout)
+    assert content["ticks"] == 300
+    assert list(content["seconds"]) == [
         "forcedimension",
         "falcon",
         "haply",
@@ -34,7 +34,7 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
         "openhaptics",
         "spacemouse",
     ]
-    for name, one in found["seconds"].items():
+    for name, one in content["seconds"].items():
         # a stall of the machine may exceed the drivers' time limits
         assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # other threads answer these
         assert one["driver"] == pytest.approx(one["bare"] + one["own"], rel=1e-9)

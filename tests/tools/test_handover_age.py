@@ -22,11 +22,11 @@ def test_every_driver_is_measured() -> None:
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
     done = run_program(command)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["ticks"] == 300
+    content = json.loads(done.stdout)
+    assert content["ticks"] == 300
     measured = ["haply", *(["openhaptics"] if COMPILER else []), "serial, answer", "serial, stream"]
-    assert list(found["seconds"]) == measured
-    for name, one in found["seconds"].items():
+    assert list(content["seconds"]) == measured
+    for name, one in content["seconds"].items():
         for what, share in (("pose", "new"), ("force", "arrived")):
             assert 0.0 < one[what]["p50"] <= one[what]["p99"] <= one[what]["most"] < 1.0, name
             assert 0.0 < one[share] <= 1.0, name

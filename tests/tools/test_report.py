@@ -61,8 +61,8 @@ def test_the_archive_has_every_part_and_no_private_data(
     assert {path.name for path in found.rglob("*.*")} == {
         "report.json", "rig.json", "scene.json", "log.txt", "new.mcap",
     }  # fmt: skip
-    told = json.loads((found / "report.json").read_text())
-    assert told["softfinger"] and told["doctor"]["checks"]
+    content = json.loads((found / "report.json").read_text())
+    assert content["softfinger"] and content["doctor"]["checks"]
     assert json.loads((found / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
     assert "hand.toml" in (found / "log.txt").read_text()
     parts = list(read_contents(found / "blackbox" / "new.mcap"))

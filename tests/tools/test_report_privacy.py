@@ -98,9 +98,9 @@ def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_questions_are_well_formed() -> None:
     """Ids are unique, drivers exist, answers belong to questions; only drivers for hardware have them."""
-    ids = [one.id for one in questions()]
+    ids = [question.id for question in questions()]
     assert len(set(ids)) == len(ids)
-    drivers = {driver for one in questions() for driver in one.drivers}
+    drivers = {driver for question in questions() for driver in question.drivers}
     assert drivers <= set(registry.names())
     assert not drivers & {"replay", "simulated"}
     assert ANSWERS.keys() <= set(ids)

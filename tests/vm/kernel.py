@@ -51,10 +51,10 @@ def find(cache: Path, package: str | None = None) -> Kernel:
 def newest() -> str:
     """Return the kernel package to which the meta package currently refers."""
     said = _output("apt-cache", "depends", META_PACKAGE)
-    found = re.search(r"Depends: (linux-image-\d\S+)", said)
-    if found is None:
+    match = re.search(r"Depends: (linux-image-\d\S+)", said)
+    if match is None:
         raise VmError(f"apt knows no kernel ({META_PACKAGE}): run `apt-get update`, or name one with --kernel")
-    return found[1]
+    return match[1]
 
 
 def unpack(package: str, folder: Path) -> None:
@@ -105,8 +105,8 @@ def _name(path: Path) -> str:
 
 def _depends(path: Path) -> Iterator[str]:
     """Yield the dependencies of a module, from its .modinfo."""
-    found = re.search(rb"\0depends=([^\0]*)\0", _read(path))
-    yield from filter(None, found[1].decode().split(",")) if found else ()
+    match = re.search(rb"\0depends=([^\0]*)\0", _read(path))
+    yield from filter(None, match[1].decode().split(",")) if match else ()
 
 
 def _read(path: Path) -> bytes:
@@ -122,9 +122,9 @@ def _keep(path: Path, folder: Path) -> str:
 
 def _output(*command: str, cwd: Path | None = None) -> str:
     try:
-        done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+        process = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     except FileNotFoundError as error:
         raise VmError(f"{command[0]} is not installed: the virtual machine boots a kernel of Debian") from error
-    if done.returncode != 0:
-        raise VmError(f"{' '.join(command)}: {done.stderr.strip() or f'exit {done.returncode}'}")
-    return done.stdout
+    if process.returncode != 0:
+        raise VmError(f"{' '.join(command)}: {process.stderr.strip() or f'exit {process.returncode}'}")
+    return process.stdout

@@ -138,17 +138,17 @@ def warm(folder: Path, environment: dict[str, str]) -> None:
     changed = os.environ | environment | {"SOFTFINGER_CACHE_DIR": str(folder), "PATH": os.environ["PATH"]}
     for key in ("HOME", "TMPDIR"):
         changed[key] = os.environ.get(key, "/tmp")
-    done = subprocess.run([sys.executable, TESTS / "vm/warm.py"], cwd=ROOT, env=changed, check=False)
-    if done.returncode != 0:
-        raise kernel.VmError(f"the kernels of softfinger cannot be compiled (exit {done.returncode})")
+    process = subprocess.run([sys.executable, TESTS / "vm/warm.py"], cwd=ROOT, env=changed, check=False)
+    if process.returncode != 0:
+        raise kernel.VmError(f"the kernels of softfinger cannot be compiled (exit {process.returncode})")
 
 
 def install_wheel(folder: Path) -> None:
     """Install the program's wheel in a folder, as a user would, without this source tree."""
     pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
-    done = subprocess.run([*pip, "--no-build-isolation", "--target", str(folder), str(ROOT)], check=False)
-    if done.returncode != 0:
-        raise kernel.VmError(f"the wheel cannot be built and installed (exit {done.returncode})")
+    process = subprocess.run([*pip, "--no-build-isolation", "--target", str(folder), str(ROOT)], check=False)
+    if process.returncode != 0:
+        raise kernel.VmError(f"the wheel cannot be built and installed (exit {process.returncode})")
 
 
 def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:

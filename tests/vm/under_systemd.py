@@ -40,14 +40,14 @@ POLICY, RT_PRIORITY = 38, 37
 
 def ran(*words: str | Path, code: int = 0) -> str:
     """Run a command that has to exit with `code`, and return its output."""
-    done = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
-    assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}\n{journal()}"
-    return done.stdout
+    process = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
+    assert process.returncode == code, f"{words}: {process.returncode}\n{process.stdout}{process.stderr}\n{journal()}"
+    return process.stdout
 
 
 def journal() -> str:
-    done = subprocess.run(["journalctl", "-b", "-o", "cat", "-u", "softfinger"], capture_output=True, text=True)
-    return done.stdout
+    process = subprocess.run(["journalctl", "-b", "-o", "cat", "-u", "softfinger"], capture_output=True, text=True)
+    return process.stdout
 
 
 def shown(name: str) -> str:
@@ -200,6 +200,6 @@ def test_removing_leaves_nothing(service: str) -> None:
     assert not Path(f"/proc/{service}").exists()
     assert files() - before() == set(), said
     assert not TELEMETRY.parent.exists()
-    for each in ACCOUNTS:
-        assert "softfinger" not in Path("/etc", each).read_text()
+    for account in ACCOUNTS:
+        assert "softfinger" not in Path("/etc", account).read_text()
     assert shown("LoadState") == "not-found"

@@ -144,10 +144,10 @@ def ratio_of(surface: str, ratio: float | None) -> float:
 
 def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.Vec3]:
     """Return the shape with that curvature ratio, and centre (3,) m and normal (3,) of the first contact."""
-    found = SURFACES[surface]
-    scale = 1.0 if ratio is None else RADIUS_M / (found.size * ratio)
-    shape = found.shape if scale == 1.0 else scale_shape(found.shape, scale)
-    _, point, n = closest(shape, tuple(scale * x for x in found.near))
+    surface_case = SURFACES[surface]
+    scale = 1.0 if ratio is None else RADIUS_M / (surface_case.size * ratio)
+    shape = surface_case.shape if scale == 1.0 else scale_shape(surface_case.shape, scale)
+    _, point, n = closest(shape, tuple(scale * x for x in surface_case.near))
     normal = (float(n[0]), float(n[1]), float(n[2]))
     x, y, z = (float(p + RADIUS_M * c) for p, c in zip(point, normal, strict=True))
     return shape, (x, y, z), normal

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         )
     tuning = make_tuning(scene, load_rig("replay").guard)
     turns: list[list[dict[str, Any]]] = []
-    with progress("measuring the closed loop", ROUNDS) as done:
+    with progress("measuring the closed loop", ROUNDS) as advance:
         for number in range(ROUNDS):
             turns.append(
                 [
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
                     for handle in HANDLES.values()
                 ]
             )
-            done(number + 1)
+            advance(number + 1)
     rows = [{"plant": name} | summarize(of) for name, *of in zip(HANDLES, *turns, strict=True)]
     result = {"scene": args.scene, "ticks": TICKS * blocks, "plants": rows}
     lines = [f"closed loop on {args.scene}: contact step, guard and simulated device, in contact, one processor"]

@@ -196,19 +196,19 @@ def make_setter(control: Control) -> Callable[[], None]:
 
 
 def call_at_rate(
-    listener: Listener, ask: Callable[[], None], rate_hz: float, seconds: float, what: str
+    listener: Listener, ask: Callable[[], None], rate_hz: float, seconds: float, operation: str
 ) -> tuple[Array, Array]:
     """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
     count = max(1, round(rate_hz * seconds))
     durations = np.zeros(count)
-    with progress(what, count) as done:
+    with progress(operation, count) as advance:
         begun = time.monotonic()
         for number in range(count):
             listener.take(begun + number / rate_hz)
             start = time.monotonic()
             ask()
             durations[number] = time.monotonic() - start
-            done(number + 1)
+            advance(number + 1)
     return listener.rows(), durations
 
 
@@ -216,12 +216,12 @@ def alternate_scenes(listener: Listener, control: Control, pid: int, count: int)
     """Alternate set_scene; return the ticks in that time, (n, 6), and the resident memory after each call, MB."""
     pressed = control.describe()["scene"]
     memory = []
-    with progress("set_scene", count) as done:
+    with progress("set_scene", count) as advance:
         for number in range(count):
             control.set_scene(pressed if number % 2 else SECOND_SCENE)
             listener.wait_until_felt()
             memory.append(resident_mb(pid))
-            done(number + 1)
+            advance(number + 1)
     return listener.rows(), memory
 
 

@@ -75,12 +75,12 @@ def measure(
         if program is not None:
             loops = {"c": lambda: run_reference(program, rig, ticks), **loops}
         runs: dict[str, list[Array]] = {name: [] for name in loops}
-        with progress("measuring the servo loop", turns * len(loops)) as done:
+        with progress("measuring the servo loop", turns * len(loops)) as advance:
             run_servo(rig, scene, 10, settings)  # compiles, and touches memory that the first turn would touch first
             for turn in range(turns):
                 for number, (name, loop) in enumerate(loops.items()):
                     runs[name].append(loop())
-                    done(turn * len(loops) + number + 1)
+                    advance(turn * len(loops) + number + 1)
     return runs, settings
 
 
@@ -107,9 +107,9 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
         servo.close()
     if ended is not None and ended.error is not None:
         raise ended.error
-    found = np.concatenate(parts)
-    found[:, 2] = np.roll(found[:, 2], -1)  # a record has the busy time of the previous tick
-    return found[:-1]
+    rows = np.concatenate(parts)
+    rows[:, 2] = np.roll(rows[:, 2], -1)  # a record has the busy time of the previous tick
+    return rows[:-1]
 
 
 @contextmanager
@@ -123,8 +123,8 @@ def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
             yield [opened.enter_context(open_device(rig.device, rig.servo.rate_hz))] * len(scene.fingers)
         else:
             yield [
-                opened.enter_context(open_device(each.device, rig.servo.rate_hz, each.table))
-                for each in pair(scene, rig)
+                opened.enter_context(open_device(device.device, rig.servo.rate_hz, device.table))
+                for device in pair(scene, rig)
             ]
 
 
@@ -216,11 +216,11 @@ def table(result: dict[str, Any]) -> list[str]:
     ]
     lines.append(f"  {'':<11}{'':<6}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")))
     for loop in ("c", "servo", "servo_busy"):
-        for what in ("late", "exec", "busy"):
-            found = result.get(loop, {}).get(what)
-            if found is not None:
-                cells = (f"{microseconds(found[q])} ({microseconds(found['blocks'][q])})" for q in found["blocks"])
-                lines.append(f"  {loop:<11}{what:<6}" + "".join(f"{cell:>22}" for cell in cells))
+        for quantity in ("late", "exec", "busy"):
+            cost = result.get(loop, {}).get(quantity)
+            if cost is not None:
+                cells = (f"{microseconds(cost[q])} ({microseconds(cost['blocks'][q])})" for q in cost["blocks"])
+                lines.append(f"  {loop:<11}{quantity:<6}" + "".join(f"{cell:>22}" for cell in cells))
     lines += [
         f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks"
         for loop in ("c", "servo", "servo_busy")

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--ticks and --paced: {BLOCK} or more each; --fingertip: 0.0005 to 0.03 m")
     cases = [(level, bumpy, r) for level in args.levels for bumpy in (False, True) for r in args.fingertip]
     rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as folder, progress("measuring meshes", len(cases)) as done:
+    with tempfile.TemporaryDirectory() as folder, progress("measuring meshes", len(cases)) as advance:
         for level, bumpy, radius in cases:
             file, vertices, triangles = ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
             begun = time.perf_counter()
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
             made = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
             made["loaded_s"] = time.perf_counter() - begun
             rows.append(made | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
-            done(len(rows))
+            advance(len(rows))
         spheres = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
     result = {
         "rows": rows,
@@ -117,16 +117,16 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
     paced = make_path(args.paced, radius)
     away = poses.copy()
     away[:, :3] *= 1.3
-    found: dict[str, Any] = {}
+    costs: dict[str, Any] = {}
     watch = stopwatch(1, BLOCK)  # a thousand intervals without a pose: the cost of reading the clock
     time_steps(parameters, packed(start_state(tree)), poses[:1], 0.001, watch, np.zeros(1, np.int64))
     clock = float(np.median(watch.ns))
     for name, along, apart_ns in (("touching", poses, 0), ("free", away, 0), ("paced", paced, 1_000_000)):
         watch = stopwatch(1, len(along))
         time_steps(parameters, packed(start_state(tree)), along, 0.001, watch, np.zeros(1, np.int64), apart_ns)
-        each = watch.ns[0].astype(np.float64) - clock
-        found[f"{name}_ns"] = quantiles(each[BLOCK // 2 :], BLOCK)
-    return found
+        ns = watch.ns[0].astype(np.float64) - clock
+        costs[f"{name}_ns"] = quantiles(ns[BLOCK // 2 :], BLOCK)
+    return costs
 
 
 @entry
@@ -151,10 +151,10 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     """Return the nodes and triangles visited for the nearest one, and the largest error of the distance."""
     mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(make_path(BLOCK, radius)[:, :3])
-    found = np.zeros((len(points), 3))
-    ask(mesh, flatten(mesh), points, found)
-    wrong = np.abs(np.sqrt(found[:CHECKED, 0]) - np.sqrt(found[:CHECKED, 2])).max()
-    percentiles_s = [float(np.percentile(found[:, 1], at)) for at in (50, 99, 100)]
+    nearest = np.zeros((len(points), 3))
+    ask(mesh, flatten(mesh), points, nearest)
+    wrong = np.abs(np.sqrt(nearest[:CHECKED, 0]) - np.sqrt(nearest[:CHECKED, 2])).max()
+    percentiles_s = [float(np.percentile(nearest[:, 1], at)) for at in (50, 99, 100)]
     return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}
 
 
@@ -172,8 +172,8 @@ def table(result: dict[str, Any]) -> Iterator[str]:
 def _line(row: dict[str, Any]) -> str:
     parts = [f"r {1000.0 * row['fingertip_m']:4.1f} mm"]
     for name in ("touching", "paced", "free"):
-        each = row[f"{name}_ns"]
-        parts.append(f"{name} " + " / ".join(f"{each[at] / 1000.0:.2f}" for at in ("p50", "p99", "p999")))
+        cost = row[f"{name}_ns"]
+        parts.append(f"{name} " + " / ".join(f"{cost[at] / 1000.0:.2f}" for at in ("p50", "p99", "p999")))
     return "  ".join(parts)
 
 

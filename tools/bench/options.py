@@ -56,9 +56,9 @@ def configure_loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, default=1000.0, metavar="HZ", help="ticks per second (default: %(default)s)"
     )
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
-    what.add_argument(
+    scene = parser.add_mutually_exclusive_group()
+    scene.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    scene.add_argument(
         "--geoms",
         type=int,
         metavar="N",

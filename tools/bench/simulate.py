@@ -37,11 +37,11 @@ def run(args: argparse.Namespace) -> int:
                 file.write(",".join(POSE_COLUMNS).encode() + b"\n")
                 write_csv_rows(file, motion(args.poses, ticks))
             simulate(args.scene, poses, Path(folder, "warm.npz"))
-        with progress("simulating", rounds * len(SUFFIXES)) as done:
+        with progress("simulating", rounds * len(SUFFIXES)) as advance:
             for turn in range(rounds):
                 for place, ending in enumerate(SUFFIXES):
                     durations[ending].append(simulate(args.scene, poses, Path(folder, f"results{ending}")))
-                    done(turn * len(SUFFIXES) + place + 1)
+                    advance(turn * len(SUFFIXES) + place + 1)
     rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in durations.items()]
     lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
     lines += [

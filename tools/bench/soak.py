@@ -144,7 +144,7 @@ def watch_processes(
     begun, passed, number = time.monotonic(), 0.0, 0
     times, samples = list[float](), list[Sizes]()
     stopped = threading.Event()
-    with progress("soaking", round(seconds)) as done, signals.stop_on_signal(stopped.set):
+    with progress("soaking", round(seconds)) as advance, signals.stop_on_signal(stopped.set):
         while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):
@@ -152,14 +152,14 @@ def watch_processes(
                 samples.append({})
                 for name, pid in trees.items():
                     samples[-1] |= sizes(name, pid)
-                done(int(passed))
+                advance(int(passed))
             number += 1
             stopped.wait(max(0.0, begun + CHANGE_S * number - time.monotonic()))
             passed = time.monotonic() - begun
     nothing = (np.nan,) * len(FIELDS)
-    names = dict.fromkeys(name for each in samples for name in each)
-    found = {name: np.array([each.get(name, nothing) for each in samples]) for name in names}
-    return np.array(times), {name: rows for name, rows in found.items() if np.isfinite(rows[:, 0]).mean() > 0.5}
+    names = dict.fromkeys(name for sample in samples for name in sample)
+    by_process = {name: np.array([sample.get(name, nothing) for sample in samples]) for name in names}
+    return np.array(times), {name: rows for name, rows in by_process.items() if np.isfinite(rows[:, 0]).mean() > 0.5}
 
 
 def sizes(name: str, pid: int) -> Sizes:
@@ -167,21 +167,21 @@ def sizes(name: str, pid: int) -> Sizes:
     process = Path(f"/proc/{pid}")
     try:
         status = dict(line.split(":\t", 1) for line in (process / "status").read_text().splitlines() if ":\t" in line)
-        found: Sizes = {
+        result: Sizes = {
             name: (
                 float(status["VmRSS"].split()[0]) / 1024.0,
                 float(len(list((process / "fd").iterdir()))),
                 float(status["Threads"]),
             )
         }
-        children = " ".join(each.read_text() for each in process.glob("task/*/children")).split()
+        children = " ".join(path.read_text() for path in process.glob("task/*/children")).split()
         for child in map(int, children):
             words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
             role = next((word for word in words if word in ROLES), "child")
-            found |= sizes(f"{name}: {role}", child)
+            result |= sizes(f"{name}: {role}", child)
     except (OSError, KeyError):  # it has ended
         return {}
-    return found
+    return result
 
 
 def change(client: Client, number: int) -> None:
@@ -245,10 +245,10 @@ def evaluate(soaked: Soaked) -> dict[str, Any]:
         processes[name] = {}
         warm = (soaked.times >= min(WARM_S, soaked.times[-1] / 3.0)) & np.isfinite(values[:, 0])
         for column, field in enumerate(FIELDS):
-            series = values[warm, column]
-            slope, at_least = growth(hours[warm], series)
+            column = values[warm, column]
+            slope, at_least = growth(hours[warm], column)
             gained = at_least * (hours[warm][-1] - hours[warm][0])
-            processes[name][field] = {"last": float(series[-1]), "an_hour": slope, "an_hour_at_least": at_least}
+            processes[name][field] = {"last": float(column[-1]), "an_hour": slope, "an_hour_at_least": at_least}
             if at_least > GROWTH_MAX[field] and gained > LIMITED[field]:
                 faults.append(f"{name}: {field} grows by {slope:.2f} an hour, at least {at_least:.2f}")
     if soaked.lost:
@@ -273,7 +273,7 @@ def growth(hours: Array, values: Array) -> tuple[float, float]:
     Source: Sen (1968), Estimates of the regression coefficient based on Kendall's tau.
     """
     parts = min(BLOCKS, len(values))
-    x, y = (np.array([np.median(part) for part in np.array_split(each, parts)]) for each in (hours, values))
+    x, y = (np.array([np.median(part) for part in np.array_split(column, parts)]) for column in (hours, values))
     first, second = np.triu_indices(parts, 1)
     if len(first) == 0:
         return 0.0, 0.0
@@ -290,9 +290,9 @@ def table(result: dict[str, Any]) -> list[str]:
         f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",
         f"  {'':<40}{'MB':>8}{'an hour':>10}{'descriptors':>13}{'threads':>9}",
     ]
-    for name, each in result["processes"].items():
-        memory = each["resident_mb"]
-        counts = f"{each['descriptors']['last']:>13.0f}{each['threads']['last']:>9.0f}"
+    for name, statistics in result["processes"].items():
+        memory = statistics["resident_mb"]
+        counts = f"{statistics['descriptors']['last']:>13.0f}{statistics['threads']['last']:>9.0f}"
         lines.append(f"  {name:<40}{memory['last']:>8.1f}{memory['an_hour']:>+10.2f}{counts}")
     return lines + [f"  {fault}" for fault in result["faults"]]
 

@@ -53,10 +53,10 @@ def run(args: argparse.Namespace) -> int:
     names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = []
-    with progress("measuring the contact step", len(names)) as done:
+    with progress("measuring the contact step", len(names)) as advance:
         for number, name in enumerate(names):
             scenes.append({"scene": name, "variants": variants(name, load_scene(name), blocks)})
-            done(number + 1)
+            advance(number + 1)
     result = {"steps": BLOCK * blocks, "scenes": scenes} | (scenes[0] if scenes else {})
     if chosen:
         result["features"] = features(chosen, blocks)
@@ -120,10 +120,10 @@ def quiet(values: Any) -> float:
 def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
     """Return the cost of each feature: a scene with it, and the difference from the scene without it, in ns."""
     rows = []
-    with progress("measuring features", len(chosen)) as done:
+    with progress("measuring features", len(chosen)) as advance:
         for number, feature in enumerate(chosen):
             rows.append(cost_of(feature, blocks))
-            done(number + 1)
+            advance(number + 1)
     return rows
 
 
@@ -151,9 +151,9 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> list[str]:
     lines = [f"contact step, back to back; ratio to a chain of {REFERENCE_OPERATIONS} dependent operations"]
-    for found in result["scenes"]:
-        lines.append(str(found["scene"]))
-        for row in found["variants"]:
+    for scene in result["scenes"]:
+        lines.append(str(scene["scene"]))
+        for row in scene["variants"]:
             cost, unit = row["ns_per_step"], row["reference_ns"]
             marginal = f" {row['marginal_ns']:+8.1f} ns" if "marginal_ns" in row else ""
             lines.append(

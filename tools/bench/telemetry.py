@@ -48,7 +48,7 @@ FORWARD: Final = "forward"
 class SourceResult(NamedTuple):
     """Data of the subscribers of a source: (n, 2) tick, latency s, of each; and the source's share of a processor."""
 
-    seen: list[Array]
+    arrivals: list[Array]
     load: float
 
 
@@ -64,22 +64,22 @@ def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     with tempfile.TemporaryDirectory() as folder:
         sources = commands(args, Path(folder))
-        found: dict[str, list[SourceResult]] = {name: [] for name in sources}
+        results: dict[str, list[SourceResult]] = {name: [] for name in sources}
         for _ in range(turns):
             for name, words in sources.items():
-                found[name].append(measure(name, words, args, args.seconds / turns))
+                results[name].append(measure(name, words, args, args.seconds / turns))
     result: dict[str, Any] = {"subscribers": args.subscribers, "rate_hz": args.rate, "seconds": args.seconds}
-    for name, parts in found.items():
-        seen = [each for part in parts for each in part.seen]
+    for name, parts in results.items():
+        arrivals = [rows for part in parts for rows in part.arrivals]
         result[name] = {
-            "latency": quantiles(np.concatenate([each[:, 1] for each in seen]), round(args.rate)),
-            "messages": sum(len(each) for each in seen),
-            "lost": int(sum((np.diff(each[:, 0]) - 1).sum() for each in seen)),
+            "latency": quantiles(np.concatenate([rows[:, 1] for rows in arrivals]), round(args.rate)),
+            "messages": sum(len(rows) for rows in arrivals),
+            "lost": int(sum((np.diff(rows[:, 0]) - 1).sum() for rows in arrivals)),
             "load": float(np.mean([part.load for part in parts])),
         }
     lines = [f"tick to subscriber, {args.subscribers} subscribers at {args.rate:g} Hz, us"]
     own = result["daemon"]["latency"]["blocks"]
-    for name in found:
+    for name in results:
         latency = result[name]["latency"]["blocks"]
         cells = "  ".join(f"{q} {microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
         loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
@@ -87,20 +87,20 @@ def run(args: argparse.Namespace) -> int:
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
     show(result, args.json, lines)
     if args.plot:
-        draw(args.plot, {name: [each for part in parts for each in part.seen] for name, parts in found.items()})
+        draw(args.plot, {name: [rows for part in parts for rows in part.arrivals] for name, parts in results.items()})
     return 0
 
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
     """Return the command line of each source; `ENDPOINT` is replaced by its endpoint."""
     daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate)]
-    found = {}
+    lines = {}
     if (program := compile_reference(folder)) is not None:
-        found["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
-    found["daemon"] = [sys.executable, "-m", "softfinger.server.cli", *daemon]
+        lines["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
+    lines["daemon"] = [sys.executable, "-m", "softfinger.server.cli", *daemon]
     if args.forward:
-        found[FORWARD] = found["daemon"]
-    return found
+        lines[FORWARD] = lines["daemon"]
+    return lines
 
 
 def compile_reference(folder: Path) -> list[str] | None:
@@ -129,7 +129,7 @@ def body(folder: Path) -> list[str]:
     path.write_bytes(message)
     return [
         str(path),
-        *(str(message.index(each)) for each in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES))),
+        *(str(message.index(value)) for value in (struct.pack(">d", 1.5), struct.pack(">q", _EIGHT_BYTES))),
     ]
 
 
@@ -150,7 +150,7 @@ def measure(name: str, words: list[str], args: argparse.Namespace, seconds: floa
 def processor_s(pid: int) -> float:
     """Return the processor time of a process and its children."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
-    children = " ".join(each.read_text("ascii") for each in Path(f"/proc/{pid}/task").glob("*/children")).split()
+    children = " ".join(path.read_text("ascii") for path in Path(f"/proc/{pid}/task").glob("*/children")).split()
     own = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
     return own + sum(processor_s(int(child)) for child in children)
 
@@ -212,10 +212,10 @@ def subscribe_all(
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
     words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", publisher.endpoint, repr(seconds)]
     processes = [subprocess.Popen([*words, str(path), *publisher.keys]) for path in paths]
-    with progress(f"measuring: {name}", round(seconds)) as done:
+    with progress(f"measuring: {name}", round(seconds)) as advance:
         begun = time.monotonic()
         while any(process.poll() is None for process in processes):
-            done(min(int(time.monotonic() - begun), round(seconds)))
+            advance(min(int(time.monotonic() - begun), round(seconds)))
             time.sleep(0.5)
     failed = [process.returncode for process in processes if process.returncode]
     if failed:

@@ -80,21 +80,21 @@ class TurnResult(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     page_counts = cases(args)
     turns = max(1, round(args.seconds / TURN_S))
-    found: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
+    parts: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
     with tempfile.TemporaryDirectory() as folder:
         commands = f"ipc://{folder}/commands"
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
         with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as publisher:
             await_messages(publisher.endpoint)
-            with progress("measuring", turns * len(page_counts)) as done:
+            with progress("measuring", turns * len(page_counts)) as advance:
                 for number in range(turns * len(page_counts)):
                     name = list(page_counts)[number % len(page_counts)]
-                    found[name].append(measure(page_counts[name], publisher.endpoint, commands, args.seconds / turns))
-                    done(number + 1)
-    result = {name: summary(parts) for name, parts in found.items()}
+                    parts[name].append(measure(page_counts[name], publisher.endpoint, commands, args.seconds / turns))
+                    advance(number + 1)
+    result = {name: summary(rows) for name, rows in parts.items()}
     show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
     if args.plot:
-        draw(args.plot, found)
+        draw(args.plot, parts)
     return 0
 
 
@@ -102,16 +102,16 @@ def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
     """Return the cases by name; raises ConfigError if browsers are not available."""
     if args.viewers < 1 or args.browsers < 0:
         raise ConfigError(f"--viewers {args.viewers} --browsers {args.browsers}: give at least 1 viewer, 0 browsers")
-    found = {"no viewer": PageCounts(0, 0), "1 viewer": PageCounts(1, 0)}
+    counts = {"no viewer": PageCounts(0, 0), "1 viewer": PageCounts(1, 0)}
     if args.viewers > 1:
-        found[f"{args.viewers} viewers"] = PageCounts(args.viewers, 0)
+        counts[f"{args.viewers} viewers"] = PageCounts(args.viewers, 0)
     if args.browsers:
         if shutil.which("chromium") is None:
             raise ConfigError("--browsers: chromium is not installed (Debian: apt install chromium)")
-        found["1 page"] = PageCounts(1, 1)
+        counts["1 page"] = PageCounts(1, 1)
     if args.browsers > 1:
-        found[f"{args.browsers} pages"] = PageCounts(1, args.browsers)
-    return found
+        counts[f"{args.browsers} pages"] = PageCounts(1, args.browsers)
+    return counts
 
 
 def measure(case: PageCounts, endpoint: str, commands: str, seconds: float) -> TurnResult:
@@ -155,12 +155,12 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
         assert process.stderr is not None
         try:
             output = ""
-            while (found := re.search(r"(?m)^(http\S+)\n", output)) is None:
+            while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
                 line = process.stderr.readline()
                 if not line:
                     raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
                 output += line
-            yield process, found[1]
+            yield process, match[1]
         finally:
             process.terminate()
             process.communicate(timeout=30.0)
@@ -211,14 +211,14 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
     lines = [
         "beside the daemon   missed of 1000   late p50        p99   busy p50        p99   a viewer   frames a second"
     ]
-    for name, each in result.items():
+    for name, case in result.items():
         cells = "".join(
-            microseconds(each[what]["blocks"][q]) + "  " for what in ("late", "busy") for q in ("p50", "p99")
+            microseconds(case[quantity]["blocks"][q]) + "  " for quantity in ("late", "busy") for q in ("p50", "p99")
         )
-        frames = each["frames_per_s"]
+        frames = case["frames_per_s"]
         frames_text = f"{frames['median']:.0f}, least {frames['least']:.0f}" if frames else ""
-        load = f"{100.0 * each['viewer_load']:5.1f} %" if each["viewer_load"] else ""
-        lines.append(f"  {name:<18} {each['missed_of_1000']:12.2f}   {cells}   {load:<8}   {frames_text}")
+        load = f"{100.0 * case['viewer_load']:5.1f} %" if case["viewer_load"] else ""
+        lines.append(f"  {name:<18} {case['missed_of_1000']:12.2f}   {cells}   {load:<8}   {frames_text}")
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
 
 

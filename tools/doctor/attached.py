@@ -21,10 +21,10 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 def checks(rig: Rig) -> list[Check]:
     """Return all checks; a missing part that the rig does not need is at worst "could be better"."""
-    found = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
+    results = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
     if single_device(rig).driver == "haply":
-        found.append(inverse_service(rig))
-    return [*found, *devices(rig, discovery.list_attached())]
+        results.append(inverse_service(rig))
+    return [*results, *devices(rig, discovery.list_attached())]
 
 
 def _missing(needed: bool) -> State:
@@ -86,11 +86,11 @@ def inverse_service(rig: Rig) -> Check:
     return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
 
 
-def devices(rig: Rig, found: list[SystemDevice]) -> list[Check]:
+def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
     driver, wanted = single_device(rig).driver, "usable"
-    seen, own = [], False
-    for device in found:
+    results, own = [], False
+    for device in attached:
         claim, mine = find_claim(device), is_of(rig, device)
         if claim is None and mine:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
@@ -100,19 +100,19 @@ def devices(rig: Rig, found: list[SystemDevice]) -> list[Check]:
         diagnosis = diagnose(device, claim, single_device(rig))
         state: State = "good" if diagnosis.state == "usable" else _missing(mine)
         said = f": {diagnosis.reason}" if diagnosis.reason else ""
-        seen.append(
+        results.append(
             Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{said}", wanted, diagnosis.remedy)
         )
     if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
-        seen.append(
+        results.append(
             Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)
         )
-    if not seen:
-        seen.append(
+    if not results:
+        results.append(
             Check("devices", "good", "none attached that a driver claims; the rig needs none", "what the rig needs")
         )
-    return seen
+    return results
 
 
 def is_of(rig: Rig, device: SystemDevice) -> bool:

@@ -32,9 +32,9 @@ def picture(report: Report) -> list[str]:
 
 def _motions(report: Report) -> list[str]:
     """Format each requested motion with an arrow to the axis and sense that moved."""
-    found = []
+    motions = []
     for move in report["moves"]:
         if move["kind"] == "translation":
             right = "as it has to be" if move["agrees"] else f"WRONG: it has to be {move['expected']}"
-            found.append(f"    {WORDS[move['expected']]:>14} --> {move['seen']}   {right}")
-    return found
+            motions.append(f"    {WORDS[move['expected']]:>14} --> {move['seen']}   {right}")
+    return motions

@@ -52,13 +52,13 @@ def settings(rig: Rig) -> list[Check]:
     thread = threading.Thread(target=lambda: settings_made.extend(_apply(rig)))
     thread.start()
     thread.join()
-    found = []
+    checks = []
     for setting in settings_made:
         needed = rig.servo.realtime == "require" and setting.name in realtime.REQUIRED
         state = STATES[0] if setting.ok else STATES[1 + needed]
         wanted = "granted" + (": the rig requires it" if needed else "")
-        found.append(Check(f"real time, {setting.name}", state, setting.detail, wanted, setting.advice))
-    return found
+        checks.append(Check(f"real time, {setting.name}", state, setting.detail, wanted, setting.advice))
+    return checks
 
 
 def _apply(rig: Rig) -> list[realtime.Setting]:
@@ -78,13 +78,14 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     took = time.monotonic() - begun
     wanted = "a folder that this user may write to, with the kernels of the scene in it"
     if (problem := KEPT.problem()) is not None:
-        seen = f"{problem}; every start compiles, now {took:.1f} s"
+        state = f"{problem}; every start compiles, now {took:.1f} s"
         remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
-        return Check("kernel cache", "bad", seen, wanted, remedy)
+        return Check("kernel cache", "bad", state, wanted, remedy)
     if warm:
         return Check("kernel cache", "good", f"{CACHE_DIR} is warm for {scene_name}", wanted)
-    seen = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {took:.1f} s"
-    return Check("kernel cache", "could be better", seen, wanted, f"softfinger warmup {scene_name}   # after an update")
+    state = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {took:.1f} s"
+    remedy = f"softfinger warmup {scene_name}   # after an update"
+    return Check("kernel cache", "could be better", state, wanted, remedy)
 
 
 def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
@@ -128,8 +129,8 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
 
 def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Measure the cost of a contact step, in contact, relative to the period."""
-    with progress("measuring the contact step", STEP_BLOCKS) as done:
-        cost = step_cost(scene, make_touching_poses(scene), STEP_BLOCKS, done)
+    with progress("measuring the contact step", STEP_BLOCKS) as advance:
+        cost = step_cost(scene, make_touching_poses(scene), STEP_BLOCKS, advance)
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
     return Check(
         "contact step",

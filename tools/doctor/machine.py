@@ -48,42 +48,42 @@ def python() -> Check:
 
 def versions() -> dict[str, str]:
     """Return the version of every package that softfinger needs, empty if it is not installed; without extras."""
-    found = {}
+    result = {}
     for requirement in metadata.requires("softfinger") or []:
         name, _, condition = requirement.partition(";")
         if "extra" in condition:
             continue
         name = (re.match(r"[A-Za-z0-9_.-]+", name) or [name])[0]
         try:
-            found[name] = metadata.version(name)
+            result[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = ""
-    return found
+            result[name] = ""
+    return result
 
 
 def packages() -> Check:
-    found = versions()
-    missing = [name for name, version in found.items() if not version]
-    seen = ", ".join(f"{name} {version or 'MISSING'}" for name, version in found.items())
+    installed = versions()
+    missing = [name for name, version in installed.items() if not version]
+    state = ", ".join(f"{name} {version or 'MISSING'}" for name, version in installed.items())
     return Check(
-        "packages", "bad" if missing else "good", seen, "every one installed", f"pip install {' '.join(missing)}"
+        "packages", "bad" if missing else "good", state, "every one installed", f"pip install {' '.join(missing)}"
     )
 
 
 def kernel(root: Path = ROOT) -> Check:
     system, release, version = platform.system(), platform.release(), platform.version()
-    seen = f"{system} {release}"
+    state = f"{system} {release}"
     wanted = "Linux with PREEMPT_RT, which bounds the worst tick"
     if system != "Linux":
         return Check(
-            "system", "could be better", seen, wanted, "run on Linux: real-time settings are made with its calls"
+            "system", "could be better", state, wanted, "run on Linux: real-time settings are made with its calls"
         )
     if text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
-        return Check("system", "good", f"{seen}, PREEMPT_RT", wanted)
+        return Check("system", "good", f"{state}, PREEMPT_RT", wanted)
     return Check(
         "system",
         "could be better",
-        f"{seen}, not PREEMPT_RT",
+        f"{state}, not PREEMPT_RT",
         wanted,
         "apt install linux-image-rt-amd64, or your distribution's PREEMPT_RT kernel, and boot it",
     )
@@ -91,25 +91,25 @@ def kernel(root: Path = ROOT) -> Check:
 
 def virtual(root: Path = ROOT) -> Check:
     """Check for a virtual machine, which its host may stall, and for a container, which may lack rights and nodes."""
-    seen = []
+    signs = []
     machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
     if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
-        seen.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}")
+        signs.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}")
     if (
         (root / ".dockerenv").exists()
         or (root / "run/.containerenv").exists()
         or CONTAINER_WORDS.search(text(root / "proc/1/cgroup"))
     ):
-        seen.append("container")
+        signs.append("container")
     advice = []
-    if any(one.startswith("virtual") for one in seen):
+    if any(sign.startswith("virtual") for sign in signs):
         advice.append("run on the machine itself: a host stalls its guests for milliseconds")
-    if "container" in seen:
+    if "container" in signs:
         advice.append("give the container the options in docs/operate/docker.md")
     return Check(
         "bare machine",
-        "could be better" if seen else "good",
-        "; ".join(seen) or "neither virtual machine nor container",
+        "could be better" if signs else "good",
+        "; ".join(signs) or "neither virtual machine nor container",
         "neither virtual machine nor container",
         "; ".join(advice),
     )
@@ -125,15 +125,15 @@ def stolen_share(root: Path = ROOT) -> str:
 
 def processors(root: Path = ROOT) -> Check:
     usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-    seen = f"{len(usable)} of {os.cpu_count()} may be used"
+    state = f"{len(usable)} of {os.cpu_count()} may be used"
     if text(root / CPUS / "smt" / "active") == "1":
-        seen += ", two threads to a core"
+        state += ", two threads to a core"
     if isolated := text(root / CPUS / "isolated"):
-        seen += f", isolated: {isolated}"
+        state += f", isolated: {isolated}"
     return Check(
         "processors",
         "good" if len(usable) >= PROCESSORS else "could be better",
-        seen,
+        state,
         f"{PROCESSORS} or more",
         "give this process another processor: taskset, or --cpus and --cpuset-cpus of a container",
     )
@@ -141,16 +141,16 @@ def processors(root: Path = ROOT) -> Check:
 
 def frequency(root: Path = ROOT) -> Check:
     """Check the governor of every processor; power saving makes a processor wake slowly and run at a low clock."""
-    found = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
+    governors = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
     wanted = "governor performance, or no scaling"
-    if not found:
+    if not governors:
         return Check("processor frequency", "good", "no frequency scaling found", wanted)
-    good = found == {"performance"}
-    seen = f"governor {', '.join(sorted(found))}"
+    good = governors == {"performance"}
+    state = f"governor {', '.join(sorted(governors))}"
     return Check(
         "processor frequency",
         "good" if good else "could be better",
-        seen,
+        state,
         wanted,
         "sudo cpupower frequency-set -g performance",
     )
@@ -158,11 +158,11 @@ def frequency(root: Path = ROOT) -> Check:
 
 def clock(root: Path = ROOT) -> Check:
     source, resolution = text(root / CLOCK), time.get_clock_info("monotonic").resolution
-    seen = f"{source or 'source unknown'}, resolution {resolution * 1e9:.0f} ns"
+    state = f"{source or 'source unknown'}, resolution {resolution * 1e9:.0f} ns"
     wanted = f"one of {', '.join(FAST_CLOCKS)}; a resolution of {RESOLUTION_S * 1e9:.0f} ns or finer"
     if resolution > RESOLUTION_S:
-        return Check("clock", "bad", seen, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
+        return Check("clock", "bad", state, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
     if source and source not in FAST_CLOCKS:
         remedy = f"echo tsc | sudo tee /{CLOCK}   # if available_clocksource in the same folder lists tsc"
-        return Check("clock", "could be better", seen, wanted, remedy)
-    return Check("clock", "good", seen, wanted)
+        return Check("clock", "could be better", state, wanted, remedy)
+    return Check("clock", "good", state, wanted)

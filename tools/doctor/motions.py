@@ -98,7 +98,7 @@ def translation_of(rows: Array) -> Array:
     return displacement
 
 
-def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
+def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
     """Return the result of a requested motion. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
     valid = finite(rows)
     if len(valid) == 0:
@@ -107,7 +107,7 @@ def move(asked: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | 
     vector = rotation(valid[0], valid[-1]) if turned else translation_of(valid)
     direction = along(vector, TURNED_RAD if turned else MOVED_M)
     return {
-        "asked": asked,
+        "asked": request,
         "kind": kind,
         "expected": expected,
         "seen": direction,
@@ -149,12 +149,12 @@ def push(
     t = np.linspace(-1.0, 1.0, len(rows))
     drift = np.stack([np.ones_like(t), t, t * t], axis=1)[is_valid]
     basis, motion = (_without(drift, part[is_valid]) for part in (np.stack([force, late], axis=1), place))
-    found, *_ = np.linalg.lstsq(basis, motion, rcond=None)
-    fitted = basis @ found
+    solution, *_ = np.linalg.lstsq(basis, motion, rcond=None)
+    fitted = basis @ solution
     k = int(np.argmax((fitted**2).sum(axis=0)))
     share = float((fitted[:, k] ** 2).sum() / max((motion[:, k] ** 2).sum(), 1e-300))
-    compliance = float(np.hypot(*found[:, k]))
-    lag = degrees(atan2(found[1, k], found[0, k]))
+    compliance = float(np.hypot(*solution[:, k]))
+    lag = degrees(atan2(solution[1, k], solution[0, k]))
     largest = float(np.abs(force).max())
     return {
         "axis": f"+{AXES[axis]}",

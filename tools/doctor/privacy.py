@@ -74,9 +74,9 @@ class Privacy:
     def clean(self, value: Any) -> Any:
         """Return `value`, made of mappings, lists and scalars, with every text in it cleaned; keys do not change."""
         if isinstance(value, dict):
-            return {key: self._entry(key, one) for key, one in value.items()}
+            return {key: self._entry(key, item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self.clean(one) for one in value]
+            return [self.clean(item) for item in value]
         return self.text(value) if isinstance(value, str) else value
 
     def _entry(self, key: str, value: Any) -> Any:
@@ -93,17 +93,17 @@ class Privacy:
         for folder, name in self._folders:
             text = folder.sub(name, text)
         for pattern in (_QUOTED, _PATH):
-            text = pattern.sub(lambda found: _file_name(found[0]), text)
+            text = pattern.sub(lambda match: _file_name(match[0]), text)
         text = _RELATIVE.sub("", text)
         text = _BY_ID.sub(r"\1...", text)
-        text = _SERIAL.sub(lambda found: found[1] + shortened(found[2]), text)
-        return text if self._pattern is None else self._pattern.sub(lambda found: self._words[found[0]], text)
+        text = _SERIAL.sub(lambda match: match[1] + shortened(match[2]), text)
+        return text if self._pattern is None else self._pattern.sub(lambda match: self._words[match[0]], text)
 
 
-def options(given: dict[str, Any]) -> dict[str, Any]:
+def options(values: dict[str, Any]) -> dict[str, Any]:
     """Return the device options of a rig with files without their folders and a shortened serial number."""
     public: dict[str, Any] = {}
-    for key, value in given.items():
+    for key, value in values.items():
         if key == "serial":
             public[key] = shortened(str(value))
         elif isinstance(value, dict):

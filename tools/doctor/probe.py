@@ -24,7 +24,7 @@ from softfinger.server.loop.guard import Guard
 from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.axes_picture import picture
 from softfinger.tools.doctor.report import begun, pushing, record, report_file, write_report
-from softfinger.tools.doctor.session import TRANSLATIONS, Session
+from softfinger.tools.doctor.session import TRANSLATIONS, DeviceSession
 from softfinger.tools.exchange import START, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     def guard_of(device: Device) -> Guard:
         return pushing(rig, device, PUSH_N, "--push") if args.push else make_disarmed_guard(rig)
 
-    def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-        return Probe(exchange, info, report, PART_S, guided, freedom)
+    def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
+        return ProbeSession(exchange, info, report, PART_S, guided, freedom)
 
     def work() -> None:
         record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
@@ -76,7 +76,7 @@ def attached_rig() -> str:
     )
 
 
-class Probe(Session):
+class ProbeSession(DeviceSession):
     """Ten seconds of parts that follow each other without input from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:
@@ -88,13 +88,14 @@ class Probe(Session):
         parts = [self._record_motion("hold still")]
         self._rest_of(parts[0])
         wanted = self._translations()
-        for one in TRANSLATIONS:
-            rows = self._record_motion(one.words) if one in wanted else self._record("further options", self._seconds)
+        for motion in TRANSLATIONS:
+            is_wanted = motion in wanted
+            rows = self._record_motion(motion.words) if is_wanted else self._record("further options", self._seconds)
             parts.append(rows)
-            asked = self._guided and one in wanted
-            found = motions.move(one.words, one.kind, one.expected, rows) if asked else None
-            if found is not None:
-                self._report["moves"].append(found)
+            requested = self._guided and is_wanted
+            result = motions.move(motion.words, motion.kind, motion.expected, rows) if requested else None
+            if result is not None:
+                self._report["moves"].append(result)
         parts.append(self._record_motion("press each button in turn, and turn the handle"))
         together = join_rows(parts)
         if len(together):
@@ -114,9 +115,9 @@ class Probe(Session):
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
         for axis in self._pushed_axes():
-            found = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
-            if found is not None:
-                self._report["pushes"].append(found | {"felt": self._ask_direction_felt(motions.AXES[axis])})
+            result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
+            if result is not None:
+                self._report["pushes"].append(result | {"felt": self._ask_direction_felt(motions.AXES[axis])})
 
     def _ask_direction_felt(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""

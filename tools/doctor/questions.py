@@ -32,13 +32,13 @@ def questions() -> tuple[Question, ...]:
 
 def answer_questions(report: Report) -> list[dict[str, Any]]:
     """Return the questions of a report's driver, each with the measured answer or instructions to measure it."""
-    found = []
-    for one in questions():
-        if report["driver"] in one.drivers:
-            answer = ANSWERS[one.id](report) if one.id in ANSWERS else None
-            row = {"id": one.id, "question": one.question, "measured": answer is not None}
-            found.append(row | {"answer": answer if answer is not None else f"not answered: {one.how}"})
-    return found
+    answers = []
+    for question in questions():
+        if report["driver"] in question.drivers:
+            answer = ANSWERS[question.id](report) if question.id in ANSWERS else None
+            row = {"id": question.id, "question": question.question, "measured": answer is not None}
+            answers.append(row | {"answer": answer if answer is not None else f"not answered: {question.how}"})
+    return answers
 
 
 def _exchange(report: Report) -> str | None:
@@ -98,17 +98,17 @@ def _held_back(report: Report) -> str | None:
     counts = report["counts"]
     if "writes_guarded" not in counts:
         return None
-    forces, reads = (f"{counts[f'{what}_guarded']} of {counts[what]} {what}" for what in ("writes", "reads"))
+    forces, reads = (f"{counts[f'{kind}_guarded']} of {counts[kind]} {kind}" for kind in ("writes", "reads"))
     return f"{forces}, {reads}"
 
 
 def _descriptor(report: Report) -> str | None:
-    texts = [one["report_descriptor"] for one in report["identity"] if one.get("report_descriptor")]
+    texts = [device["report_descriptor"] for device in report["identity"] if device.get("report_descriptor")]
     return "; ".join(texts) or None
 
 
 def _ids(report: Report) -> str | None:
-    return ", ".join(f"{one['vendor_id']}:{one['product_id']}" for one in report["identity"]) or None
+    return ", ".join(f"{device['vendor_id']}:{device['product_id']}" for device in report["identity"]) or None
 
 
 def _us(seconds: float) -> str:

@@ -27,7 +27,7 @@ from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.report_text import lines
-from softfinger.tools.doctor.session import FORCE_MIN_S, Session
+from softfinger.tools.doctor.session import FORCE_MIN_S, DeviceSession
 from softfinger.tools.exchange import Exchange, make_disarmed_guard
 from softfinger.tools.measure import show
 
@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         def guard_of(device: Device) -> Guard:
             return make_disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
 
-        def session_of(exchange: Exchange, info: DeviceInfo) -> Session:
-            return Session(exchange, info, report, args.seconds, guided, freedom)
+        def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
+            return DeviceSession(exchange, info, report, args.seconds, guided, freedom)
 
         session = record(rig, report, guard_of, session_of, args.with_force)
         if args.plot is not None and len(session.timing):
@@ -62,9 +62,9 @@ def run(args: argparse.Namespace) -> int:
     return write_report(report, serials, file, args.json, work)
 
 
-def report_file(rig: Rig, given: str, option: str) -> Path:
+def report_file(rig: Rig, path: str, option: str) -> Path:
     """Return the path of the report. Raises ConfigError unless it is a file in an existing folder."""
-    file = Path(given or f"softfinger-{single_device(rig).driver}-report.json")
+    file = Path(path or f"softfinger-{single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigError(f"{option} {file}: there is no folder {file.parent}, or it is one: name a file")
     return file
@@ -119,7 +119,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 
 def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
-    found = [one for one in discovery.list_attached() if attached.is_of(rig, one)]
+    devices = [device for device in discovery.list_attached() if attached.is_of(rig, device)]
     freedom = read_subspace(single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,
@@ -130,14 +130,14 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
             "python": platform.python_version(),
             "packages": machine.versions(),
-            "checks": {one.name: one.seen for one in (machine.kernel(), machine.virtual(), machine.processors())},
+            "checks": {item.name: item.seen for item in (machine.kernel(), machine.virtual(), machine.processors())},
         },
         "driver": single_device(rig).driver,
         "options": privacy.options(single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
         "freedom": "" if freedom is None else freedom.describe(),
-        "identity": [identity(one) for one in found],
+        "identity": [identity(device) for device in devices],
         "maker_library": [],
         "device": None,
         "realtime": {},
@@ -153,7 +153,7 @@ def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "fault": None,
         "questions": [],
     }
-    return report, [one.serial for one in found]
+    return report, [device.serial for device in devices]
 
 
 def identity(device: discovery.SystemDevice) -> dict[str, Any]:
@@ -179,9 +179,9 @@ def record(
     rig: Rig,
     report: dict[str, Any],
     guard_of: Callable[[Device], Guard],
-    session_of: Callable[[Exchange, DeviceInfo], Session],
+    session_of: Callable[[Exchange, DeviceInfo], DeviceSession],
     force_n: float | None,
-) -> Session:
+) -> DeviceSession:
     """Open the device, run a session, and store the results in `report`, also after an error.
 
     Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.
@@ -217,7 +217,7 @@ def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-forc
 def loaded_libraries() -> list[str]:
     """Return the file names of makers' libraries in this process."""
     mapped = machine.text(Path("/proc/self/maps")).splitlines()
-    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(one in line for one in LIBRARIES)})
+    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(name in line for name in LIBRARIES)})
 
 
 def write(file: Path, report: dict[str, Any]) -> None:

@@ -20,14 +20,14 @@ def lines(report: Report, file: Path) -> list[str]:
         text.append(f"  {report['device']['name']} at {report['rate_hz']:g} Hz, {report['system']['system']}")
     if report["freedom"]:
         text.append(f"  it moves {report['freedom']}")
-    text += [f"  on {one['bus']} {one['vendor_id']}:{one['product_id']} {one['name']}" for one in report["identity"]]
+    text += [f"  on {usb['bus']} {usb['vendor_id']}:{usb['product_id']} {usb['name']}" for usb in report["identity"]]
     text += _format_measured(report)
     if report["counts"]:
         text.append("  the driver counted: " + ", ".join(f"{name} {value}" for name, value in report["counts"].items()))
     if report["questions"] and report["device"] is not None:  # one that was opened
         text.append("only visible on hardware")
-        for one in report["questions"]:
-            text += [f"  {one['question']}", f"    {one['answer']}"]
+        for entry in report["questions"]:
+            text += [f"  {entry['question']}", f"    {entry['answer']}"]
     text.append(f"the complete report is in {file}: attach it to an issue")
     return text
 
@@ -45,12 +45,12 @@ def _format_measured(report: Report) -> list[str]:
     if (span := report["range"]) is not None:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
         text.append("  was from " + ", ".join(f"{low * 1e3:.1f} to {high * 1e3:.1f}" for low, high in pairs) + " mm")
-    for one in report["moves"]:
-        wanted = "" if one["agrees"] else f", and {one['expected']} was expected"
-        text.append(f"  {one['asked']}: {one['seen']}{wanted}")
+    for entry in report["moves"]:
+        wanted = "" if entry["agrees"] else f", and {entry['expected']} was expected"
+        text.append(f"  {entry['asked']}: {entry['seen']}{wanted}")
     if report["buttons"] is not None:
         text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
-    for one in report["pushes"]:
-        answer = f"; felt: {one['felt']}" if one.get("felt") else ""
-        text.append(f"  push along {one['axis']}: {one['seen']}{answer}")
+    for entry in report["pushes"]:
+        answer = f"; felt: {entry['felt']}" if entry.get("felt") else ""
+        text.append(f"  push along {entry['axis']}: {entry['seen']}{answer}")
     return text

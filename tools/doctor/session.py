@@ -40,7 +40,7 @@ TRANSLATIONS: Final = (
 TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
-class Session:
+class DeviceSession:
     """Recording of the parts. Results are stored in `report` after each part, so that an aborted report has them.
 
     exchange  runs
@@ -98,12 +98,12 @@ class Session:
 
     def _moves(self) -> None:
         moves = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
-        for one in moves:
-            self._ask(f"{one.words}, within {self._seconds:g} s, and keep it there")
-            found = motions.move(one.words, one.kind, one.expected, self._record(one.words, self._seconds))
-            if found is not None:
-                self._report["moves"].append(found)
-                print(f"  seen: {found['seen']}", file=sys.stderr)
+        for motion in moves:
+            self._ask(f"{motion.words}, within {self._seconds:g} s, and keep it there")
+            result = motions.move(motion.words, motion.kind, motion.expected, self._record(motion.words, self._seconds))
+            if result is not None:
+                self._report["moves"].append(result)
+                print(f"  seen: {result['seen']}", file=sys.stderr)
         self._ask(f"press each button in turn, within {self._seconds:g} s")
         self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
 
@@ -113,9 +113,9 @@ class Session:
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
         for axis in self._pushed_axes():
-            found = self._push(axis, force_n, FORCE_CYCLES / self._seconds, self._seconds)
-            if found is not None:
-                self._report["pushes"].append(found)
+            result = self._push(axis, force_n, FORCE_CYCLES / self._seconds, self._seconds)
+            if result is not None:
+                self._report["pushes"].append(result)
 
     def _push(self, axis: int, force_n: float, frequency_hz: float, seconds: float) -> dict[str, Any] | None:
         x, y, z = (force_n if k == axis else 0.0 for k in range(3))
@@ -138,13 +138,14 @@ class Session:
 
     def _translations(self) -> list[Asked]:
         """Return the motions that the handle can make."""
-        return [one for k, one in enumerate(TRANSLATIONS) if motions.along(self._part(k), LEAST_PART) == one.expected]
+        axes = [motions.along(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
+        return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
 
     def _pushed_axes(self) -> list[int]:
         return [k for k in range(3) if float(np.linalg.norm(self._part(k))) > LEAST_PART]
 
-    def _record(self, what: str, seconds: float, push: Push | None = None) -> Array:
-        rows = self._exchange.record(seconds, push or NO_PUSH, what)
+    def _record(self, operation: str, seconds: float, push: Push | None = None) -> Array:
+        rows = self._exchange.record(seconds, push or NO_PUSH, operation)
         self._rows.append(rows)
         self._report["range"] = motions.reach(np.concatenate(self._rows))
         return rows

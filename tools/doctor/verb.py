@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--with-force and --no-prompts belong to a report: add --device-report")
     rig = load_rig(args.rig)
     result = examine(rig, load_scene(args.scene), args.rig, args.scene, args.seconds, args.plot)
-    checks = [Check(**one) for one in result["checks"]]
+    checks = [Check(**entry) for entry in result["checks"]]
     head = f"softfinger on this machine, for rig {args.rig} at {rig.servo.rate_hz:g} Hz and scene {args.scene}"
     tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
     show(result, args.json, [head, *lines(checks), tail])
@@ -60,10 +60,10 @@ def examine(
         lambda: attached.checks(rig),
     )
     checks = []
-    with progress("checking the machine", len(steps)) as done:
+    with progress("checking the machine", len(steps)) as advance:
         for number, step in enumerate(steps, 1):
             checks += step()
-            done(number)
+            advance(number)
     counted = Counter(check.state for check in checks)
     return {
         "rig": rig_name,

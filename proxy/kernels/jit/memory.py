@@ -1,4 +1,4 @@
-"""Typed access to memory at an address: a C function called from the loop reaches the state of its device by it.
+"""Typed access to memory at an address: C functions called from the loop use it for the state of their device.
 
 A handle is one int64. These intrinsics convert it to typed pointers, which kernels index like arrays; bounds are not
 checked, and the object that owns the memory must outlive the handle. `address_of` is the inverse, for a C

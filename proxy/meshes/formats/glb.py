@@ -38,8 +38,8 @@ def read(data: bytes) -> Faces:
     head, buffer = _chunks(data)
     for name in head.get("extensionsRequired", []):
         if not str(name).startswith(_HARMLESS):
-            what = "is compressed" if "compression" in str(name) else "needs an extension that is not read here"
-            raise ValueError(f"{what} ({str(name)[:60]}): export it without")
+            obstacle = "is compressed" if "compression" in str(name) else "needs an extension that is not read here"
+            raise ValueError(f"{obstacle} ({str(name)[:60]}): export it without")
     file = _File(head, buffer)
     parts, promised = list[tuple[Points, Indices]](), 0
     for mesh, place in _iterate_meshes(head):
@@ -89,13 +89,13 @@ def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.floa
     children = {int(child) for node in nodes for child in node.get("children", [])}
     scenes = head.get("scenes") or [{"nodes": [number for number in range(len(nodes)) if number not in children]}]
     waiting = [(int(node), np.eye(4)) for node in scenes[head.get("scene", 0)].get("nodes", [])]
-    seen = set[int]()
+    visited = set[int]()
     while waiting:
         number, above = waiting.pop()
         node = nodes[number]
-        if number in seen:
+        if number in visited:
             raise ValueError(f"is damaged: the node {number} has two parents, or is its own ancestor")
-        seen.add(number)
+        visited.add(number)
         place = above @ _matrix(node)
         waiting += [(int(child), place) for child in node.get("children", [])]
         if "mesh" not in node:
@@ -113,7 +113,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     """Return the matrix (4, 4) from a node to the one above it."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = (float(each) for each in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
+    x, y, z, w = (float(part) for part in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     turn = np.array(
         [
             [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],

@@ -58,7 +58,7 @@ def _to_zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
     if (corners == 0).any():
         face = int(np.searchsorted(np.cumsum(counts), (corners == 0).argmax(), side="right"))
         raise ValueError(f"is damaged: face {face + 1} names the vertex 0, and they count from 1")
-    vertices, faces = (np.array([each.start() for each in kind.finditer(text)]) for kind in (_VERTEX, _FACE))
+    vertices, faces = (np.array([match.start() for match in kind.finditer(text)]) for kind in (_VERTEX, _FACE))
     before = np.repeat(np.searchsorted(vertices, faces), counts)
     relative = np.where(corners < 0, before + corners, corners - 1)
     if (relative < 0).any():

@@ -61,7 +61,7 @@ def read(data: bytes) -> Faces:
     is_text = order == ""
     if is_text:  # from here on a text is a binary file of float64
         body, order = numbers(body.rstrip(b"\0"), np.float64).astype("<f8").tobytes(), "<"
-        elements = [each._replace(properties=[_as_float64(one) for one in each.properties]) for each in elements]
+        elements = [entry._replace(properties=list(map(_as_float64, entry.properties))) for entry in elements]
     at, tables, rows = 0, dict[str, Table](), dict[str, int]()
     for element in elements:
         rows[element.name] = element.rows
@@ -109,61 +109,61 @@ def _head(data: bytes) -> tuple[str, list[Element], bytes]:
     return _ORDERS[encoding], elements, data[end.end() :]
 
 
-def _as_float64(given: Property) -> Property:
-    return given._replace(kind="f8", length=None if given.length is None else "f8")
+def _as_float64(column: Property) -> Property:
+    return column._replace(kind="f8", length=None if column.length is None else "f8")
 
 
 def _rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
     """Return the values of all rows, which begin at byte `at`, and the place of their end."""
     if not element.rows or not element.properties:
         return {}, at
-    found = _alike(element, body, at, order)
-    return _row_by_row(element, body, at, order) if found is None else found
+    table = _alike(element, body, at, order)
+    return _row_by_row(element, body, at, order) if table is None else table
 
 
 def _alike(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int] | None:
     """Read rows with lists as long as in the first row; None if one differs or the file is too short."""
     place, fields, lengths = at, list[Any](), list[int]()
-    for number, each in enumerate(element.properties):
-        length = 1 if each.length is None else _count(body, place, order + each.length)
-        if each.length is not None:
-            fields.append((f"count {number}", order + each.length))
-            place += int(each.length[1])
-        fields.append((f"{number}", order + each.kind, (length,)))
+    for number, column in enumerate(element.properties):
+        length = 1 if column.length is None else _count(body, place, order + column.length)
+        if column.length is not None:
+            fields.append((f"count {number}", order + column.length))
+            place += int(column.length[1])
+        fields.append((f"{number}", order + column.kind, (length,)))
         lengths.append(length)
-        place += length * int(each.kind[1])
+        place += length * int(column.kind[1])
         if place > len(body):
             return None
     row = np.dtype(fields)
     if element.rows * row.itemsize > len(body) - at:
         return None
     block, table = np.frombuffer(body, row, element.rows, at), dict[str, Column]()
-    for number, (each, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        if each.length is not None and (block[f"count {number}"] != length).any():
+    for number, (column, length) in enumerate(zip(element.properties, lengths, strict=True)):
+        if column.length is not None and (block[f"count {number}"] != length).any():
             return None
-        table[each.name] = Column(block[f"{number}"].reshape(-1), np.full(element.rows, length, np.int64))
+        table[column.name] = Column(block[f"{number}"].reshape(-1), np.full(element.rows, length, np.int64))
     return table, at + element.rows * row.itemsize
 
 
 def _row_by_row(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
     """Read rows with lists of different lengths. Raises ValueError if the file ends in one of them."""
-    properties = [(each, int(each.kind[1]), int((each.length or "_0")[1])) for each in element.properties]
+    properties = [(column, int(column.kind[1]), int((column.length or "_0")[1])) for column in element.properties]
     least = sum(count_size or size for _, size, count_size in properties)
     starts, counts = np.empty((2, len(properties), min(element.rows, (len(body) - at) // least + 1)), np.int64)
     for row in range(element.rows):
-        for number, (each, size, count_size) in enumerate(properties):
-            count = 1 if each.length is None else _count(body, at, order + each.length)
+        for number, (column, size, count_size) in enumerate(properties):
+            count = 1 if column.length is None else _count(body, at, order + column.length)
             at += count_size
             if at + count * size > len(body):
-                there = f"promises {element.rows:,} entries of {element.name}, and has {row:,}"
-                raise ValueError(f"{there}: it is truncated or damaged")
+                fault = f"promises {element.rows:,} entries of {element.name}, and has {row:,}"
+                raise ValueError(f"{fault}: it is truncated or damaged")
             starts[number, row], counts[number, row] = at, count
             at += count * size
     codes, table = np.frombuffer(body, np.uint8), dict[str, Column]()
-    for (each, size, _), start, count in zip(properties, starts, counts, strict=True):
+    for (column, size, _), start, count in zip(properties, starts, counts, strict=True):
         within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         first = np.repeat(start, count) + size * within
-        table[each.name] = Column(codes[first[:, None] + np.arange(size)].view(order + each.kind)[:, 0], count)
+        table[column.name] = Column(codes[first[:, None] + np.arange(size)].view(order + column.kind)[:, 0], count)
     return table, at
 
 
@@ -184,13 +184,13 @@ def _scalar(tables: dict[str, Table], name: str) -> NDArray[np.float64]:
 
 
 def _corners(table: Table) -> Column:
-    found = next((table[name] for name in _LISTS if name in table), None)
-    if found is None:
+    corners = next((table[name] for name in _LISTS if name in table), None)
+    if corners is None:
         raise ValueError(f"has faces without {_LISTS[0]}; they have {', '.join(table) or 'nothing'}")
-    if not (found.values == np.trunc(found.values)).all():
+    if not (corners.values == np.trunc(corners.values)).all():
         raise ValueError("is damaged: a face has a vertex index that is not an integer")
     with np.errstate(invalid="ignore"):  # a number too large is out of range afterwards, too
-        return found._replace(values=found.values.astype(np.int64))
+        return corners._replace(values=corners.values.astype(np.int64))
 
 
 def _cut(row: Indices) -> list[Indices]:

@@ -78,10 +78,10 @@ def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices)
         areas = np.cross(b - a, c - a)
         normals = np.stack([np.bincount(owner, areas[:, axis], len(counts)) for axis in range(3)], axis=1)[owner]
         against = (areas * normals).sum(axis=1) < -FLAT * (normals * normals).sum(axis=1)
-    found = np.unique(owner[against])
-    if (counts[found] ** 2).sum() > CONCAVE_MAX:
-        raise ValueError(f"has {len(found):,} concave faces, too many to divide here: triangulate it")
-    return [int(each) for each in found]
+    concave = np.unique(owner[against])
+    if (counts[concave] ** 2).sum() > CONCAVE_MAX:
+        raise ValueError(f"has {len(concave):,} concave faces, too many to divide here: triangulate it")
+    return [int(index) for index in concave]
 
 
 def _ears(points: Points, corners: Indices) -> Indices:
@@ -93,12 +93,12 @@ def _ears(points: Points, corners: Indices) -> Indices:
     normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
     axis = int(np.abs(normal).argmax())
     flat = outline[:, [(axis + 1) % 3, (axis + 2) % 3]] * (1.0 if normal[axis] > 0.0 else -1.0, 1.0)
-    left, found = list(range(len(corners))), []
+    left, ears = list(range(len(corners))), []
     while len(left) > 3:
         at = next((k for k in range(len(left)) if _is_ear(flat, left, k)), 1)
-        found.append([left[at - 1], left[at], left[(at + 1) % len(left)]])
+        ears.append([left[at - 1], left[at], left[(at + 1) % len(left)]])
         del left[at]
-    return np.asarray(corners[np.array([*found, left])])
+    return np.asarray(corners[np.array([*ears, left])])
 
 
 def _is_ear(flat: Points, left: list[int], at: int) -> bool:

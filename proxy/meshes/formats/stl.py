@@ -37,10 +37,10 @@ def read(data: bytes) -> Faces:
     if text[:5].lower() != b"solid" or b"\0" in text:
         if not data.strip():
             raise ValueError("is empty")
-        there = f"states {count:,} triangles, but has {len(data) - HEAD:,} bytes of 50 each for them"
+        fault = f"states {count:,} triangles, but has {len(data) - HEAD:,} bytes of 50 each for them"
         if len(data) < HEAD:
-            there = f"has {len(data)} bytes, fewer than the head of an STL file"
-        raise ValueError(f"{there}: it is truncated or not an STL file")
+            fault = f"has {len(data)} bytes, fewer than the head of an STL file"
+        raise ValueError(f"{fault}: it is truncated or not an STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
         raise ValueError("has no endsolid at its end: it is truncated")
     corners = numbers(b" ".join(chain.from_iterable(_FACET.findall(text))), np.float64)

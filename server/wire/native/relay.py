@@ -254,7 +254,7 @@ class Relay:
                 os.close(file)
 
     def _call(self) -> None:
-        """Make the thread return to Python; not from two threads at once."""
+        """Make the thread return to Python. Only one thread at a time may call this."""
         self._state.words[_CALLS] += 1
         os.eventfd_write(self._asleep_on, 1)
 

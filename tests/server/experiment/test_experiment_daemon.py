@@ -257,10 +257,10 @@ def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsy
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
-    found = json.loads(capsys.readouterr().out)
+    content = json.loads(capsys.readouterr().out)
     felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
     late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
-    assert found["different"] == 0 and (0 if late else felt / 2) <= found["compared"] <= felt
+    assert content["different"] == 0 and (0 if late else felt / 2) <= content["compared"] <= felt
 
 
 def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
@@ -269,9 +269,9 @@ def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> 
     assert cli.main(["figure", str(folder)]) == 0
     figures = folder / "figures"
     assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
-    found = json.loads((figures / "numbers.json").read_text())
-    assert [each["condition"] for each in found] == ["damped", "plain"]
-    for each in found:
+    content = json.loads((figures / "numbers.json").read_text())
+    assert [each["condition"] for each in content] == ["damped", "plain"]
+    for each in content:
         peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == each["condition"]]
         assert each["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 

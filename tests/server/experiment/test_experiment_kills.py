@@ -63,7 +63,7 @@ realtime = "off"
 def children(pid: int) -> list[int]:
     """Return the child processes of the main thread."""
     with suppress(OSError):
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
 
 

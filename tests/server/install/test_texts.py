@@ -84,17 +84,17 @@ def test_udev_takes_the_rules(root: Path) -> None:
     """Uses `udevadm verify`, or before version 254 `udevadm test` in a mount namespace."""
     udevadm, folder = tool("udevadm"), root / "etc/udev/rules.d"
     if int(re.findall(r"\d+", run(udevadm, "--version").stdout)[0]) >= 254:
-        done = run(udevadm, "verify", folder / "70-softfinger.rules")
-        assert done.returncode == 0, done.stdout + done.stderr
+        result = run(udevadm, "verify", folder / "70-softfinger.rules")
+        assert result.returncode == 0, result.stdout + result.stderr
         return
     script = 'mkdir -p /etc/udev/rules.d && mount --bind "$1" /etc/udev/rules.d && udevadm test /sys/class/net/lo'
     for text, complaints in ((None, 0), ('SUBSYSTEM=="usb", NONSENSE="1"\n', 1)):  # the second must fail
         if text is not None:
             (folder / "71-softfinger-wrong.rules").write_text(text)
-        done = run(tool("unshare"), "--mount", "sh", "-c", script, "sh", folder)
-        if "Reading rules file: /etc/udev/rules.d/70-softfinger.rules" not in done.stdout + done.stderr:
-            pytest.skip(f"udevadm is older than 254, and no name space can be had: {done.stderr.strip()[-200:]}")
-        told = re.findall(r"^/etc/udev/rules\.d/7\d-softfinger.*$", done.stdout + done.stderr, re.MULTILINE)
+        result = run(tool("unshare"), "--mount", "sh", "-c", script, "sh", folder)
+        if "Reading rules file: /etc/udev/rules.d/70-softfinger.rules" not in result.stdout + result.stderr:
+            pytest.skip(f"udevadm is older than 254, and no name space can be had: {result.stderr.strip()[-200:]}")
+        told = re.findall(r"^/etc/udev/rules\.d/7\d-softfinger.*$", result.stdout + result.stderr, re.MULTILINE)
         assert len(told) == complaints, told
 
 
@@ -114,18 +114,18 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
         file.write_text(unit(words, system))
         manager = [] if system else ["--user"]
         with TemporaryDirectory() as runtime:  # short path, as units of the machine have sockets in it
-            done = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=runtime)
-        if "Failed to initialize manager" in done.stderr:
-            pytest.skip(done.stderr.strip())
-        assert (done.returncode, done.stderr) == (0, "")
+            result = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=runtime)
+        if "Failed to initialize manager" in result.stderr:
+            pytest.skip(result.stderr.strip())
+        assert (result.returncode, result.stderr) == (0, "")
 
 
 def test_the_exposure_of_the_service_is_limited(tmp_path: Path) -> None:
     """`systemd-analyze security` rates it at most 2.5 of 10: it needs devices, sockets, real time and compiled code."""
     file = tmp_path / "softfinger.service"
     file.write_text(unit([str(tool("true"))], True))
-    done = run(tool("systemd-analyze"), "security", "--offline=true", "--threshold=25", file)
-    assert done.returncode == 0, done.stdout[-200:] + done.stderr
+    result = run(tool("systemd-analyze"), "security", "--offline=true", "--threshold=25", file)
+    assert result.returncode == 0, result.stdout[-200:] + result.stderr
 
 
 def test_the_unit_has_the_settings_of_the_daemon() -> None:
@@ -148,8 +148,8 @@ def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
     """`systemd-sysusers` creates the account and its group below a root folder."""
     sysusers = tool("systemd-sysusers")
     (tmp_path / "etc").mkdir()
-    done = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
-    assert done.returncode == 0, done.stderr
+    result = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
+    assert result.returncode == 0, result.stderr
     assert "\nsoftfinger:" in "\n" + (tmp_path / "etc/group").read_text()
     assert ":/var/lib/softfinger:" in (tmp_path / "etc/passwd").read_text()
 
@@ -168,8 +168,8 @@ def test_the_man_page_has_every_verb_and_option() -> None:
 
 def test_man_has_no_warning(root: Path) -> None:
     """groff reports nothing with all warnings enabled."""
-    done = run(tool("groff"), "-man", "-ww", "-z", "-Kutf8", root / "usr/local/share/man/man1/softfinger.1")
-    assert (done.returncode, done.stderr) == (0, "")
+    result = run(tool("groff"), "-man", "-ww", "-z", "-Kutf8", root / "usr/local/share/man/man1/softfinger.1")
+    assert (result.returncode, result.stderr) == (0, "")
 
 
 def test_text_is_escaped_for_roff() -> None:
@@ -185,8 +185,8 @@ def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
     """The shell parses the script without running it; bash completes a verb and the name of a rig."""
     script = tmp_path / "softfinger"
     script.write_text(completion(shell))
-    done = run(tool(shell), "-n", script)
-    assert (done.returncode, done.stderr) == (0, "")
+    result = run(tool(shell), "-n", script)
+    assert (result.returncode, result.stderr) == (0, "")
     if shell == "bash":
         function = re.search(r"complete .*-F (\w+)", script.read_text())
         assert function is not None
