@@ -137,7 +137,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
 @pytest.mark.parametrize(
     ("connection", "case", "code", "message"),
     [
-        *((name, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in again") for name in CONNECTIONS),
+        *((name, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in") for name in CONNECTIONS),
         ("node", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
         ("usb", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
         ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
