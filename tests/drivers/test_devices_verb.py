@@ -187,10 +187,10 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
-    found = diagnose(board, find_claim(board))
-    assert found.state == "product"
-    assert "its product is 'thing', and 16c0:0483 is any Teensy" in found.reason
-    assert f'path = "{node}"' in found.remedy
+    diagnosis = diagnose(board, find_claim(board))
+    assert diagnosis.state == "product"
+    assert "its product is 'thing', and 16c0:0483 is any Teensy" in diagnosis.reason
+    assert f'path = "{node}"' in diagnosis.remedy
     assert "Haply" in diagnose(board._replace(name="Teensyduino"), find_claim(board)).remedy
     rig = DeviceConfig(driver="serial", options={"path": str(node)})
     assert diagnose(board, find_claim(board), rig).state == "usable"
@@ -202,9 +202,9 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
     with Service() as service:
         at_service = DeviceConfig(driver="haply", options={"port": service.port})
         assert diagnose(haply, claim, at_service).state == "usable"
-    found = diagnose(haply, claim, at_service)
-    assert found.state == "service"
-    assert "systemctl start haply-inverse-service" in found.remedy
+    diagnosis = diagnose(haply, claim, at_service)
+    assert diagnosis.state == "service"
+    assert "systemctl start haply-inverse-service" in diagnosis.remedy
 
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
@@ -236,9 +236,9 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     assert diagnose(arm, find_claim(arm)).state == "node"
     assert f"docker run --device {node}" in diagnose(arm, find_claim(arm)).remedy
     node.write_bytes(b"")
-    found = diagnose(arm, find_claim(arm))
-    assert found.state == "usable"
-    assert "no hidraw node" in found.reason
+    diagnosis = diagnose(arm, find_claim(arm))
+    assert diagnosis.state == "usable"
+    assert "no hidraw node" in diagnosis.reason
     assert "install --system " in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"))
     with node.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -268,12 +268,12 @@ def test_permission_is_diagnosed(
     registry.load("forcedimension")  # its rule is printed; the other user has no cache to compile it into
     os.seteuid(65534)
     try:
-        found = diagnose(device, find_claim(device))
+        diagnosis = diagnose(device, find_claim(device))
     finally:
         os.seteuid(0)
-    assert found.state == "permission"
-    assert str(node) in found.reason
-    assert remedy in found.remedy
+    assert diagnosis.state == "permission"
+    assert str(node) in diagnosis.reason
+    assert remedy in diagnosis.remedy
 
 
 def test_a_holder_is_named(root: Path) -> None:
@@ -286,10 +286,10 @@ def test_a_holder_is_named(root: Path) -> None:
     ) as other:
         assert other.stdout is not None and other.stdin is not None
         assert other.stdout.readline() == "open\n"
-        found = diagnose(at(node), find_claim(at(node)))
-        assert found.state == "busy"
-        assert f"process {other.pid} (python" in found.reason
-        assert found.remedy == f"kill {other.pid}"
+        diagnosis = diagnose(at(node), find_claim(at(node)))
+        assert diagnosis.state == "busy"
+        assert f"process {other.pid} (python" in diagnosis.reason
+        assert diagnosis.remedy == f"kill {other.pid}"
         other.stdin.close()
         other.wait(10)
     assert discovery.holder(str(node)) is None
@@ -308,10 +308,10 @@ def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPa
     node = root / "node"
     node.write_bytes(b"")
     omega = at(node, 0x1451, 0x0402, bus="usb")
-    found = diagnose(omega, find_claim(omega))
-    assert found.state == "library"
-    assert "libdrd is not on this machine" in found.reason
-    assert "export FDSDK=" in found.remedy
+    diagnosis = diagnose(omega, find_claim(omega))
+    assert diagnosis.state == "library"
+    assert "libdrd is not on this machine" in diagnosis.reason
+    assert "export FDSDK=" in diagnosis.remedy
 
 
 def test_the_library_file_of_the_rig_is_checked(root: Path) -> None:
@@ -330,18 +330,18 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
     claim = Claim("falcon", "usb", 0x0403, 0xCB48)
     file = root / "firmware.bin"
     assert "no rig named one" in diagnose_requirements(claim, {}).reason
-    found = diagnose_requirements(claim, {"firmware": str(file)})
-    assert found.state == "firmware"
-    assert "firmware.bin' is not a file" in found.reason
+    diagnosis = diagnose_requirements(claim, {"firmware": str(file)})
+    assert diagnosis.state == "firmware"
+    assert "firmware.bin' is not a file" in diagnosis.reason
     file.write_bytes(b"\0")
     assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
 
 
 def test_a_missing_driver_is_diagnosed(root: Path) -> None:
     """A missing driver is reported before anything else."""
-    found = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
-    assert found.state == "driver"
-    assert "'no-such-driver' is not in this installation" in found.reason
+    diagnosis = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
+    assert diagnosis.state == "driver"
+    assert "'no-such-driver' is not in this installation" in diagnosis.reason
 
 
 def test_a_falcon_is_claimed(root: Path) -> None:
@@ -349,8 +349,8 @@ def test_a_falcon_is_claimed(root: Path) -> None:
     node = root / "node"
     node.write_bytes(b"")
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
-    found = diagnose(falcon, find_claim(falcon))
-    assert found.state == ("firmware" if "falcon" in registry.names() else "driver")
+    diagnosis = diagnose(falcon, find_claim(falcon))
+    assert diagnosis.state == ("firmware" if "falcon" in registry.names() else "driver")
 
 
 def test_output_without_devices() -> None:

@@ -54,19 +54,19 @@ def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.Complet
 def test_the_driver_contract() -> None:
     """All tests of the contract pass over the device behind libusb, without a skip."""
     command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CONTRACT))
-    done, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
-    assert done.returncode == 0, done.stdout
-    assert re.search(r"^\d+ passed in", done.stdout, re.MULTILINE), done.stdout
+    process, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
+    assert process.returncode == 0, process.stdout
+    assert re.search(r"^\d+ passed in", process.stdout, re.MULTILINE), process.stdout
     assert saw["motors"] == [0, 0, 0]
 
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     """A hand presses into the plane, drags and releases: modes and forces equal the engine's for the same poses."""
-    kept = tmp_path / "records.npy"
-    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(kept))
-    done, saw = beside(STROKE, *program)
-    assert done.returncode == 0, done.stderr
-    records = np.load(kept)
+    records_file = tmp_path / "records.npy"
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(records_file))
+    process, saw = beside(STROKE, *program)
+    assert process.returncode == 0, process.stderr
+    records = np.load(records_file)
     assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
     assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
     assert saw["motors"] == [0, 0, 0]
@@ -82,11 +82,11 @@ def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Pa
     """A hand whose goal is 6 mm below the plane is stopped by the motors, for either sign of the motors."""
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
-    done, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
-    assert done.returncode == 0, done.stderr
-    assert "device Novint Falcon 0403:cb48 at 1000 Hz" in done.stderr
-    assert "force is zero" in done.stderr
-    assert "not calibrated" not in done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
+    assert process.returncode == 0, process.stderr
+    assert "device Novint Falcon 0403:cb48 at 1000 Hz" in process.stderr
+    assert "force is zero" in process.stderr
+    assert "not calibrated" not in process.stderr
     # Springs of hand and wall share the depth; up is the device's y.
     stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
     depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)
@@ -96,17 +96,17 @@ def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Pa
 
 def test_force_without_a_gain_is_flagged() -> None:
     """The shipped rig has no gain, and the daemon warns that the force is not calibrated."""
-    done, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
-    assert done.returncode == 0, done.stderr
-    assert "force is not calibrated: 10000 motor counts per N m are assumed" in done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
+    assert process.returncode == 0, process.stderr
+    assert "force is not calibrated: 10000 motor counts per N m are assumed" in process.stderr
     # Purge, latency 1 ms, 1.5 MBd, purge: the chip as the firmware expects it.
     assert saw["requests"] == [[0, 1], [0, 2], [9, 1], [3, 2], [0, 1], [0, 2]]
 
 
 def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
     """With each tenth reply 4 ms late the run completes."""
-    done, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
-    assert done.returncode == 0, done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
+    assert process.returncode == 0, process.stderr
     assert saw["steps"] > 30
 
 
@@ -124,9 +124,9 @@ def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
 )
 def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path) -> None:
     """A fault of cable or device ends the daemon with its message and without force."""
-    done, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
-    assert done.returncode != 0, done.stderr
-    assert re.search(message, done.stderr), done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
+    assert process.returncode != 0, process.stderr
+    assert re.search(message, process.stderr), process.stderr
     assert max(saw["most"]) > 0, "there was no force to take away"
     if not {"block_after", "broken_after"} & set(case):  # nothing is transmitted any more, not even a zero
         assert saw["motors"] == [0, 0, 0]
@@ -135,9 +135,9 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 def test_homing(tmp_path: Path) -> None:
     """A Falcon without homing is used only after the knob was pulled out and pushed in; then positions are correct."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
-    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
-    assert done.returncode == 0, done.stderr
-    assert "pull the knob out completely, then push it in, until the light is green" in done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
+    assert process.returncode == 0, process.stderr
+    assert "pull the knob out completely, then push it in, until the light is green" in process.stderr
     assert saw["found"] == [True, True, True]
     assert saw["place"][1] > 0.005, "the wall did not hold the hand, so its place was wrong"
 
@@ -145,9 +145,9 @@ def test_homing(tmp_path: Path) -> None:
 def test_homing_times_out(tmp_path: Path) -> None:
     """Opening fails after `homing_s` with instructions, and no motor was driven."""
     rig = rig_with(tmp_path, homing_s=0.1)
-    done, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
-    assert done.returncode == 4, done.stderr
-    assert "was not homed in 0.1 s: pull the knob out" in done.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
+    assert process.returncode == 4, process.stderr
+    assert "was not homed in 0.1 s: pull the knob out" in process.stderr
     assert saw["most"] == [0, 0, 0]
 
 
@@ -159,10 +159,10 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     rig = rig_with(tmp_path, firmware=str(path))
-    done, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02")
-    assert done.returncode == 0, done.stderr
+    process, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02")
+    assert process.returncode == 0, process.stderr
     assert saw["runs"] and saw["loads"] == 3
-    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", done.stderr)
+    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", process.stderr)
 
 
 @pytest.mark.parametrize(
@@ -181,26 +181,28 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
         path = tmp_path / "firmware.bin"
         path.write_bytes(random.Random(size).randbytes(size))
         keys["firmware"] = str(path)
-    done, saw = run({"firmware": size or FIRMWARE_BYTES, "spoil": spoil}, rig_with(tmp_path, **keys), "--duration", "1")
-    assert done.returncode == 4, done.stderr
-    assert re.search(message, done.stderr), done.stderr
+    process, saw = run(
+        {"firmware": size or FIRMWARE_BYTES, "spoil": spoil}, rig_with(tmp_path, **keys), "--duration", "1"
+    )
+    assert process.returncode == 4, process.stderr
+    assert re.search(message, process.stderr), process.stderr
     assert saw["loads"] == (firmware.ATTEMPTS_MAX if spoil else 0)
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
-        done, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
-        assert said in done.stderr
+        process, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
+        assert said in process.stderr
 
 
 def test_devices_reports_running_firmware() -> None:
     """Without touching the device `devices` reports missing firmware; with `--ask` it reports running firmware."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
-        done, saw = beside({}, *words, *more)
-        assert done.returncode == 0, done.stderr
-        (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+        process, saw = beside({}, *words, *more)
+        assert process.returncode == 0, process.stderr
+        (device,) = json.JSONDecoder().raw_decode(process.stdout)[0]["devices"]
         assert (device["driver"], device["state"], device["said"]) == ("falcon", state, said)
         assert (saw["steps"] > 0) == (said is not None)
         assert saw["most"] == [0, 0, 0]
@@ -234,9 +236,9 @@ def test_two_falcons_through_libusb() -> None:
     """Two Falcons open by serial number, each exchange is with its knob, and closing one does not affect the second."""
     case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{TWO}"
-    done, saw = beside(case, sys.executable, "-c", code)
-    assert done.returncode == 0, done.stderr
-    first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", done.stdout.splitlines()[-2]))
+    process, saw = beside(case, sys.executable, "-c", code)
+    assert process.returncode == 0, process.stderr
+    first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", process.stdout.splitlines()[-2]))
     # 0.1 N against the hand's 300 N/m, and half a count at each leg
     assert first == pytest.approx(0.03, abs=4e-4)
     assert second == pytest.approx(0.045, abs=4e-4)
@@ -250,9 +252,9 @@ def test_a_weight_gives_the_gain() -> None:
     """`calibrate` determines the gain of the emulated motors from a weight, though the rig has another gain."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
-    done, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout.rsplit("{", 1)[0])
+    process, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert process.returncode == 0, process.stderr
+    content = json.loads(process.stdout.rsplit("{", 1)[0])
     # tolerance: at rest the force of 0.39 N may change by up to 0.05 N from window to window
     assert content["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
     assert content["counts_per_nm_used"] == 10000.0
@@ -262,7 +264,7 @@ def test_a_force_of_the_wrong_sign_is_noticed() -> None:
     """`calibrate` ends with zero force and a hint if the knob accelerates away."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
-    done, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
-    assert done.returncode == 4, done.stderr
-    assert "change motors_reversed in the rig" in done.stderr
+    process, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
+    assert process.returncode == 4, process.stderr
+    assert "change motors_reversed in the rig" in process.stderr
     assert saw["motors"] == [0, 0, 0]

@@ -18,6 +18,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
 from helpers.forgotten import forget_user
+from helpers.garbage import exchange_garbage
 from helpers.programs import Program
 
 from softfinger.config.errors import (
@@ -38,8 +39,6 @@ from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.drivers.system.claims import Claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.proxy.kernels.jit.atomics import call_device
-from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.verbs import devices
 
@@ -521,31 +520,14 @@ def test_failing_call_gives_its_status_and_reason(
         assert stub["force_on"] == 0
 
 
-@entry
-def fuzz(read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, times: int) -> None:
-    """Read and write `times`; count statuses except OK and STALE, and orientations neither NaN nor unit."""
-    for _ in range(times):
-        status = call_device(read, handle, sample)
-        if status != 0 and status != 1:
-            out[0] += 1
-        norm = 0.0
-        for k in range(3, 7):
-            norm += sample[k] * sample[k]
-        if norm == norm:
-            out[2] += 1
-            if not abs(norm - 1.0) < 1e-9:
-                out[1] += 1
-        for k in range(6):
-            wrench[k] = sample[k]
-        call_device(write, handle, wrench)
-
-
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int, int], int]) -> None:
     """For any bits from the library, reads are OK or STALE, orientations NaN or unit, and forces within the limit."""
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)
-        fuzz(io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, cases(20_000, 1_000_000))
+        exchange_garbage(
+            0, io.read, io.write, io.handle, np.zeros(SAMPLE_SIZE), np.zeros(6), out, cases(20_000, 1_000_000)
+        )
         assert out[:2].tolist() == [0, 0]
         assert stub["peak"] <= 12.0 and math.isfinite(stub.norm())

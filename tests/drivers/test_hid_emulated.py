@@ -30,7 +30,7 @@ from softfinger.proxy.record import AT
 EMULATORS = Path(__file__).parents[1] / "emulators"
 TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
 """Testbeds by the interface of the emulated device: key `bus` of a case."""
-WAYS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
+CONNECTIONS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
 """Interface of the emulated device, and `through` of the rig."""
 TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
 """Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
@@ -60,13 +60,13 @@ def on_testbed(
     file: str, case: dict[str, Any], *command: str
 ) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     """Run a command with an emulated device attached, and return its result and the state of the device."""
-    done = run_program(
+    process = run_program(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )
-    lines = done.stdout.splitlines()
-    assert lines, done.stderr
-    return done, json.loads(lines[-1])
+    lines = process.stdout.splitlines()
+    assert lines, process.stderr
+    return process, json.loads(lines[-1])
 
 
 def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
@@ -88,7 +88,7 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("way", "rig", "arm", "generation"),
+    ("connection", "rig", "arm", "generation"),
     [
         ("node", "woodenhaptics-2019", "woody-2019", 2),
         ("node", "woodenhaptics-2015", "woody-2015", 1),
@@ -96,15 +96,15 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
         ("usb", "woodenhaptics-2019", "woody-2019", 2),
     ],
 )  # fmt: skip
-def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
+def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     """A hand presses into the plane, drags and releases; modes and forces equal the engine's on the same poses."""
-    kept = tmp_path / "records.npy"
-    bus, through = WAYS[way]
+    records_file = tmp_path / "records.npy"
+    bus, through = CONNECTIONS[connection]
     name = rig_with(tmp_path, rig, through=through)
-    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[way]), str(kept))
-    done, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
-    assert done.returncode == 0, done.stderr
-    records = np.load(kept)
+    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
+    process, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
+    assert process.returncode == 0, process.stderr
+    records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
     modes = records[:, AT.contact_mode]
     assert {0.0, 1.0, 2.0} == set(modes)
@@ -120,10 +120,10 @@ def test_closed_loop_under_the_daemon(way: str, rig: str, arm: str, generation: 
 def test_an_arm_pressed_through_the_plane_is_stopped() -> None:
     """A hand whose goal is 6 mm below the plane's surface is stopped by the motors."""
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
-    done, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
-    assert done.returncode == 0, done.stderr
-    assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in done.stderr
-    assert "force is zero" in done.stderr
+    process, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
+    assert process.returncode == 0, process.stderr
+    assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in process.stderr
+    assert "force is zero" in process.stderr
     assert saw["reports"] >= 2000
     # Springs of hand and wall share the depth; the last report, the zero, releases the hand for a tick or two only.
     stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
@@ -135,9 +135,9 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
 
 
 @pytest.mark.parametrize(
-    ("way", "case", "code", "message"),
+    ("connection", "case", "code", "message"),
     [
-        *((way, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in again") for way in WAYS),
+        *((name, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in") for name in CONNECTIONS),
         ("node", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
         ("usb", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
         ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
@@ -167,23 +167,23 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
         ("usb", {"permission": "0"}, 4, "/dev/bus/usb/001/002 may not be opened by this user: .*install --system"),
     ],
 )  # fmt: skip
-def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
+def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
     """A fault of the cable, or another device, ends the daemon with its message and exit code."""
-    bus, through = WAYS[way]
+    bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
-    done, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
-    assert done.returncode == code, done.stderr
-    assert re.search(message, done.stderr), done.stderr
+    process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
+    assert process.returncode == code, process.stderr
+    assert re.search(message, process.stderr), process.stderr
     if "short_after" in case or "mute_after" in case:
         assert not any(saw["last"]), "the last report was no zero"
     if "block_after" in case:
-        assert re.search("zero force has not reached it: (hid writer: a write|a write|writes) ", done.stderr)
+        assert re.search("zero force has not reached it: (hid writer: a write|a write|writes) ", process.stderr)
 
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize(
-    ("way", "board", "rig"),
+    ("connection", "board", "rig"),
     [
         ("node", "teensy", "woodenhaptics-2019"),
         ("node", "teensy-swapped", "woodenhaptics-polhem-v1"),
@@ -195,13 +195,13 @@ def test_faults_end_in_order(way: str, case: dict[str, Any], code: int, message:
         ("node", "lpc1768-8", "woodenhaptics-2015"),
     ],
 )
-def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_path: Path) -> None:
+def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str, tmp_path: Path) -> None:
     """The arm's interface is chosen by descriptors of real boards; the rest get no report, forces reach the arm."""
-    bus, through = WAYS[way]
+    bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
-    done, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
-    assert done.returncode == 0, done.stderr
+    process, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
+    assert process.returncode == 0, process.stderr
     assert saw["astray"] == 0
     assert max(saw["most"]) > 0
     assert not any(saw["last"])
@@ -217,9 +217,9 @@ def test_a_board_is_opened_by_its_reports(way: str, board: str, rig: str, tmp_pa
 def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
     """If the board's reports match another format of the library, the error names that format."""
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
-    done, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
-    assert done.returncode == 4
-    assert re.search(said, done.stderr), done.stderr
+    process, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
+    assert process.returncode == 4
+    assert re.search(said, process.stderr), process.stderr
     assert saw["reports"] == 0
 
 
@@ -227,10 +227,10 @@ def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
-        done, _ = run(
+        process, _ = run(
             {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
         )
-        assert said in done.stderr
+        assert said in process.stderr
 
 
 TRY = """
@@ -265,9 +265,9 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
     rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
     other = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
-    done, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
-    assert done.returncode == 0, done.stderr
-    *said, of_the_other = done.stdout.splitlines()[:-1]
+    process, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
+    assert process.returncode == 0, process.stderr
+    *said, of_the_other = process.stdout.splitlines()[:-1]
     assert [line.startswith(wanted) for line, (_, wanted) in zip(said, tries, strict=True)] == [True] * 7, said
     assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
 
@@ -275,9 +275,9 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
     rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
-    done, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
+    process, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
     said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
-    assert re.match(said, done.stdout), done.stderr
+    assert re.match(said, process.stdout), process.stderr
 
 
 HOLD = """
@@ -302,12 +302,12 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("way", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
-def test_a_second_program_names_the_first(way: str, node: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("connection", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
+def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: Path) -> None:
     """While another process has the device open, the daemon fails and names that process."""
-    bus, through = WAYS[way]
+    bus, through = CONNECTIONS[connection]
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
-    done, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
-    assert done.stdout.splitlines()[:2] == ["4", "4"], done.stderr
-    assert len(re.findall(rf"{node} is used by process \d+ \(python", done.stderr)) == 2, done.stderr
+    process, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
+    assert process.stdout.splitlines()[:2] == ["4", "4"], process.stderr
+    assert len(re.findall(rf"{node} is used by process \d+ \(python", process.stderr)) == 2, process.stderr

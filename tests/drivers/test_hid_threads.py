@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
-from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options, woody
+from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
@@ -329,24 +329,3 @@ def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
         linked.device.stop()
         linked.answering.settle(linked.device)
         assert linked.force() == (0, 0, 0)
-
-
-def test_silence_is_kicked_and_then_given_up() -> None:
-    """A silent device is woken with zeros and times out, as at a node."""
-    with woody(through="thread", timeout_s=0.1) as (device, arm, answering):
-        servo = Servo(device, arm=False)
-        servo.read()
-        begun = time.monotonic()
-        while servo.read()[0] != OK:  # the answer after `begun`, from which the silence counts at the earliest
-            time.sleep(0.0001)
-        answering.mute.set()
-        time.sleep(0.011)
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        answering.settle(device)
-        assert not any(arm.sent[-1])
-        while (status := servo.read()[0]) >= 0:
-            time.sleep(0.001)
-        assert status == TIMEOUT
-        assert time.monotonic() - begun > 0.1
-        assert device.counts()["kicks"] > 2
-        assert device.reason() == ""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.garbage import exchange_garbage
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 from helpers.waits import until
 
@@ -30,9 +31,6 @@ from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import diagnose, diagnose_requirements
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import udev_rules
-from softfinger.proxy.kernels.jit.atomics import call_device
-from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, make_pulling_tuning, run_for
 from softfinger.server.loop.servo_thread import Servo as Loop
@@ -485,26 +483,6 @@ def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
         assert not any(hd.wrench())
 
 
-@entry
-def fuzz(callback: int, read: int, write: int, handle: int, sample: Any, wrench: Any, out: Any, count: int) -> None:
-    """Run frames, reads and writes; count unexpected statuses, orientations neither NaN nor unit, and poses."""
-    for _ in range(count):
-        call_int32(callback, (handle,))
-        status = call_device(read, handle, sample)
-        if status not in (OK, STALE):
-            out[0] += 1
-        norm = 0.0
-        for k in range(3, 7):
-            norm += sample[k] * sample[k]
-        if norm == norm:
-            out[2] += 1
-            if not abs(norm - 1.0) < 1e-9:
-                out[1] += 1
-        for k in range(6):
-            wrench[k] = sample[k]
-        call_device(write, handle, wrench)
-
-
 @pytest.mark.scaled
 def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, int], int]) -> None:
     """The library gets only finite numbers, reads return OK or STALE, orientations are NaN or of unit length."""
@@ -514,7 +492,7 @@ def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, 
         hd["garbage"] = 1
         io, out = device.io(), np.zeros(3, np.int64)
         arrays = np.zeros(SAMPLE_SIZE), np.zeros(6), out
-        fuzz(exchange.callback.address, io.read, io.write, io.handle, *arrays, cases(20_000, 1_000_000))
+        exchange_garbage(exchange.callback.address, io.read, io.write, io.handle, *arrays, cases(20_000, 1_000_000))
         assert out[:2].tolist() == [0, 0]
         assert hd["misuse"] == hd["errors"] == 0
 

@@ -121,10 +121,10 @@ def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direc
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
-        seconds, way, table = over(servo)
+        seconds, displacement, table = over(servo)
     assert seconds > 0.006
     # for any clock: rounding of sums of a few centimetres
-    np.testing.assert_allclose(way, np.array(direction) * 2e-4 * PAST * seconds, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(displacement, np.array(direction) * 2e-4 * PAST * seconds, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(table[:, 3:7], np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
 
 
@@ -143,32 +143,32 @@ def test_a_twist_rotates_the_fingertip(kind: Any, deflection: dict[str, int], ax
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
-        seconds, way, table = over(servo)
+        seconds, displacement, table = over(servo)
     first, last = (Rotation.from_quat(row[[4, 5, 6, 3]]) for row in (table[0], table[-1]))
     turned = (last * first.inv()).as_rotvec()
     # four products of unit quaternions
     np.testing.assert_allclose(turned, np.array(axis) * 3e-3 * PAST * seconds, rtol=0, atol=1e-14)
-    assert not way.any()
+    assert not displacement.any()
 
 
 def test_a_puck_in_its_deadband_does_not_move() -> None:
     """Up to the deadband the speed is zero, one count beyond it has the speed of one count: no step in speed."""
     with puck(deadband=20.0) as (_, servo, end):
         end.send(emulated.combined(right=20, away=-20, clockwise=20)[0])
-        _, way, table = over(servo)
-        assert not way.any()
+        _, displacement, table = over(servo)
+        assert not displacement.any()
         assert np.ptp(table[:, 3:7], axis=0).max() == 0.0
         end.send(emulated.combined(right=21)[0])
-        seconds, way, _ = over(servo)
-        np.testing.assert_allclose(way, (2e-4 * seconds, 0, 0), rtol=0, atol=1e-15)
+        seconds, displacement, _ = over(servo)
+        np.testing.assert_allclose(displacement, (2e-4 * seconds, 0, 0), rtol=0, atol=1e-15)
 
 
 def test_axes_can_be_inverted() -> None:
     """`invert` changes the sign of the given axes only."""
     with puck(invert=[True, False, False, False, False, True]) as (_, servo, end):
         end.send(emulated.combined(right=350, up=350, clockwise=350)[0])
-        _, way, table = over(servo)
-    assert way[0] < 0 < way[2]
+        _, displacement, table = over(servo)
+    assert displacement[0] < 0 < displacement[2]
     assert table[-1, 6] > 0
 
 
@@ -194,8 +194,8 @@ def test_buttons_and_lamp() -> None:
             assert emulated.LED[end.recv(64)] is True
             end.send(emulated.combined(right=350)[0])
             end.send(emulated.buttons(0x80000005))
-            _, way, table = over(servo)
-            assert way[0] > 0.0
+            _, displacement, table = over(servo)
+            assert displacement[0] > 0.0
             assert set(table[:, 8]) == {float(0x80000005)}
             end.send(emulated.buttons(0))
             assert servo.read()[1][8] == 0.0
@@ -214,8 +214,8 @@ def test_a_silent_puck_stops_moving_the_fingertip() -> None:
         time.sleep(0.06)
         end.send(emulated.buttons(1))
         servo.read()
-        _, way, table = over(servo)
-        assert not way.any()
+        _, displacement, table = over(servo)
+        assert not displacement.any()
         assert 0.0 < table[0, 0] <= 2e-4 * PAST * 0.051  # one read more than the hold, of at most 50 ms
 
 

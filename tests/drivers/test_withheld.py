@@ -95,7 +95,7 @@ def hid(through: str) -> Iterator[SerialChip]:
             yield SerialChip(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
 
 
-WAYS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread")}
+CONNECTIONS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread")}
 
 
 def pulling(ramp_s: float) -> Tuning:
@@ -127,11 +127,11 @@ def pulls(line: SerialChip) -> bool:
     return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_force_ramps_up_after_a_silence(way: str) -> None:
+@pytest.mark.parametrize("connection", CONNECTIONS)
+def test_a_force_ramps_up_after_a_silence(connection: str) -> None:
     """After a zero at a stall of 60 ms the force ramps from zero, within the guard's slew limit."""
     ramp_s = 0.2
-    with WAYS[way]() as line, running(line, ramp_s):
+    with CONNECTIONS[connection]() as line, running(line, ramp_s):
         until(lambda: pulls(line))
         before = len(line.forces())
         line.stall(True)
@@ -151,10 +151,10 @@ def test_a_force_ramps_up_after_a_silence(way: str) -> None:
     assert np.diff(back).max() <= PULL_N * 2 * QUIET_S / ramp_s
 
 
-@pytest.mark.parametrize("way", ["serial", "hid thread"])
-def test_a_force_that_waits_is_no_wider_step(way: str) -> None:
+@pytest.mark.parametrize("connection", ["serial", "hid thread"])
+def test_a_force_that_waits_is_no_wider_step(connection: str) -> None:
     """If each frame takes four ticks, the next force is within the slew limit of the previous one."""
-    with WAYS[way]() as line:
+    with CONNECTIONS[connection]() as line:
         line.late(0.004)
         with running(line, 0.01):
             until(lambda: pulls(line))

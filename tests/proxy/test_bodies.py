@@ -108,13 +108,13 @@ def tilt(engine: Engine) -> float:
 def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path) -> None:
     """Lifted 8 mm off its centre of mass it turns by theta = m g d cos(theta) / (2 k_z), at most 5 degrees."""
     engine, rise = held_by_two(box(tmp_path, floor=FLOOR, height=HALF)), 1200
-    way = pinch(200 + rise + 400, 3.0, offset=0.008, height=HALF)
-    u = np.clip((np.arange(len(way["thumb"])) - 200) / rise, 0.0, 1.0)
-    for poses in way.values():
+    hand_path = pinch(200 + rise + 400, 3.0, offset=0.008, height=HALF)
+    u = np.clip((np.arange(len(hand_path["thumb"])) - 200) / rise, 0.0, 1.0)
+    for poses in hand_path.values():
         poses[:, 2] += 0.1 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     most = 0.0
     for first in range(0, len(u), 20):
-        engine.run({name: poses[first : first + 20] for name, poses in way.items()})
+        engine.run({name: poses[first : first + 20] for name, poses in hand_path.items()})
         most = max(most, abs(tilt(engine)))
     arm = MASS * G * 0.008 / (2.0 * TORSION)
     theta = arm * math.cos(arm)  # the cosine of theta itself changes it by 1e-5
@@ -130,12 +130,12 @@ def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
     reference is the elliptic integral."""
     material = {name: part for name, part in RUBBER.items() if name != "torsion"}
     engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
-    way = pinch(2000, 3.0, offset=arm)
-    engine.run({name: poses[:200] for name, poses in way.items()})
+    hand_path = pinch(2000, 3.0, offset=arm)
+    engine.run({name: poses[:200] for name, poses in hand_path.items()})
     engine.model.opt.gravity[2] = -G
     turning = []
     for tick in range(200, 1100, 2):
-        engine.run({name: poses[tick : tick + 2] for name, poses in way.items()})
+        engine.run({name: poses[tick : tick + 2] for name, poses in hand_path.items()})
         turning.append(engine.data.qvel[3])
     turns = np.flatnonzero(np.sign(turning[1:]) * np.sign(turning[:-1]) < 0)
     inertia = MASS * ((2 * HALF) ** 2 / 6.0 + arm**2)
@@ -161,9 +161,9 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
         """Force on each finger (N) along z and torque (N m) about x when the first contact slips or spins."""
         slow = DAMPED | {"torsional_damping_nms_per_rad": 1e-4}  # at 0.2 rad/s it bears 2e-5 N m
         engine = held_by_two(box(tmp_path, gravity=0.0), material, slow)
-        way = pinch(200, press)
-        engine.run(way)
-        hold = {name: np.repeat(poses[-1:], step, axis=0) for name, poses in way.items()}
+        hand_path = pinch(200, press)
+        engine.run(hand_path)
+        hold = {name: np.repeat(poses[-1:], step, axis=0) for name, poses in hand_path.items()}
         pull = twist = 0.0
         for tick in range(0, 3000, step):
             pull = pulled * min(tick / 200.0, 1.0) + pull_rate * tick * 1e-3
@@ -184,15 +184,15 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
 def test_body_gets_the_opposite_wrench_of_the_fingers(tmp_path: Path) -> None:
     """Each tick the wrench on the box is minus the sum of the wrenches on the fingers, about any point, to 1e-12."""
     engine = held_by_two(box(tmp_path, floor=FLOOR, height=HALF))
-    way = pinch(160, 3.0, offset=0.006, height=HALF - 0.003)
+    hand_path = pinch(160, 3.0, offset=0.006, height=HALF - 0.003)
     pressed = 0
     for tick in range(160):
         center = engine.data.xipos[1].copy()
-        rows = engine.run({name: poses[tick : tick + 1] for name, poses in way.items()})
+        rows = engine.run({name: poses[tick : tick + 1] for name, poses in hand_path.items()})
         force, torque = np.zeros(3), np.zeros(3)
         for name, records in rows.items():
             force -= records["force"][0]
-            torque -= records["torque"][0] + np.cross(way[name][tick, :3] - center, records["force"][0])
+            torque -= records["torque"][0] + np.cross(hand_path[name][tick, :3] - center, records["force"][0])
         pressed += bool(force.any() or torque.any())
         np.testing.assert_allclose(engine.data.xfrc_applied[1], [*force, *torque], rtol=0, atol=1e-12)
     assert pressed > 20
@@ -216,10 +216,10 @@ def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float,
     if mass < 0.1:
         coupling["torsional_damping_nms_per_rad"] = 1e-4
     engine = held_by_two(path, RUBBER | {"stiffness_n_per_m": stiffness}, coupling, substeps=substeps)
-    way = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
-    engine.run({name: poses[:150] for name, poses in way.items()})
+    hand_path = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
+    engine.run({name: poses[:150] for name, poses in hand_path.items()})
     engine.data.qvel[:] = [0.01, 0.02, -0.03, 0.5, -0.3, 0.4]
-    hold = {name: np.repeat(poses[-1:], 50, axis=0) for name, poses in way.items()}
+    hold = {name: np.repeat(poses[-1:], 50, axis=0) for name, poses in hand_path.items()}
     fastest = []
     windows = 16 if mass < 0.1 else 40
     for _ in range(windows):
@@ -240,19 +240,19 @@ def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tm
     coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
     material = RUBBER | {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping}
     engine = held_by_two(box(tmp_path, mass, gravity=0.0), material, coupling)
-    way = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
-    engine.run({name: poses[:150] for name, poses in way.items()})
+    hand_path = pinch(200, 3.0 * STIFFNESS / stiffness, offset=0.004)
+    engine.run({name: poses[:150] for name, poses in hand_path.items()})
     blow = np.array([0.01, 0.02, -0.03, 0.5, -0.3, 0.4])
     engine.data.qvel[:] = blow
-    engine.run({name: np.repeat(poses[-1:], 2000, axis=0) for name, poses in way.items()})
+    engine.run({name: np.repeat(poses[-1:], 2000, axis=0) for name, poses in hand_path.items()})
     assert np.abs(engine.data.qvel).max() < 1e-3 * np.abs(blow).max()
 
 
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     """Runs after a reset and in another engine are identical; setting a parameter does not move the bodies."""
-    way = pinch(150, 3.0, offset=0.008, height=HALF)
+    hand_path = pinch(150, 3.0, offset=0.008, height=HALF)
     engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
-    first = engine.run(way)["thumb"].copy()
+    first = engine.run(hand_path)["thumb"].copy()
     place = engine.data.qpos.copy()
     engine.set("coupling.damping_ns_per_m", 1.5)
     np.testing.assert_array_equal(engine.data.qpos, place)
@@ -260,10 +260,10 @@ def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot change while"):
         engine.set("world.substeps", 2)
     with pytest.raises(PoseError, match="the bodies of"):
-        engine.run(way, 0.002)
+        engine.run(hand_path, 0.002)
     engine.reset()
     for again in (engine, other):
-        np.testing.assert_array_equal(again.run(way)["thumb"], first)
+        np.testing.assert_array_equal(again.run(hand_path)["thumb"], first)
         np.testing.assert_array_equal(again.data.qpos, place)
 
 
@@ -591,8 +591,8 @@ def test_an_engine_reports_failed_bodies(substeps: int, tmp_path: Path) -> None:
     path = box(tmp_path, floor=FLOOR, height=HALF)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
     engine = held_by_two(path, substeps=substeps)
-    way = pinch(5, 1.0, height=HALF, press=5)
-    good = engine.run(way)["thumb"].copy()
+    hand_path = pinch(5, 1.0, height=HALF, press=5)
+    good = engine.run(hand_path)["thumb"].copy()
     solver = engine.model.opt.solver
     for fail in ("a number", "an error", "a number"):
         if fail == "a number":
@@ -601,11 +601,11 @@ def test_an_engine_reports_failed_bodies(substeps: int, tmp_path: Path) -> None:
             engine.model.opt.solver = 77
         for _ in range(2):
             with pytest.raises(SafetyStop, match=r"huge value in Q|solver") as failed:
-                engine.run(way)
+                engine.run(hand_path)
         assert "released and no longer move" in str(failed.value) and "damping_ns_per_m" in str(failed.value)
         engine.model.opt.solver = solver
         engine.reset()
-        np.testing.assert_array_equal(engine.run(way)["thumb"], good)
+        np.testing.assert_array_equal(engine.run(hand_path)["thumb"], good)
 
 
 def test_full_memory_is_an_error(tmp_path: Path) -> None:
@@ -629,12 +629,12 @@ def test_full_memory_is_an_error(tmp_path: Path) -> None:
 def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
     """Fingers inside a failed box get zero force, the world does not advance, and no wrench is NaN."""
     engine = held_by_two(box(tmp_path, gravity=0.0))
-    way = pinch(120, 3.0)
-    assert np.abs(engine.run(way)["thumb"]["force"][-1]).max() > 1.0
+    hand_path = pinch(120, 3.0)
+    assert np.abs(engine.run(hand_path)["thumb"]["force"][-1]).max() > 1.0
     engine.data.qvel[3] = math.nan
     state = unpack(start_state(engine.scene), engine._state)
     assert step_bodies(engine.scene.bodies) != NO_FAULT
-    poses = poses_in([poses[-1] for poses in way.values()])
+    poses = poses_in([poses[-1] for poses in hand_path.values()])
     for _ in range(2):
         state, contacts = step(engine.scene, state, poses, 1e-3)
         assert step_bodies(engine.scene.bodies) != NO_FAULT

@@ -34,21 +34,21 @@ pytestmark = pytest.mark.plain
 
 
 @entry
-def compiled_heights(shape, places, found):  # type: ignore[no-untyped-def]
+def compiled_heights(shape, places, results):  # type: ignore[no-untyped-def]
     for k in range(len(places)):
         h = height_at(shape, places[k, 0], places[k, 1])
-        found[k, 0], found[k, 1], found[k, 2] = h.z, h.s, h.t
-        found[k, 3], found[k, 4], found[k, 5] = h.ss, h.st, h.tt
+        results[k, 0], results[k, 1], results[k, 2] = h.z, h.s, h.t
+        results[k, 3], results[k, 4], results[k, 5] = h.ss, h.st, h.tt
 
 
 @entry
-def compiled_nearest(shape, points, budget, found):  # type: ignore[no-untyped-def]
+def compiled_nearest(shape, points, budget, results):  # type: ignore[no-untyped-def]
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
         near = nearest_from(shape, x, x, budget)
-        found[k, 0] = near.gap
-        found[k, 1], found[k, 2], found[k, 3] = near.point
-        found[k, 4], found[k, 5], found[k, 6] = near.normal
+        results[k, 0] = near.gap
+        results[k, 1], results[k, 2], results[k, 3] = near.point
+        results[k, 4], results[k, 5], results[k, 6] = near.normal
 
 
 @entry
@@ -70,16 +70,16 @@ def sampled(rows: int, columns: int, pitch: float, f: Callable[[Array, Array], A
 def heights_of(shape: model.Heightmap, x: Array, y: Array) -> Array:
     """Return h, h_x, h_y, h_xx, h_xy, h_yy (n, 6) in m at positions in m."""
     places = np.column_stack([x / shape.pitch + 0.5 * shape.columns, y / shape.pitch + 0.5 * shape.rows])
-    found = np.empty((len(places), 6))
-    compiled_heights(shape, places, found)
-    return found * [shape.pitch, 1.0, 1.0, *[1.0 / shape.pitch] * 3]
+    results = np.empty((len(places), 6))
+    compiled_heights(shape, places, results)
+    return results * [shape.pitch, 1.0, 1.0, *[1.0 / shape.pitch] * 3]
 
 
 def nearest(shape: model.Heightmap, points: Array, budget: int = 10**7) -> Array:
     """Return gap, point and normal (n, 7), by default with a budget that is never exhausted."""
-    found = np.empty((len(points), 7))
-    compiled_nearest(shape, np.ascontiguousarray(points, dtype=float), budget, found)
-    return found
+    results = np.empty((len(points), 7))
+    compiled_nearest(shape, np.ascontiguousarray(points, dtype=float), budget, results)
+    return results
 
 
 def everywhere(shape: model.Heightmap, fine: int) -> Array:
@@ -134,9 +134,9 @@ def test_the_surface_interpolates_every_pixel(name: str) -> None:
     pitch, heights = MAPS[name]
     x, y, z = thin_map(heights, pitch, 10**6)
     at_x, at_y = np.meshgrid(x, y)
-    found = heights_of(kernel_heightmap(heights, pitch), at_x.ravel(), at_y.ravel())[:, 0]
+    results = heights_of(kernel_heightmap(heights, pitch), at_x.ravel(), at_y.ravel())[:, 0]
     # Rounding of the coefficients' recursion, which does not grow.
-    np.testing.assert_allclose(found, z.ravel(), rtol=0, atol=1e-14 * np.abs(z).max() + 1e-17)
+    np.testing.assert_allclose(results, z.ravel(), rtol=0, atol=1e-14 * np.abs(z).max() + 1e-17)
 
 
 def test_the_spline_converges_as_a_cubic_does() -> None:
@@ -153,8 +153,8 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
     errors = []
     for pitch in (1e-3, 5e-4, 2.5e-4):
         count = round(0.06 / pitch)
-        found = heights_of(kernel_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
-        errors.append(np.sqrt(np.square(found - exact).mean(axis=0)))
+        results = heights_of(kernel_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
+        errors.append(np.sqrt(np.square(results - exact).mean(axis=0)))
     orders = 0.5 * np.log2(errors[0] / errors[-1])
     # The orders hold in the limit; for these pitches to 0.1.
     assert orders[0] > 3.9 and (orders[1:3] > 2.9).all() and (orders[3:] > 1.9).all(), orders
@@ -177,13 +177,13 @@ def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
     pitch, heights = MAPS["hills"]
     shape = kernel_heightmap(heights, pitch)
     x = np.linspace(0.04, 0.06, 20001)
-    found = heights_of(shape, x, np.full_like(x, 0.0123))
+    results = heights_of(shape, x, np.full_like(x, 0.0123))
     outside = x > 0.5 * shape.columns * pitch - pitch
     # Rounding of h'', divided by the square of the pitch.
-    np.testing.assert_allclose(np.ptp(found[outside], axis=0), 0.0, atol=1e-10)
-    np.testing.assert_allclose(found[outside][:, [1, 3, 4]], 0.0, atol=1e-10)
+    np.testing.assert_allclose(np.ptp(results[outside], axis=0), 0.0, atol=1e-10)
+    np.testing.assert_allclose(results[outside][:, [1, 3, 4]], 0.0, atol=1e-10)
     # One step is 1 um: a continuous value changes by its derivative times that; h'' by h''' < 2e5 / m^2 at the rim.
-    assert np.abs(np.diff(found[:, 3])).max() < 0.2 + 1e-9 and np.abs(np.diff(found[:, 1])).max() < 1e-3
+    assert np.abs(np.diff(results[:, 3])).max() < 0.2 + 1e-9 and np.abs(np.diff(results[:, 1])).max() < 1e-3
 
 
 @pytest.mark.parametrize("radius", [0.02, -0.03])
@@ -220,10 +220,10 @@ def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
     half = 0.5 * pitch * np.array(heights.shape[::-1])
     over = np.ptp(heights)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (60, 2)) * half, rng.uniform(-over, 0.012 + over, 60)])
-    found = nearest(shape, points)
+    results = nearest(shape, points)
     level = heights_of(shape, points[:, 0], points[:, 1])[:, 0]
-    np.testing.assert_array_equal(np.sign(found[:, 0]), np.sign(points[:, 2] - level))
-    for x, (gap, *rest) in zip(points, found, strict=True):
+    np.testing.assert_array_equal(np.sign(results[:, 0]), np.sign(points[:, 2] - level))
+    for x, (gap, *rest) in zip(points, results, strict=True):
         least = float(np.linalg.norm(surface - x, axis=1).min())
         assert abs(gap) <= least * (1.0 + 1e-12)  # rounding of the search
         # The brute-force search is as coarse as its grid: a sixth of a pitch along, and the rise of the map over that.
@@ -299,9 +299,9 @@ def test_the_gap_is_never_too_large_if_all_points_are_equally_near() -> None:
 def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]) -> None:
     """Positions from 1e-308 to 1e100 m give finite results; NaN and infinity do not read out of bounds."""
     shape = SHAPES[name]
-    found = nearest(shape, np.array([x]))[0]
-    assert np.isfinite(found).all() and np.linalg.norm(found[4:]) == pytest.approx(1.0, abs=1e-15)
-    k1, k2, d1 = compiled_curvature(shape, R, tuple(found[1:4]), tuple(found[4:]))
+    results = nearest(shape, np.array([x]))[0]
+    assert np.isfinite(results).all() and np.linalg.norm(results[4:]) == pytest.approx(1.0, abs=1e-15)
+    k1, k2, d1 = compiled_curvature(shape, R, tuple(results[1:4]), tuple(results[4:]))
     assert math.isfinite(k1) and math.isfinite(k2) and math.hypot(*d1) == pytest.approx(1.0, abs=1e-14)
     with np.errstate(invalid="ignore"):  # NumPy warns, compiled code does not
         nearest(shape, np.array([[math.nan, x[1], x[2]], [x[0], math.inf, math.nan]]))

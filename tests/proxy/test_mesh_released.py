@@ -47,10 +47,10 @@ def feet(corners: Array, x: Array) -> Array:
     best, least = a.copy(), np.full(len(corners), np.inf)
     for p, q in ((a, b), (b, c), (c, a)):
         inside &= np.einsum("ij,ij->i", np.cross(q - p, plane - p), normal) >= 0.0
-        way = q - p
-        length = np.einsum("ij,ij->i", way, way)
-        share = np.clip(np.einsum("ij,ij->i", x - p, way) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
-        foot = p + share[:, None] * way
+        step = q - p
+        length = np.einsum("ij,ij->i", step, step)
+        share = np.clip(np.einsum("ij,ij->i", x - p, step) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+        foot = p + share[:, None] * step
         apart = np.linalg.norm(x - foot, axis=1)
         best = np.where((apart < least)[:, None], foot, best)
         least = np.minimum(least, apart)
@@ -75,9 +75,9 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
     for _ in range(count):
         start = rng.normal(size=3)
         start = middle + reach * start / np.linalg.norm(start)
-        way = rng.uniform(low, high) - start
-        way /= np.linalg.norm(way)
-        found.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * way)
+        step = rng.uniform(low, high) - start
+        step /= np.linalg.norm(step)
+        found.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * step)
     return found
 
 
@@ -91,17 +91,17 @@ def test_a_proxy_is_blocked_by_triangles_it_touches(kind: str, radius: float, tm
     part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
     running = engine(part, fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(mesh.vertices[mesh.triangles])
-    for way in strokes(mesh, radius, np.random.default_rng(5), cases(12, 100)):
+    for step in strokes(mesh, radius, np.random.default_rng(5), cases(12, 100)):
         running.reset()
-        records = np.asarray(running.run(posed(way)))
+        records = np.asarray(running.run(posed(step)))
         proxy = records[:, AT.proxy_position : AT.proxy_position + 3]
         moved = np.linalg.norm(np.diff(proxy, axis=0), axis=1)
-        for tick in (*range(199, len(way), 200), len(way) - 1):
+        for tick in (*range(199, len(step), 200), len(step) - 1):
             touching = records[tick, AT.contact_mode] != 0
             if not touching:
                 assert not records[tick, AT.force : AT.force + 3].any()
-            elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - way[tick]) > 1e-6:
-                assert unexplained(corners, radius, proxy[tick], way[tick]) < UNEXPLAINED, (kind, radius, tick)
+            elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - step[tick]) > 1e-6:
+                assert unexplained(corners, radius, proxy[tick], step[tick]) < UNEXPLAINED, (kind, radius, tick)
 
 
 FINGERS = [{"name": name, "radius_m": r, "coupling": STIFF} for name, r in (("thumb", 0.004), ("index", 0.002))]
@@ -133,7 +133,7 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
         one = thumb[::coarse][:ticks]
         relative = {"thumb": one, "index": index[::coarse][:ticks] if moves else one[::-1]}
         running.reset()
-        records_of = running.run({name: posed(way + sway) for name, way in relative.items()})
+        records_of = running.run({name: posed(step + sway) for name, step in relative.items()})
         for name, finger in zip(relative, FINGERS, strict=True):
             records, probe, radius = np.asarray(records_of[name]), relative[name], finger["radius_m"]
             proxy = records[:, AT.proxy_position : AT.proxy_position + 3] - sway
@@ -160,14 +160,14 @@ def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Pa
     running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(crumpled.vertices[crumpled.triangles])
     restarted = 0
-    for way in strokes(crumpled, radius, np.random.default_rng(1), cases(12, 100)):
+    for step in strokes(crumpled, radius, np.random.default_rng(1), cases(12, 100)):
         running.reset()
-        records = np.asarray(running.run(posed(way[::4])))
+        records = np.asarray(running.run(posed(step[::4])))
         restarted += int((records[:, AT.contact_cause] == CAUSE_RESTART).sum())
         assert records[records[:, AT.contact_cause] == CAUSE_RESTART, AT.contact_mode].max(initial=FREE) == FREE
         if records[-1, AT.force : AT.force + 3].any():
             proxy = records[-1, AT.proxy_position : AT.proxy_position + 3]
-            assert unexplained(corners, radius, proxy, way[::4][-1]) < UNEXPLAINED
+            assert unexplained(corners, radius, proxy, step[::4][-1]) < UNEXPLAINED
     assert restarted > 0
 
 
@@ -246,13 +246,13 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
     for _ in range(cases(10, 200)):
         depth, begin, speed = rng.uniform(0.3, 4.0) * radius, rng.uniform(0.07, 0.13, 2), rng.uniform(-0.08, 0.08, 2)
         height = radius - depth * np.minimum(1.0, 10.0 * t) + 1e-3 * np.sin(9.0 * t)
-        way = np.column_stack([begin + t[:, None] * speed, height])
+        step = np.column_stack([begin + t[:, None] * speed, height])
         running.reset()
-        records = np.asarray(running.run(posed(way)))
+        records = np.asarray(running.run(posed(step)))
         expected = 1000.0 * np.maximum(radius - height, 0.0)[:, None] * [0.0, 0.0, 1.0]
         np.testing.assert_allclose(records[:, AT.force : AT.force + 3], expected, rtol=0.0, atol=1000.0 * 1e-9)
         proxies = records[:, AT.proxy_position : AT.proxy_position + 3]
-        there = np.column_stack([way[:, :2], np.maximum(height, radius)])
+        there = np.column_stack([step[:, :2], np.maximum(height, radius)])
         np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
 
 
@@ -286,9 +286,9 @@ def test_contacts_sum_to_the_force_unless_the_proxy_is_flagged(kind: str, tmp_pa
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     running = engine(thing("part", "mesh", file=str(file)), fingertip={"radius_m": radius})
     late = 0
-    for way in strokes(mesh, radius, np.random.default_rng(7), cases(8, 50)):
+    for step in strokes(mesh, radius, np.random.default_rng(7), cases(8, 50)):
         running.reset()
-        records = running.run(posed(way[::4]))
+        records = running.run(posed(step[::4]))
         contacts = records["contacts0.force"] + records["contacts1.force"] + records["contacts2.force"]
         off = np.linalg.norm(records["force"] - contacts, axis=1)
         late += int((off > 1e-9).sum())

@@ -238,10 +238,10 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
     def work(*corners):
         """Return the work of the hand along a path, J; on each segment the force varies linearly or is perpendicular to
         the path."""
-        way = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
-        force = part(running.run(poses(way)), "force")
+        path = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
+        force = part(running.run(poses(path)), "force")
         running.reset()
-        return -np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(way, axis=0))
+        return -np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path, axis=0))
 
     (over_stiff, stiff), (over_soft, soft) = ([(x, 0.0, R), (x, 0.0, R - deep)] for x in (-0.005, 0.005))
     gained = 0.5 * (stiffness[0] - stiffness[1]) * deep**2  # 0.35 mJ
@@ -266,9 +266,9 @@ def all_over():
 
 def deep():
     """Return the same path down to 20 mm depth: the edge of a single tile would release the proxy there."""
-    way = all_over()
-    way[:, 2] = np.linspace(R + 0.001, R - 0.02, len(way))
-    return way
+    path = all_over()
+    path[:, 2] = np.linspace(R + 0.001, R - 0.02, len(path))
+    return path
 
 
 WAYS = {
@@ -280,13 +280,16 @@ WAYS = {
 
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
-@pytest.mark.parametrize(("way", "tip"), [*((way, {}) for way in WAYS), ("all over", SOFT)])
-def test_a_tiled_surface_equals_a_plane(cases, way, tip):
+@pytest.mark.parametrize(("path", "tip"), [*((path, {}) for path in WAYS), ("all over", SOFT)])
+def test_a_tiled_surface_equals_a_plane(cases, path, tip):
     """A hundred flush boxes of 6 mm give the same records as a plane."""
     stuff = material(GRIP, LIMP)
-    whole = WAYS[way]()
-    way = whole[:: len(whole) // cases(200, len(whole))]
-    plane, boxes = engine(wall("plane", (0, 0, 1), stuff), **tip).run(way), engine(*tiled(0.006, stuff), **tip).run(way)
+    whole = WAYS[path]()
+    path = whole[:: len(whole) // cases(200, len(whole))]
+    plane, boxes = (
+        engine(wall("plane", (0, 0, 1), stuff), **tip).run(path),
+        engine(*tiled(0.006, stuff), **tip).run(path),
+    )
     assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
     # Rolling by u over a seam lowers the proxy by u^2 / 2 r. If that is below the rounding of r (u < 0.2 nm), the next
     # box is not closer: the contact point stays at the edge, and the normal is off by u / r, which is 4e-9 N m at 20 mm

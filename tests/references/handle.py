@@ -43,11 +43,11 @@ def _tick(
         """All but damping and friction."""
         return motors(t, a) + h.stiffness * (p0 + w * t - x) + h.hand_damping * w
 
-    def rates(way: float):
+    def rates(sense: float):
         def f(t: float, y: NDArray[np.float64]) -> list[float]:
-            total = applied(t, y[0], y[2]) - (h.damping + h.hand_damping) * y[1] - way * h.friction
+            total = applied(t, y[0], y[2]) - (h.damping + h.hand_damping) * y[1] - sense * h.friction
             fall = 0.0 if h.lag == 0.0 else (u - y[2]) / h.lag
-            if way == 0.0 and h.friction > 0.0:
+            if sense == 0.0 and h.friction > 0.0:
                 return [0.0, 0.0, fall]
             return [y[1], total / h.mass, fall]
 
@@ -55,31 +55,31 @@ def _tick(
 
     # It breaks away a rounding late, or it would be found to stop again at once.
     limit = h.friction * (1.0 + 1e-12)
-    t, way = 0.0, float(np.sign(v))
-    if way == 0.0 and abs(applied(0.0, x, a)) > limit:
-        way = float(np.sign(applied(0.0, x, a)))
+    t, sense = 0.0, float(np.sign(v))
+    if sense == 0.0 and abs(applied(0.0, x, a)) > limit:
+        sense = float(np.sign(applied(0.0, x, a)))
     for _ in range(50):
         if t >= period:
             return x, v, a
         events = []
         if h.friction > 0.0:
-            if way:
+            if sense:
                 # A start from rest is not a stop: the event is found slightly late, by rounding.
-                events = [lambda t, y, way=way: way * y[1] + 1e-15]
+                events = [lambda t, y, sense=sense: sense * y[1] + 1e-15]
                 events[0].direction = -1.0
             else:
                 events = [lambda t, y: abs(applied(t, y[0], y[2])) - limit]
                 events[0].direction = 1.0
             events[0].terminal = True
         found = solve_ivp(
-            rates(way), (t, period), [x, v, a], "DOP853", rtol=1e-12, atol=1e-16, events=events, max_step=period / 8.0
+            rates(sense), (t, period), [x, v, a], "DOP853", rtol=1e-12, atol=1e-16, events=events, max_step=period / 8.0
         )
         t, (x, v, a) = float(found.t[-1]), found.y[:, -1]
         if found.status == 1:
             force = applied(t, x, a)
-            if way:
+            if sense:
                 v = 0.0
-                way = float(np.sign(force)) if abs(force) > limit else 0.0
+                sense = float(np.sign(force)) if abs(force) > limit else 0.0
             else:
-                way = float(np.sign(force))
+                sense = float(np.sign(force))
     raise RuntimeError(f"the integrator does not get past {t} s of a tick: {h}")

@@ -15,9 +15,9 @@ from softfinger.server.verbs.check import examine_file
 
 @pytest.mark.plain
 def test_check_prints_modelled_and_omitted_effects() -> None:
-    done = called("check", "paper-plane", "frictionless-plane", "replay")
-    assert done.returncode == 0, done.stderr
-    out = done.stdout
+    result = called("check", "paper-plane", "frictionless-plane", "replay")
+    assert result.returncode == 0, result.stderr
+    out = result.stdout
     assert "paper-plane: scene, usable" in out
     assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
     assert re.search(r"friction +static 0.6, kinetic 0.5", out)
@@ -41,9 +41,9 @@ def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
         material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
         motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
     """)
-    done = called("check", str(file))
-    assert done.returncode == 0, done.stderr
-    out = done.stdout
+    result = called("check", str(file))
+    assert result.returncode == 0, result.stderr
+    out = result.stdout
     assert re.search(r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", out)
     assert re.search(r"normal force +.*exponent 1\.5", out)
     assert re.search(r"motion sinusoid +.*frequency_hz 2", out)
@@ -62,9 +62,9 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
     for name, text in files.items():
         (tmp_path / f"{name}.toml").write_text(text)
     paths = [str(tmp_path / f"{name}.toml") for name in files]
-    done = called("check", *paths, "replay", "repaly")
-    assert done.returncode == 2, done.stderr
-    out, err = done.stdout, done.stderr
+    result = called("check", *paths, "replay", "repaly")
+    assert result.returncode == 2, result.stderr
+    out, err = result.stdout, result.stderr
     assert "replay: rig, usable" in out
     for part in [
         "fingertip.radius_m = 0",
@@ -81,11 +81,11 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
 @pytest.mark.plain
 def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
     """`check` prints conditions, trials and duration of an experiment, and each error of it and of its scene."""
-    done = called("check", "curvature-by-rolling", "stiffness-discrimination")
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", done.stdout)
+    result = called("check", "curvature-by-rolling", "stiffness-discrimination")
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", result.stdout)
     # 82 trials of two touches, each of 2 s after a gap of 0.3 s.
-    assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", done.stdout)
+    assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", result.stdout)
     file = tmp_path / "mine.toml"
     file.write_text("""
         title = "mine"
@@ -100,22 +100,23 @@ def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
         [design]
         seed = 1
     """)
-    done = called("check", str(file))
-    assert done.returncode == 2 and "did you mean 'stiffness_n_per_m'" in done.stderr
+    result = called("check", str(file))
+    assert result.returncode == 2 and "did you mean 'stiffness_n_per_m'" in result.stderr
     file.write_text(file.read_text().replace("stifness", "stiffness").replace("seed = 1", "sed = 1"))
-    done = called("check", str(file))
-    assert "2 faults" not in done.stderr and done.stderr.count("\n") == 3
+    result = called("check", str(file))
+    assert "2 faults" not in result.stderr and result.stderr.count("\n") == 3
     assert (
-        "design.sed is not a key here (did you mean 'seed'?)" in done.stderr and "design.seed is missing" in done.stderr
+        "design.sed is not a key here (did you mean 'seed'?)" in result.stderr
+        and "design.seed is missing" in result.stderr
     )
 
 
 @pytest.mark.plain
 def test_check_as_json() -> None:
     """`check --json` prints kind, errors and the full content with defaults."""
-    done = called("check", "--json", "plane-at-60mm", "nothing-like-it")
-    assert done.returncode == 2, done.stderr
-    good, bad = json.loads(done.stdout)
+    result = called("check", "--json", "plane-at-60mm", "nothing-like-it")
+    assert result.returncode == 2, result.stderr
+    good, bad = json.loads(result.stdout)
     assert good["kind"] == "scene"
     assert good["errors"] == []
     assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
@@ -124,10 +125,10 @@ def test_check_as_json() -> None:
 
 def test_explain_prints_measured_costs() -> None:
     """`--explain` prints the cost of a tick and of the contact, and the damping a device needs, for scenes only."""
-    done = called("check", "--explain", "frictionless-plane", "replay")
-    assert done.returncode == 0, done.stderr
+    result = called("check", "--explain", "frictionless-plane", "replay")
+    assert result.returncode == 0, result.stderr
     for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
-        assert len(re.findall(said, done.stdout)) == 1, done.stdout
+        assert len(re.findall(said, result.stdout)) == 1, result.stdout
 
 
 @pytest.mark.plain
@@ -193,12 +194,12 @@ def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
     ]
     (tmp_path / "two.stl").write_bytes(b"solid")
     (tmp_path / "scene.toml").write_text("[fingertip]\nradius_m = 0.01\n" + "".join(objects))
-    done = called("check", str(tmp_path / "scene.toml"))
-    assert done.returncode == 2
-    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it is truncated", done.stderr)
+    result = called("check", str(tmp_path / "scene.toml"))
+    assert result.returncode == 2
+    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it is truncated", result.stderr)
 
 
 def test_an_error_names_its_file_once(tmp_path: Path) -> None:
     file = tmp_path / "missing.toml"
-    done = called("check", str(file))
-    assert done.returncode == 2 and done.stderr == f"{file}: not usable\n  no such file\n"
+    result = called("check", str(file))
+    assert result.returncode == 2 and result.stderr == f"{file}: not usable\n  no such file\n"

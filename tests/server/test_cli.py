@@ -45,20 +45,20 @@ print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_c
 def test_garbage_collection_is_on_when_a_verb_runs():
     """Garbage collection is off during imports and on in a verb; numpy is imported after its thread count is set."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    done = run_program([sys.executable, "-c", BEGIN], env=environment)
-    assert done.stdout.splitlines()[-1:] == ["False 1 True True"], done.stderr
+    outcome = run_program([sys.executable, "-c", BEGIN], env=environment)
+    assert outcome.stdout.splitlines()[-1:] == ["False 1 True True"], outcome.stderr
 
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help(verb):
-    done = called(verb, "--help")
-    assert done.returncode == 0 and f"softfinger {verb}" in done.stdout and len(done.stdout) > 150
+    outcome = called(verb, "--help")
+    assert outcome.returncode == 0 and f"softfinger {verb}" in outcome.stdout and len(outcome.stdout) > 150
 
 
 def test_unknown_verb_lists_the_verbs():
     """An unknown verb is a usage error that lists the verbs."""
-    done = called("fly")
-    assert done.returncode == 2 and "simulate" in done.stderr
+    outcome = called("fly")
+    assert outcome.returncode == 2 and "simulate" in outcome.stderr
 
 
 @pytest.mark.parametrize(
@@ -74,8 +74,8 @@ def test_unknown_verb_lists_the_verbs():
 )
 def test_a_similar_name_is_suggested(line, said):
     """The error for a misspelt verb, kind or option suggests a similar name, if there is one."""
-    done = called(*line.split())
-    assert done.returncode == 2 and said in done.stderr and done.stdout == ""
+    outcome = called(*line.split())
+    assert outcome.returncode == 2 and said in outcome.stderr and outcome.stdout == ""
 
 
 @pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
@@ -90,10 +90,10 @@ def test_verbosity_flags_work_before_and_after_a_verb(line, flag):
 def test_quiet_leaves_warnings_and_results(tmp_path):
     """With -q standard error has no log or progress lines; errors are still printed."""
     words = ["run", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--realtime", "off", "--duration", "0.1"]
-    done = run(*words, "-q")
-    assert done.returncode == 0 and done.stderr == ""
-    done = called("check", "nothing", "-q")
-    assert done.returncode == 2 and "nothing" in done.stdout + done.stderr
+    outcome = run(*words, "-q")
+    assert outcome.returncode == 0 and outcome.stderr == ""
+    outcome = called("check", "nothing", "-q")
+    assert outcome.returncode == 2 and "nothing" in outcome.stdout + outcome.stderr
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
@@ -116,8 +116,8 @@ def test_completion_lists_shipped_names(tmp_path):
     for words, wanted in asked.items():
         at = len(words.split())
         ask = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={at}; _shtab_softfinger; echo ${{COMPREPLY[@]}}"
-        done = run_program(["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, check=True)
-        assert done.stdout.split() == wanted
+        outcome = run_program(["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, check=True)
+        assert outcome.stdout.split() == wanted
 
 
 HELP = """
@@ -133,9 +133,9 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kin
 
 def test_help_imports_no_compiler():
     """The options of every verb and measurement are shown without numpy, numba and what else they run with."""
-    done = run_program([sys.executable, "-c", HELP], check=True)
+    outcome = run_program([sys.executable, "-c", HELP], check=True)
     words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
-    assert done.stdout.splitlines() == [f"{each}--help set()" for each in words]
+    assert outcome.stdout.splitlines() == [f"{each}--help set()" for each in words]
 
 
 def test_run_for_a_duration_logs_plain_lines():
@@ -161,11 +161,11 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
         '[device]\ndriver = "replay"\nrecording = "tap"\n'
         '[servo]\nrate_hz = 20000\nrealtime = "always"\n[guard]\nforce_max = 5.0\n'
     )
-    done = called("run", "--rig", str(rig))
-    assert done.returncode == 2 and done.stdout == ""
+    outcome = called("run", "--rig", str(rig))
+    assert outcome.returncode == 2 and outcome.stdout == ""
     for piece in ("bench.toml", "servo.rate_hz", "20000", "8000", "servo.realtime", "always", "force_max_n"):
-        assert piece in done.stderr
-    assert "Traceback" not in done.stderr
+        assert piece in outcome.stderr
+    assert "Traceback" not in outcome.stderr
 
 
 @pytest.mark.parametrize(
@@ -184,10 +184,10 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
 )  # fmt: skip
 def test_bad_words_give_one_clear_error(words, code, pieces):
     """The error for a wrong value has the option, the value and the allowed ones, without a traceback."""
-    done = called(*words)
-    assert done.returncode == code, done.stderr
-    assert all(piece in done.stderr for piece in pieces), done.stderr
-    assert "Traceback" not in done.stderr
+    outcome = called(*words)
+    assert outcome.returncode == code, outcome.stderr
+    assert all(piece in outcome.stderr for piece in pieces), outcome.stderr
+    assert "Traceback" not in outcome.stderr
 
 
 def test_an_endpoint_in_use_gives_exit_code_7():
@@ -202,8 +202,8 @@ def test_an_endpoint_in_use_gives_exit_code_7():
 def test_simulate_writes_every_format(ending, tmp_path):
     """Every results format is read back with the same ticks."""
     out = tmp_path / f"out{ending}"
-    done = called(*SIMULATE, "--out", str(out))
-    assert done.returncode == 0 and "3 touch" in done.stdout and "3 release" in done.stdout
+    outcome = called(*SIMULATE, "--out", str(out))
+    assert outcome.returncode == 0 and "3 touch" in outcome.stdout and "3 release" in outcome.stdout
     records = read_results(out)
     assert records.shape == (2281, len(columns()))  # 228 intervals of 10 ms, and the first sample
     np.testing.assert_array_equal(records[:, 1], np.arange(2281))
@@ -229,18 +229,18 @@ def test_a_long_run_needs_bounded_memory(ending, tmp_path):
     header = "t,x,y,z,qw,qx,qy,qz"
     np.savetxt(tmp_path / "poses.csv", poses, fmt="%.9g", delimiter=",", header=header, comments="")
     words = ["simulate", "--scene", "paper-plane", "--poses", "poses.csv", "--out", f"out{ending}"]
-    done = run_program([sys.executable, "-c", PEAK, *words], cwd=tmp_path, check=True)
-    code, peak = map(int, done.stdout.splitlines()[-1].split())
-    assert code == 0 and "600001 ticks" in done.stdout
+    outcome = run_program([sys.executable, "-c", PEAK, *words], cwd=tmp_path, check=True)
+    code, peak = map(int, outcome.stdout.splitlines()[-1].split())
+    assert code == 0 and "600001 ticks" in outcome.stdout
     assert peak <= 250
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
     """`info`, `export` and `replay` find a shipped recording by name; its exported poses give the same results."""
-    done = called("info", "tap")
-    assert done.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in done.stdout
-    assert "x 0 to 0, y 0 to 0, z " in done.stdout and "unknown" not in done.stdout
+    outcome = called("info", "tap")
+    assert outcome.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in outcome.stdout
+    assert "x 0 to 0, y 0 to 0, z " in outcome.stdout and "unknown" not in outcome.stdout
     poses, out = tmp_path / f"poses{ending}", tmp_path / "out.csv"
     assert called("export", "tap", "--out", str(poses)).returncode == 0
     if ending != ".parquet":
@@ -251,9 +251,9 @@ def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
         assert called("simulate", "--poses", str(poses), "--out", str(out)).returncode == 0
         assert out.read_bytes() == before
         assert "sliding" in called("info", str(out)).stdout
-    done = called("info", "tpa")
-    assert done.returncode == 3
-    assert "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)" in done.stderr
+    outcome = called("info", "tpa")
+    assert outcome.returncode == 3
+    assert "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)" in outcome.stderr
 
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
@@ -296,10 +296,10 @@ LONG = "x" * 300
 def test_streams_and_names_that_cannot_be_used(line, code, said):
     """A closed or full output, a closed pipe and a name that is too long give at most one error line."""
     words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
-    done = run_program(words)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr and said in done.stdout + done.stderr
-    assert len([row for row in done.stderr.splitlines() if row.startswith("softfinger:")]) <= 1
+    outcome = run_program(words)
+    assert outcome.returncode == code, outcome.stderr
+    assert "Traceback" not in outcome.stderr and said in outcome.stdout + outcome.stderr
+    assert len([row for row in outcome.stderr.splitlines() if row.startswith("softfinger:")]) <= 1
 
 
 def test_closed_streams_do_not_become_a_device(tmp_path):
@@ -319,9 +319,9 @@ def test_closed_streams_do_not_become_a_device(tmp_path):
 def test_a_low_limit_of_open_files_is_reported(words):
     """With a limit of eight open files, one line reports how many are needed; ZeroMQ would abort."""
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
-    done = run_program(["bash", "-c", command])
-    assert done.returncode == 11, done.stderr
-    assert done.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
+    outcome = run_program(["bash", "-c", command])
+    assert outcome.returncode == 11, outcome.stderr
+    assert outcome.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
 
 
 @pytest.mark.plain
@@ -334,10 +334,10 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     monkeypatch.setattr(step, "make_touching_poses", lambda scene: poses(scene, 50))
     monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
-    done = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
-    assert done.returncode == 0, done.stderr
+    outcome = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
+    assert outcome.returncode == 0, outcome.stderr
     assert plot.read_bytes().startswith(b"\x89PNG")
-    assert_step(json.loads(done.stdout))
+    assert_step(json.loads(outcome.stdout))
 
 
 def assert_step(result):
@@ -359,9 +359,9 @@ def test_bench_prints_json(kind, tmp_path):
         "telemetry": ["--seconds", "0.5", "--subscribers", "2"],
     }[kind]
     plot = tmp_path / "plot.png"
-    done = run("bench", kind, "--json", "--plot", str(plot), *words)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    outcome = run("bench", kind, "--json", "--plot", str(plot), *words)
+    assert outcome.returncode == 0, outcome.stderr
+    result = json.loads(outcome.stdout)
     assert plot.read_bytes().startswith(b"\x89PNG")
     if kind == "step":
         assert_step(result)
@@ -383,16 +383,16 @@ def test_bench_prints_json(kind, tmp_path):
 )
 def test_plot_is_refused_before_the_work(plot, why):
     """A figure that cannot be saved is refused on the command line with the reason."""
-    done = called("bench", "loop", "--seconds", "600", "--plot", plot)
-    assert done.returncode == 2 and f"--plot: {plot}: {why}" in done.stderr
+    outcome = called("bench", "loop", "--seconds", "600", "--plot", plot)
+    assert outcome.returncode == 2 and f"--plot: {plot}: {why}" in outcome.stderr
 
 
 def test_run_is_drawn(tmp_path):
     """`simulate --plot` writes an SVG with every curve and mode named; two runs give equal files."""
     drawn = []
     for name in ("one.svg", "two.svg"):
-        done = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
-        assert done.returncode == 0, done.stderr
+        outcome = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
+        assert outcome.returncode == 0, outcome.stderr
         drawn.append((tmp_path / name).read_text())
     assert drawn[0] == drawn[1]
     assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))
@@ -400,6 +400,6 @@ def test_run_is_drawn(tmp_path):
 
 def test_bench_refuses_an_unknown_feature():
     """The error for a pattern without a matching feature lists the features, before anything is compiled."""
-    done = called("bench", "step", "--features", "tosion*")
-    assert done.returncode == 2
-    assert "--features 'tosion*': no feature has such a name" in done.stderr and "torsion linear" in done.stderr
+    outcome = called("bench", "step", "--features", "tosion*")
+    assert outcome.returncode == 2
+    assert "--features 'tosion*': no feature has such a name" in outcome.stderr and "torsion linear" in outcome.stderr

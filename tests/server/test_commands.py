@@ -108,12 +108,12 @@ def rig(monkeypatch):
 @contextlib.contextmanager
 def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, Kept]]:
     """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
-    kept = Kept()
-    with Daemon(rig, scene or pressed_scene(), sinks=[kept.sink], scene_name="pressed") as daemon:
+    recorder = Kept()
+    with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
-            assert eventually(kept.whole)
-            yield daemon, control, kept
+            assert eventually(recorder.whole)
+            yield daemon, control, recorder
             daemon.stop()
             assert daemon.wait(60.0)
 
@@ -149,7 +149,7 @@ def unchanged(rows: np.ndarray) -> bool:
 
 def test_every_method_answers(rig):
     """Each method in a row returns its answer and sends its event."""
-    with running(rig()) as (daemon, control, kept), events(daemon) as following:
+    with running(rig()) as (daemon, control, recorder), events(daemon) as following:
         state = control.get_state()
         assert state.active_field == "pressed" and state.position[2] == 0.009
         assert state.force[2] == pytest.approx(1000.0 * DEPTH_M + 1.0, rel=ROUNDING)
@@ -157,20 +157,20 @@ def test_every_method_answers(rig):
         assert control.heartbeat().timeout_ms == 0
         changed = control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]})
         assert {key: (c.before, c.after) for key, c in changed.changed.items()} == {STIFFNESS: (1000.0, 500.0)}
-        told = following("command")
-        assert told["name"] == "set_params" and told["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
+        message = following("command")
+        assert message["name"] == "set_params" and message["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
         assert control.mark("trial 7", {"hand": "left"}).tick > 0
-        told = following("mark")
-        assert (told["label"], told["data"]) == ("trial 7", {"hand": "left"}) and told["command_id"]
+        message = following("mark")
+        assert (message["label"], message["data"]) == ("trial 7", {"hand": "left"}) and message["command_id"]
         assert control.disarm().armed is False and following("command")["name"] == "disarm"
         assert control.arm().armed is True and following("command")["what"] == {"armed": True}
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
-        told = following("command")
-        assert told["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and told["name"] == "drive"
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > moved.tick)
+        message = following("command")
+        assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
         normal = pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
-        assert eventually(lambda: kept.rows[-1][-1, AT.contact_normal_force] == normal)
+        assert eventually(lambda: recorder.rows[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
         with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
@@ -190,13 +190,13 @@ def test_every_method_answers(rig):
 
 def test_a_parameter_changes_along_its_ramp(rig):
     """The answer and `describe` have the target value and the ramp time; the rendered force follows the ramp."""
-    with running(rig(**{"commands.ramp_s": 0.1})) as (daemon, control, kept):
+    with running(rig(**{"commands.ramp_s": 0.1})) as (daemon, control, recorder):
         first = daemon.servo.ticks
         changed = control.set_params({STIFFNESS: 500.0})
         assert (changed.changed[STIFFNESS].after, changed.ramp_s) == (500.0, 0.1)
         assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 500.0
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > changed.tick + 110)
-        normal = kept.since(first - 1)[:, AT.contact_normal_force]
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > changed.tick + 110)
+        normal = recorder.since(first - 1)[:, AT.contact_normal_force]
         assert control.get_state().force[2] == pytest.approx(500.0 * DEPTH_M + 1.0, rel=ROUNDING)
     assert normal[0] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
     assert normal[-1] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)
@@ -205,7 +205,7 @@ def test_a_parameter_changes_along_its_ramp(rig):
 
 def test_events_of_every_command_are_recorded(rig, tmp_path):
     """Every method is called during a recording; the recorded events equal those sent to subscribers."""
-    told = []
+    message = []
     with (
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
         subscribe(daemon.publisher.endpoint, ["event"]) as following,
@@ -246,8 +246,8 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
             ask()
         assert set(METHODS) - set(asked) == {"record_start", "record_stop", "stop"}
         control.mark("the last")
-        while not told or told[-1].get("label") != "the last":
-            told.append(following.receive(60.0).as_map())
+        while not message or message[-1].get("label") != "the last":
+            message.append(following.receive(60.0).as_map())
         stopped = control.record_stop()
     assert stopped.error == "" and stopped.dropped == 0
     assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
@@ -257,11 +257,11 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
     def essence(events):
         """Return the events of commands without time and order; contact and guard events follow from ticks."""
         kinds, recording = ("command", "mark", "lifecycle"), ("record_start", "record_stop")
-        kept = [each for each in events if each["kind"] in kinds and each["name"] not in recording]
-        return sorted(json.dumps({key: each[key] for key in sorted(each.keys() - own)}) for each in kept)
+        recorder = [each for each in events if each["kind"] in kinds and each["name"] not in recording]
+        return sorted(json.dumps({key: each[key] for key in sorted(each.keys() - own)}) for each in recorder)
 
-    assert len(essence(told)) >= 8
-    assert essence(found) == essence(told)
+    assert len(essence(message)) >= 8
+    assert essence(found) == essence(message)
 
 
 def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
@@ -281,9 +281,9 @@ def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
         with RemoteClient(f"ipc://{tmp_path}/one", f"ipc://{tmp_path}/elsewhere", timeout_s=WAIT_S) as client:
             client.disarm()
         assert eventually(lambda: one.force_n == 0.0) and other.force_n > 0.0
-    with on("usual") as (_, _, kept), RemoteClient(f"ipc://{tmp_path}/usual", timeout_s=WAIT_S) as client:
+    with on("usual") as (_, _, recorder), RemoteClient(f"ipc://{tmp_path}/usual", timeout_s=WAIT_S) as client:
         client.disarm()
-        assert eventually(lambda: kept.force_n == 0.0)
+        assert eventually(lambda: recorder.force_n == 0.0)
 
 
 def test_several_fingers_are_commanded_together(rig):
@@ -302,11 +302,11 @@ def test_several_fingers_are_commanded_together(rig):
         ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
-    with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, kept):
+    with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, recorder):
 
         def felt(*wanted: float) -> bool:
             return eventually(
-                lambda: kept.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
+                lambda: recorder.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
             )
 
         assert felt(2.0, 1.5)
@@ -369,7 +369,7 @@ REFUSED = [
 
 def test_refused_commands_name_the_error_and_change_nothing(rig):
     """Each refused request has a named error with the reason; scene, force and arming stay the same."""
-    with running(rig()) as (daemon, control, kept):
+    with running(rig()) as (daemon, control, recorder):
         before, first = control.describe(), daemon.servo.ticks
         for method, params, name, words in REFUSED:
             with pytest.raises(CommandRefused, match=f"^{name}: ") as refused:
@@ -377,14 +377,14 @@ def test_refused_commands_name_the_error_and_change_nothing(rig):
             assert words in str(refused.value), refused.value
         after = control.describe()
         assert all(before[key] == after[key] for key in ("scene", "scene_name", "rig", "armed"))
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > first + 20)
-        assert unchanged(kept.since(first))
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > first + 20)
+        assert unchanged(recorder.since(first))
 
 
 def test_parameters_set_together_are_never_torn(rig):
     """k d + f is the same in every tick while both change every other tick; each pair is active for many ticks."""
     pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
-    with running(rig()) as (daemon, control, kept):
+    with running(rig()) as (daemon, control, recorder):
         first, asked = daemon.servo.ticks, 400
         for number in range(asked):
             stiffness, push = pairs[number % 4]
@@ -392,7 +392,7 @@ def test_parameters_set_together_are_never_torn(rig):
             control.set_params({STIFFNESS: stiffness, PUSH: [0.0, 0.0, push]})
             while daemon.servo.ticks < tick + 2:
                 time.sleep(0.0002)
-        rows = kept.since(first)
+        rows = recorder.since(first)
     rows = rows[rows[:, AT.servo_guard] == 0.0]
     normal = rows[:, AT.contact_normal_force]
     np.testing.assert_allclose(rows[:, AT.force + 2], 2.0, rtol=ROUNDING)
@@ -404,35 +404,35 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
     """In eight changes of scene in contact, no force changes faster than the slew limit."""
     own = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane",
            "material": {"stiffness_n_per_m": 700.0}}]}  # fmt: skip
-    with running(rig(), load_scene("frictionless-plane")) as (daemon, control, kept):
+    with running(rig(), load_scene("frictionless-plane")) as (daemon, control, recorder):
         first = daemon.servo.ticks
         for number in range(8):
             scene = "paper-plane" if number % 2 else own
             done = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
             assert done.active_field == f"number {number}"
-            assert eventually(lambda: kept.force_n > 0.85)
-            begun = kept.since(done.tick - 1)
+            assert eventually(lambda: recorder.force_n > 0.85)
+            begun = recorder.since(done.tick - 1)
             assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == done.tick
-        rows = kept.since(first)
+        rows = recorder.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
     assert largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # without the last zero, of a stop in contact
 
 
 def test_disarm_fades_out_and_arm_fades_in(rig):
     """After disarm the force falls to zero within the slew limit and stays there; after arm it follows the ramp."""
-    with running(rig()) as (daemon, control, kept):
+    with running(rig()) as (daemon, control, recorder):
         first = daemon.servo.ticks
         assert control.disarm().armed is False
-        assert eventually(lambda: kept.rows[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
+        assert eventually(lambda: recorder.rows[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
         silent = daemon.servo.ticks
         control.set_params({STIFFNESS: 2000.0})
         tick = control.set_scene("frictionless-plane").tick
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 100)
-        assert not kept.since(silent)[:, AT.force : AT.force + 3].any()
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert not recorder.since(silent)[:, AT.force : AT.force + 3].any()
         armed = daemon.servo.ticks
         assert control.arm().armed is True
-        assert eventually(lambda: kept.force_n > 0.99)
-        rows = kept.since(first)
+        assert eventually(lambda: recorder.force_n > 0.99)
+        rows = recorder.since(first)
         assert largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
         fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
         # The ramp's ticks; the last one has the full force.
@@ -441,41 +441,41 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
 
 def test_disarm_and_arm_cause_no_step_of_force(rig):
     """With disarm and arm faster than the force can fade, rises stay below the slew limit, and the daemon is armed."""
-    with running(rig()) as (daemon, control, kept):
+    with running(rig()) as (daemon, control, recorder):
         first = daemon.servo.ticks
         for _ in range(20):
             control.disarm()
             control.arm()
-        assert eventually(lambda: kept.force_n > 1.99)
-        assert largest_rise(kept.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        assert eventually(lambda: recorder.force_n > 1.99)
+        assert largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
 
 
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
     """After the time-out the force fades out with an event; a heartbeat restores it, but not after `disarm`."""
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
         assert control.heartbeat().timeout_ms == 500
         while (lost := following("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
             pass
         assert lost["what"] == {"after_s": 0.5}
-        assert eventually(lambda: kept.force_n == 0.0)
-        assert control.describe()["armed"] is False and kept.force_n == 0.0
+        assert eventually(lambda: recorder.force_n == 0.0)
+        assert control.describe()["armed"] is False and recorder.force_n == 0.0
         control.heartbeat()
         assert following("command")["what"] == {"armed": True}
         with Control(daemon.commands_endpoint) as other, repeated(other.heartbeat, 0.05):
-            assert eventually(lambda: kept.force_n > 1.9)
+            assert eventually(lambda: recorder.force_n > 1.9)
             control.disarm()
-            assert eventually(lambda: kept.force_n == 0.0)
+            assert eventually(lambda: recorder.force_n == 0.0)
             control.heartbeat()
             time.sleep(0.2)
-            assert kept.force_n == 0.0 and control.describe()["armed"] is False
+            assert recorder.force_n == 0.0 and control.describe()["armed"] is False
 
 
 def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
     """The force remains off if a request arrives after the heartbeat was missed, but before the periodic check."""
     monkeypatch.setattr(CommandService, "_check_periodically", lambda self: None)
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept):
-        assert eventually(lambda: control.heartbeat() and kept.force_n > 1.9)
-        assert eventually(lambda: kept.force_n == 0.0)
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder):
+        assert eventually(lambda: control.heartbeat() and recorder.force_n > 1.9)
+        assert eventually(lambda: recorder.force_n == 0.0)
         assert control.describe()["armed"] is False
         assert daemon.rendering.force.is_inhibited_by(SILENT)
         assert control.heartbeat() and daemon.rendering.force.is_requested
@@ -483,16 +483,16 @@ def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
 
 def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
     """After disarm and a missed heartbeat, a heartbeat clears only its cause; `arm` clears both."""
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, kept), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
         control.disarm()
         assert eventually(lambda: daemon.rendering.force.is_inhibited_by(SILENT))
         control.heartbeat()
-        while (told := following("command"))["name"] != "heartbeat":
+        while (message := following("command"))["name"] != "heartbeat":
             pass
-        assert told["what"] == {"armed": False}
+        assert message["what"] == {"armed": False}
         tick = daemon.servo.ticks
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > tick + 100)
-        assert not kept.since(tick)[:, AT.force : AT.force + 3].any()
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert not recorder.since(tick)[:, AT.force : AT.force + 3].any()
         assert control.arm().armed is True
 
 
@@ -523,7 +523,7 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
 
 def test_a_client_of_hapticores_protocol_works_unchanged(rig):
     """The state has exactly Hapticore's keys; heartbeats, unknown methods and stop are answered by its protocol."""
-    with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, kept):
+    with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, recorder):
         client = Client(daemon.commands_endpoint)
         try:
             first = client.state()
@@ -537,7 +537,7 @@ def test_a_client_of_hapticores_protocol_works_unchanged(rig):
         finally:
             client._shutdown.set()  # before the daemon is closed and no longer answers
             client.close()
-        assert kept.force_n >= 0.0
+        assert recorder.force_n >= 0.0
 
 
 def test_each_client_gets_its_answers(rig):
@@ -630,7 +630,7 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
     """Other requests are answered while one compiles; a later scene or the daemon's end ends that compiler."""
     words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
-        running(rig()) as (daemon, control, kept),
+        running(rig()) as (daemon, control, recorder),
         on_terminal([*words, daemon.commands_endpoint]) as (asking, pieces),
         ThreadPoolExecutor() as pool,
         Control(daemon.commands_endpoint) as second,
@@ -642,7 +642,7 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         control.timeout_s = 5.0
         assert control.heartbeat().timeout_ms == 0
         assert control.disarm().armed is False
-        assert eventually(lambda: kept.force_n == 0.0)
+        assert eventually(lambda: recorder.force_n == 0.0)
         answer = pool.submit(second.set_scene, "sphere")
         assert any("superseded: " in piece for piece in pieces)
         assert asking.wait(60) == 12
@@ -694,11 +694,11 @@ def test_a_failed_compilation_is_reported(rig, monkeypatch):
     """The error reports the failed compilation, and the previous scene stays active."""
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
     monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
-    with running(rig()) as (_, control, kept):
+    with running(rig()) as (_, control, recorder):
         monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
             control.set_scene("sphere")
-        assert control.get_state().active_field == "pressed" and kept.force_n > 1.9
+        assert control.get_state().active_field == "pressed" and recorder.force_n > 1.9
 
 
 def test_the_compiler_exits_when_its_input_is_closed():
@@ -810,7 +810,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 def test_bad_messages_change_nothing(rig, cases):
     """The force is the same in every tick, memory does not grow, and every message and a valid client are answered."""
     clients, each = cases(4, 20), cases(500, 5000)
-    with running(rig(**QUIET)) as (daemon, control, kept), zmq.Context() as context:
+    with running(rig(**QUIET)) as (daemon, control, recorder), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
         # The clients' threads are in this process; measure once all of them run.
         at_work = threading.Barrier(clients + 1)
@@ -839,14 +839,14 @@ def test_bad_messages_change_nothing(rig, cases):
         for thread in threads:
             thread.start()
         at_work.wait()
-        memory_mb, recorded_mb = resident_mb(), kept.megabytes
+        memory_mb, recorded_mb = resident_mb(), recorder.megabytes
         while any(thread.is_alive() for thread in threads):
             control.heartbeat()
             time.sleep(0.05)
-        grown_mb = resident_mb() - memory_mb - (kept.megabytes - recorded_mb)
+        grown_mb = resident_mb() - memory_mb - (recorder.megabytes - recorded_mb)
         assert not failures, failures[:3]
         assert control.describe()["scene"] == before
-        assert unchanged(kept.since(first))
+        assert unchanged(recorder.since(first))
     # Of 90 000 messages a leak of 200 bytes for each would be 18 MB. With few messages the allocator reserves some MB
     # for any number of them; a leak of 5 kB for each would be as much.
     assert grown_mb < cases(9, 18), grown_mb
@@ -857,9 +857,9 @@ RAW_S = 0.4
 
 def test_raw_peers_do_not_affect_memory_or_ticks(rig):
     """With 45 connections at a time clients are answered, memory is bounded, and every tick is recorded."""
-    with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, kept):
+    with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
         wanted = control.describe()["rig"]
-        first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), kept.megabytes
+        first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), recorder.megabytes
         # In a separate process, because they would use the CPU time of the daemon's threads and of the clients.
         words = [sys.executable, raw_peers.__file__, daemon.commands_endpoint, str(RAW_S)]
         with Program(words, stdout=subprocess.PIPE) as peers:
@@ -873,8 +873,8 @@ def test_raw_peers_do_not_affect_memory_or_ticks(rig):
         assert peers.returncode == 0 and answered > 0
         with Control(daemon.commands_endpoint) as other:
             assert other.describe()["rig"] == wanted == control.describe()["rig"]
-        grown_mb = resident_mb() - memory_mb - (kept.megabytes - recorded_mb)
-        assert unchanged(kept.since(first))
+        grown_mb = resident_mb() - memory_mb - (recorder.megabytes - recorded_mb)
+        assert unchanged(recorder.since(first))
     # For each peer a frame, an answer of 40 KB and the bytes of one read.
     assert grown_mb < 40.0, grown_mb
 

@@ -171,8 +171,8 @@ class Session:
 
     def disarm(self) -> None:
         self.call("disarm")
-        for each in self.forceless:
-            each.begin()
+        for interval in self.forceless:
+            interval.begin()
         time.sleep(self.draw.uniform(0.0, 0.1))
         if self.draw.random() < 0.5:
             with contextlib.suppress(HapticError):
@@ -183,24 +183,24 @@ class Session:
         self.arm()
 
     def arm(self) -> None:
-        for each in self.forceless:
-            each.end()
+        for interval in self.forceless:
+            interval.end()
         self.call("arm")
 
     def silence(self) -> None:
         """Send nothing for longer than the heartbeat allows."""
         time.sleep(HEARTBEAT_S + 0.05)
-        for each in self.forceless:
-            each.begin()
+        for interval in self.forceless:
+            interval.begin()
         time.sleep(self.draw.uniform(0.02, 0.1))
-        for each in self.forceless:
-            each.end()
+        for interval in self.forceless:
+            interval.end()
         self.call("heartbeat")
 
     def stop(self) -> None:
         self.call("stop")
-        for each in self.forceless:
-            each.begin()
+        for interval in self.forceless:
+            interval.begin()
         self.restart()
 
     def terminate(self) -> None:
@@ -213,8 +213,8 @@ class Session:
 
     def restart(self) -> None:
         self.daemon.wait(WAIT_S)
-        for each in self.forceless:
-            each.end()
+        for interval in self.forceless:
+            interval.end()
         for cable in self.cables:
             cable.mute.clear()
             cable.spoil = bytes
@@ -323,10 +323,10 @@ def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
                 break
             time.sleep(session.draw.uniform(0.0, 0.05))
         session.call("disarm")
-        for each in session.forceless:
-            each.begin()
-            until(lambda each=each: len(each.cable.board.sent) > (each.since or 0) + 20)
-            each.end()
+        for interval in session.forceless:
+            interval.begin()
+            until(lambda interval=interval: len(interval.cable.board.sent) > (interval.since or 0) + 20)
+            interval.end()
     print(f"seed {seed}, {session.starts} starts, commands done: {session.answered}")
     for cable, forceless, resumed in zip(session.cables, session.forceless, session.resumed, strict=True):
         forces = np.array(cable.board.sent, float)[:, :3] * 1e-3

@@ -58,11 +58,11 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
         histogram.add(part)
     family = HistogramMetricFamily("h", "h")
     histogram.write_to(family)
-    found = samples([family])
+    stats = samples([family])
     for end in (0.5, 1.0, 2.0):
-        assert found["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
-    assert found["h_bucket", (("le", "+Inf"),)] == found["h_count", ()] == len(values)
-    assert found["h_sum", ()] == values.sum()  # multiples of a half add up exactly
+        assert stats["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
+    assert stats["h_bucket", (("le", "+Inf"),)] == stats["h_count", ()] == len(values)
+    assert stats["h_sum", ()] == values.sum()  # multiples of a half add up exactly
 
 
 @pytest.mark.parametrize("batch", [1, 300, 5000])
@@ -87,32 +87,32 @@ def test_figures_equal_those_computed_from_records(batch: int) -> None:
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):
         counts.add_records(together[start : start + batch], 9)
-    found = samples(counts.collect())
-    assert found["softfinger_ticks_total", ()] == count
-    assert found["softfinger_deadlines_missed_total", ()] == count - 1
-    assert found["softfinger_records_dropped_total", ()] == 9
-    assert [found[f"softfinger_{name}", ()] for name in
+    stats = samples(counts.collect())
+    assert stats["softfinger_ticks_total", ()] == count
+    assert stats["softfinger_deadlines_missed_total", ()] == count - 1
+    assert stats["softfinger_records_dropped_total", ()] == 9
+    assert [stats[f"softfinger_{name}", ()] for name in
             ("subscribers", "messages_lost_total", "connections_refused_total")] == [3, 4, 5]  # fmt: skip
-    assert [found[f"softfinger_{name}", ()] for name in (
+    assert [stats[f"softfinger_{name}", ()] for name in (
         "recorded_ticks_total", "recorded_bytes_total", "unrecorded_ticks_total", "unrecorded_events_total",
         "recording_worst_write_seconds",
     )] == [6, 7, 8, 9, 0.25]  # fmt: skip
     for end in LATENESS_S:
-        assert found["softfinger_lateness_seconds_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(late <= end)
+        assert stats["softfinger_lateness_seconds_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(late <= end)
     for name, rows in zip(("thumb", "index"), fingers, strict=True):
         label, norm = ("finger", name), np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1)
         for end in FORCE_N:
             key = (label, ("le", f"{end:g}"))
-            assert found["softfinger_force_newtons_bucket", key] == np.count_nonzero(norm <= end)
+            assert stats["softfinger_force_newtons_bucket", key] == np.count_nonzero(norm <= end)
         for number, mode in enumerate(MODE_NAMES):
             spent = 0.125 * np.count_nonzero(rows[:, AT.contact_mode] == number)
-            assert found["softfinger_mode_seconds_total", (label, ("mode", mode))] == spent
+            assert stats["softfinger_mode_seconds_total", (label, ("mode", mode))] == spent
         for bit, cause in enumerate(GUARD_NAMES):
             ticks = np.count_nonzero(rows[:, AT.servo_guard].astype(int) >> bit & 1)
-            assert found["softfinger_guarded_ticks_total", (("cause", cause), label)] == ticks
+            assert stats["softfinger_guarded_ticks_total", (("cause", cause), label)] == ticks
         for status, text in STATUSES.items():
             ticks = np.count_nonzero(rows[:, AT.servo_device] == status)
-            assert found["softfinger_device_errors_total", (label, ("status", text))] == ticks
+            assert stats["softfinger_device_errors_total", (label, ("status", text))] == ticks
 
 
 def scraped(daemon: Daemon) -> dict:
@@ -135,15 +135,15 @@ def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
     """Tick counts grow between scrapes, read by Prometheus' parser; an idle client blocks neither scrapes nor servo."""
     host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))):
-        until, found = time.monotonic() + 60.0, scraped(daemon)
-        first = found["softfinger_ticks_total", ()]
+        until, stats = time.monotonic() + 60.0, scraped(daemon)
+        first = stats["softfinger_ticks_total", ()]
         while scraped(daemon)["softfinger_ticks_total", ()] <= first:
             assert time.monotonic() < until
-    found = scraped(daemon)
-    assert found["softfinger_execution_seconds_count", ()] == found["softfinger_ticks_total", ()]
-    modes = sum(value for (name, _), value in found.items() if name == "softfinger_mode_seconds_total")
+    stats = scraped(daemon)
+    assert stats["softfinger_execution_seconds_count", ()] == stats["softfinger_ticks_total", ()]
+    modes = sum(value for (name, _), value in stats.items() if name == "softfinger_mode_seconds_total")
     # Ticks of a recording are a period each; rounding of sums of thousands.
-    assert modes == pytest.approx(1e-3 * found["softfinger_ticks_total", ()], rel=1e-9)
+    assert modes == pytest.approx(1e-3 * stats["softfinger_ticks_total", ()], rel=1e-9)
     rig = load_rig(
         "replay",
         {"telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": f"{host}:{port}", "servo.realtime": "off"},
@@ -173,11 +173,11 @@ def test_recordings_add_up(tmp_path: Path) -> None:
             daemon.recordings.end()
         while (written := daemon.recordings.collect_totals()).bytes < sum(file.stat().st_size for file in files):
             assert time.monotonic() < until + 60.0
-        found = scraped(daemon)
-    assert found["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)
-    assert found["softfinger_recorded_ticks_total", ()] == sum(summary(file)["ticks"] for file in files)
-    assert found["softfinger_unrecorded_ticks_total", ()] == found["softfinger_unrecorded_events_total", ()] == 0
-    assert found["softfinger_recording_worst_write_seconds", ()] > 0.0
+        stats = scraped(daemon)
+    assert stats["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)
+    assert stats["softfinger_recorded_ticks_total", ()] == sum(summary(file)["ticks"] for file in files)
+    assert stats["softfinger_unrecorded_ticks_total", ()] == stats["softfinger_unrecorded_events_total", ()] == 0
+    assert stats["softfinger_recording_worst_write_seconds", ()] > 0.0
 
 
 def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
@@ -208,11 +208,11 @@ def test_the_page_lists_every_name() -> None:
     """The table of docs/operate/metrics.md has the names and labels of the endpoint."""
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
-    found: dict[str, set[str]] = {}
+    stats: dict[str, set[str]] = {}
     for family in MetricsCollector(
         [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
     ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
-            found.setdefault(name, set()).update(sample.labels.keys() - {"le"})
-    assert rows == found
+            stats.setdefault(name, set()).update(sample.labels.keys() - {"le"})
+    assert rows == stats

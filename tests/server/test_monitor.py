@@ -80,9 +80,9 @@ def piped(*arguments):
 
 def test_once_writes_one_line_with_everything(endpoint):
     """Without a terminal, --once waits for a health message and prints one plain line, with --json one document."""
-    done = called("monitor", "--endpoint", endpoint, "--once")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("\n") == 1
+    result = called("monitor", "--endpoint", endpoint, "--once")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.count("\n") == 1
     for part in (
         "sliding object 3",
         "normal 1.250 N tangential 0.625 N",
@@ -93,18 +93,18 @@ def test_once_writes_one_line_with_everything(endpoint):
         "lost 0",
         "contact slip",
     ):
-        assert part in done.stdout
-    assert "\x1b" not in done.stdout
-    done = called("monitor", "--endpoint", endpoint, "--json", "--once")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["contact"]["contact"]["mode"] == 2
+        assert part in result.stdout
+    assert "\x1b" not in result.stdout
+    result = called("monitor", "--endpoint", endpoint, "--json", "--once")
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["contact"]["contact"]["mode"] == 2
 
 
 def test_json_writes_one_object_a_second(endpoint):
     """--json --duration prints JSON objects, one per line, with the complete last messages."""
-    done = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
-    assert done.returncode == 0, done.stderr
-    objects = [json.loads(line) for line in done.stdout.splitlines()]
+    result = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
+    assert result.returncode == 0, result.stderr
+    objects = [json.loads(line) for line in result.stdout.splitlines()]
     assert len(objects) >= 2
     last = objects[-1]
     assert last["mode"] == "sliding"
@@ -131,10 +131,10 @@ def test_not_a_number_becomes_null():
     with Publisher("tcp://127.0.0.1:*") as publisher:
         thread = threading.Thread(target=publish, args=(publisher,))
         thread.start()
-        done = called("monitor", "--endpoint", publisher.endpoint, "--json", "--once")
+        result = called("monitor", "--endpoint", publisher.endpoint, "--json", "--once")
         stop.set()
         thread.join()
-    assert json.loads(done.stdout)["contact"]["force"] == [None, 0.0, None]
+    assert json.loads(result.stdout)["contact"]["force"] == [None, 0.0, None]
 
 
 def test_a_closed_pipe_ends_the_monitor(endpoint):
@@ -149,10 +149,10 @@ def test_a_closed_pipe_ends_the_monitor(endpoint):
 def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
     """Without a server the monitor fails after --timeout; the error has the endpoint and a remedy."""
     nowhere = f"ipc://{tmp_path}/nobody"
-    done = piped("--endpoint", nowhere, "--timeout", "0.2")
-    assert done.returncode == NoTelemetry.exit_code
-    assert done.stdout == ""
-    assert done.stderr.strip() == (
+    result = piped("--endpoint", nowhere, "--timeout", "0.2")
+    assert result.returncode == NoTelemetry.exit_code
+    assert result.stdout == ""
+    assert result.stderr.strip() == (
         f"no telemetry from {nowhere} within 0.2 s: is the server running (softfinger run), "
         "has it compiled its scene, and is this its [telemetry] endpoint?"
     )

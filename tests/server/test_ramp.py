@@ -33,12 +33,12 @@ def way_from(tree, ticks=TICKS):
     return ramp.make_ramp(tree, ticks)
 
 
-def gone(way, tree, ticks):
+def gone(ramp_state, tree, ticks):
     """Return the tree after so many ticks of the ramp."""
     for _ in range(ticks):
-        if way.ticks_left[0] > 0:
-            ramp.advance(way)
-    return unflatten(tree, way.now)
+        if ramp_state.ticks_left[0] > 0:
+            ramp.advance(ramp_state)
+    return unflatten(tree, ramp_state.now)
 
 
 @pytest.mark.plain
@@ -46,13 +46,13 @@ def test_all_values_that_affect_the_force_are_ramped_together():
     """In the middle of a ramp each value is in the middle; at the end all are equal to the new scene bit for bit."""
     old = build_scene(scene())
     new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
-    way = way_from(old)
-    ramp.set_target(way, flatten(new))
-    half = gone(way, old, TICKS // 2)
+    ramp_state = way_from(old)
+    ramp.set_target(ramp_state, flatten(new))
+    half = gone(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
     assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
-    assert flatten(gone(way, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
-    assert way.ticks_left[0] == -1
+    assert flatten(gone(ramp_state, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
+    assert ramp_state.ticks_left[0] == -1
 
 
 @pytest.mark.plain
@@ -61,27 +61,27 @@ def test_positions_and_limits_change_immediately():
     guard = load_rig("replay").guard
     old = make_tuning(scene(), guard)
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
-    way = way_from(old)
-    ramp.set_target(way, flatten(softer))
-    assert gone(way, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
+    ramp_state = way_from(old)
+    ramp.set_target(ramp_state, flatten(softer))
+    assert gone(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
     lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
-    ramp.set_target(way, flatten(weak))
-    now = gone(way, old, 1)
+    ramp.set_target(ramp_state, flatten(weak))
+    now = gone(ramp_state, old, 1)
     assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
     assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
-    assert gone(way, old, 39) == weak
+    assert gone(ramp_state, old, 39) == weak
 
 
 @pytest.mark.plain
 def test_an_array_changes_immediately():
     """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
-    way = way_from(old)
-    ramp.set_target(way, flatten(new))
-    ramp.advance(way)
-    assert way.now.tobytes() == flatten(new).tobytes()
+    ramp_state = way_from(old)
+    ramp.set_target(ramp_state, flatten(new))
+    ramp.advance(ramp_state)
+    assert ramp_state.now.tobytes() == flatten(new).tobytes()
 
 
 @pytest.mark.plain
@@ -92,10 +92,10 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
-    way = way_from(old)
-    ramp.set_target(way, flatten(new))
+    ramp_state = way_from(old)
+    ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
-        law = gone(way, old, 1).material.normal
+        law = gone(ramp_state, old, 1).material.normal
         assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
 
 
@@ -117,25 +117,25 @@ def test_many_objects_are_ramped():
         return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
 
     old, new = tiles(1000.0), tiles(500.0)
-    way = way_from(old)
-    ramp.set_now(way, ramp.flatten_tuning(old))
-    ramp.set_target(way, ramp.flatten_tuning(new))
+    ramp_state = way_from(old)
+    ramp.set_now(ramp_state, ramp.flatten_tuning(old))
+    ramp.set_target(ramp_state, ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
-            ramp.advance(way)
-        stiffness, friction = np.transpose([stiffness_of(old, way.now, float(k)) for k in range(9)])
+            ramp.advance(ramp_state)
+        stiffness, friction = np.transpose([stiffness_of(old, ramp_state.now, float(k)) for k in range(9)])
         assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
         assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
-    assert old.objects.entries[3].normal.stiffness == 1000.0 and way.ticks_left[0] == -1
+    assert old.objects.entries[3].normal.stiffness == 1000.0 and ramp_state.ticks_left[0] == -1
 
 
 @pytest.mark.plain
 def test_a_ramp_without_ticks_is_immediate():
     """With a ramp of 0 s the next tick has the new value."""
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
-    way = way_from(old, 0)
-    ramp.set_target(way, flatten(new))
-    assert gone(way, old, 1) == new
+    ramp_state = way_from(old, 0)
+    ramp.set_target(ramp_state, flatten(new))
+    assert gone(ramp_state, old, 1) == new
 
 
 @pytest.mark.real_time

@@ -119,11 +119,11 @@ def child(
     """Return the settings' effect in a new process with `limits`, without root if `drop`, but what to `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
     wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
-    done = run_program([sys.executable, "-c", CHILD, json.dumps(wish)])
-    assert done.returncode == 0, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    told["by_name"] = {s["name"]: s for s in told.get("settings", [])}
-    return told
+    process = run_program([sys.executable, "-c", CHILD, json.dumps(wish)])
+    assert process.returncode == 0, process.stderr
+    report: dict[str, Any] = json.loads(process.stdout)
+    report["by_name"] = {s["name"]: s for s in report.get("settings", [])}
+    return report
 
 
 def capable(*bits: int) -> bool:
@@ -146,55 +146,55 @@ raises_limits = pytest.mark.skipif(
 
 def test_off_changes_nothing() -> None:
     """Mode off reports one line and does not change scheduler, slack, memory, processor and files."""
-    told = child("off", cpu=0)
-    assert [s["name"] for s in told["settings"]] == ["off"]
-    assert told["by_name"]["off"]["ok"]
-    assert told["during"] == told["before"]
+    report = child("off", cpu=0)
+    assert [s["name"] for s in report["settings"]] == ["off"]
+    assert report["by_name"]["off"]["ok"]
+    assert report["during"] == report["before"]
 
 
 @privileged
 def test_everything_is_granted_to_root() -> None:
     """Root gets every setting, only in the calling thread, and the kernel confirms each."""
     cpu = max(os.sched_getaffinity(0))
-    told = child(priority=71, cpu=cpu)
-    refused = {s["name"] for s in told["settings"] if not s["ok"]}
-    assert refused == (set() if told["latency_device"] else {"cpu_dma_latency"})
-    assert [s["name"] for s in told["settings"]] == [
+    report = child(priority=71, cpu=cpu)
+    refused = {s["name"] for s in report["settings"] if not s["ok"]}
+    assert refused == (set() if report["latency_device"] else {"cpu_dma_latency"})
+    assert [s["name"] for s in report["settings"]] == [
         "timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity",
     ]  # fmt: skip
-    during = told["during"]
+    during = report["during"]
     assert (during["policy"], during["priority"], during["cpus"]) == (os.SCHED_FIFO, 71, [cpu])
     # Newer kernels have no slack for SCHED_FIFO threads (0), older ones use the requested one (1).
     assert during["slack"] in (0, 1)
     assert during["locked"] > 10_000
     assert during["held"] == (0 if refused else 1)
-    assert told.get("latency_us", 0) == 0
-    assert told["main_policy"] == os.SCHED_OTHER
+    assert report.get("latency_us", 0) == 0
+    assert report["main_policy"] == os.SCHED_OTHER
 
 
 @privileged
 @pytest.mark.parametrize("drop", [False, True])
 def test_undo_restores_everything(drop: bool) -> None:
     """After two calls of undo, thread and process are in their initial state."""
-    told = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
-    assert told["by_name"]["sched_fifo"]["ok"]
-    assert told["during"] != told["before"]
-    assert told["after"] == told["before"]
+    report = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
+    assert report["by_name"]["sched_fifo"]["ok"]
+    assert report["during"] != report["before"]
+    assert report["after"] == report["before"]
 
 
 @privileged
 def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
     """Small areas and the thread's stack cause no page fault; large or later ones are locked but not loaded."""
-    told, free = child(), child("off")
+    report, free = child(), child("off")
     # 2 MB are 512 pages, fewer with huge pages, hence the comparison with an unlocked child.
-    assert told["early_faults"] == 0 < free["early_faults"]
-    assert told["stack_faults"] == 0 < free["stack_faults"]
-    assert told["during"]["locked"] > 64 * 1024
-    assert told["large_faults"] > 0
-    assert told["late_locked"] == 64 * 1024
+    assert report["early_faults"] == 0 < free["early_faults"]
+    assert report["stack_faults"] == 0 < free["stack_faults"]
+    assert report["during"]["locked"] > 64 * 1024
+    assert report["large_faults"] > 0
+    assert report["late_locked"] == 64 * 1024
     # Some pages of the interpreter may be loaded in between.
-    assert told["late_resident"] < 4 * 1024
-    assert told["late_faults"] > 0
+    assert report["late_resident"] < 4 * 1024
+    assert report["late_faults"] > 0
 
 
 COMPILER = """
@@ -219,8 +219,8 @@ print(after < before / 4, code() > after)
 @privileged
 def test_the_compiler_is_not_locked_in_memory() -> None:
     """Its code is released when memory is locked, and is loaded again when it is called."""
-    done = run_program([sys.executable, "-c", COMPILER])
-    assert done.stdout == "True True\n", done.stderr
+    process = run_program([sys.executable, "-c", COMPILER])
+    assert process.stdout == "True True\n", process.stderr
 
 
 MAPPED = """
@@ -238,18 +238,18 @@ with open(os.fsencode(sys.argv[1]) + bytes([47, 255]), "wb+") as file:
 def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
     """File names need not be valid UTF-8."""
     words = [sys.executable, "-c", MAPPED, str(tmp_path)]
-    done = run_program(words)
-    assert "mlockall" in done.stdout, done.stderr
+    process = run_program(words)
+    assert "mlockall" in process.stdout, process.stderr
 
 
 @raises_limits
 def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
     """Without privilege later pages are not locked, because they could not be mapped."""
-    told = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
-    assert told["by_name"]["mlockall"]["ok"]
-    assert "later is not" in told["by_name"]["mlockall"]["detail"]
-    assert told["early_faults"] == 0
-    assert told["late_locked"] == 0
+    report = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
+    assert report["by_name"]["mlockall"]["ok"]
+    assert "later is not" in report["by_name"]["mlockall"]["detail"]
+    assert report["early_faults"] == 0
+    assert report["late_locked"] == 0
 
 
 @raises_limits
@@ -267,8 +267,8 @@ def test_limits_grant_without_root() -> None:
 
 def test_refusals_have_reason_and_remedy() -> None:
     """Without privilege each refusal contains the system's reason and the remedies; the other settings are applied."""
-    told = child(drop=True, limits=UNPRIVILEGED)
-    by_name = told["by_name"]
+    report = child(drop=True, limits=UNPRIVILEGED)
+    by_name = report["by_name"]
     fifo, memory = by_name["sched_fifo"], by_name["mlockall"]
     assert (fifo["ok"], memory["ok"]) == (False, False)
     assert "priority 80" in fifo["detail"]
@@ -280,13 +280,13 @@ def test_refusals_have_reason_and_remedy() -> None:
     for part in ("install --system", "ulimit -l", "LimitMEMLOCK", "--cap-add=IPC_LOCK"):
         assert part in memory["advice"]
     latency = by_name["cpu_dma_latency"]
-    assert latency["ok"] == told["latency_device"]
+    assert latency["ok"] == report["latency_device"]
     if not latency["ok"]:
         assert LATENCY_DEVICE in latency["detail"]
         assert "install --system" in latency["advice"]
     assert by_name["timer_slack"]["ok"]
-    assert (told["during"]["policy"], told["during"]["slack"], told["during"]["locked"]) == (os.SCHED_OTHER, 1, 0)
-    assert told["after"] == told["before"]
+    assert (report["during"]["policy"], report["during"]["slack"], report["during"]["locked"]) == (os.SCHED_OTHER, 1, 0)
+    assert report["after"] == report["before"]
 
 
 def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
@@ -298,22 +298,22 @@ def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
 
 def test_require_refuses_to_start_and_restores_everything() -> None:
     """Mode require raises one error that lists all refusals, and undoes the granted settings."""
-    told = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
+    report = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
     for name in REQUIRED:
-        assert f"\n  {name}: " in told["error"]
-    assert "--realtime auto" in told["error"]
-    if not told["latency_device"]:
-        assert "cpu_dma_latency (not required)" in told["error"]
-    assert told["after"] == told["before"]
+        assert f"\n  {name}: " in report["error"]
+    assert "--realtime auto" in report["error"]
+    if not report["latency_device"]:
+        assert "cpu_dma_latency (not required)" in report["error"]
+    assert report["after"] == report["before"]
 
 
 @privileged
 def test_require_starts_without_optional_settings() -> None:
     """Mode require starts without the latency device, which users may not open."""
-    told = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
-    assert "error" not in told
-    assert [s["name"] for s in told["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
-    assert told["by_name"]["cpu_dma_latency"]["ok"] == told["latency_device"]
+    report = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
+    assert "error" not in report
+    assert [s["name"] for s in report["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
+    assert report["by_name"]["cpu_dma_latency"]["ok"] == report["latency_device"]
 
 
 def test_a_missing_processor_is_refused() -> None:

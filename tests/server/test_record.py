@@ -64,28 +64,28 @@ def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStat
 def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
     """Replayed poses equal the played ones bit for bit in every tick, also if 1/rate is not exact."""
     file = tmp_path / "again.csv"
-    kept, played = recorded_daemon(file, rate_hz)
-    assert kept.end_reason == "the server stopped"
-    assert kept.lost == 0
-    assert kept.poses > len(played) - 500, "the recorder was too late for most of it"
+    totals, played = recorded_daemon(file, rate_hz)
+    assert totals.end_reason == "the server stopped"
+    assert totals.lost == 0
+    assert totals.poses > len(played) - 500, "the recorder was too late for most of it"
     again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
-    assert len(again) == kept.poses
+    assert len(again) == totals.poses
     # after the end of the recording its last sample is read again
-    expected = played[np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)]
+    expected = played[np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)]
     assert again.tobytes() == expected.tobytes()
 
 
 def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
     """An MCAP recording has complete ticks, and its poses can be loaded."""
     file = tmp_path / "again.mcap"
-    kept, played = recorded_daemon(file)
+    totals, played = recorded_daemon(file)
     records = read_results(file)
-    assert len(records) == kept.poses
-    np.testing.assert_array_equal(records[:, AT.tick], np.arange(kept.first_tick, kept.last_tick + 1))
+    assert len(records) == totals.poses
+    np.testing.assert_array_equal(records[:, AT.tick], np.arange(totals.first_tick, totals.last_tick + 1))
     position = AT.probe_position
-    ticks = np.minimum(np.arange(kept.first_tick, kept.last_tick + 1), len(played) - 1)
+    ticks = np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)
     assert records[:, position : position + 3].tobytes() == played[ticks, :3].tobytes()
-    assert len(load_poses(file).t) == kept.poses
+    assert len(load_poses(file).t) == totals.poses
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
@@ -97,10 +97,10 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
         Daemon(fd_rig(stub), load_scene("paper-plane"), 1500) as daemon,
         subscribe(daemon.publisher.endpoint, ("contact",)) as wire,
     ):
-        kept = follow(daemon, file)
+        totals = follow(daemon, file)
         sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
-    assert kept.lost == 0 and kept.poses > 1000
-    sensed = sensed[(sensed[:, AT.tick] >= kept.first_tick) & (sensed[:, AT.tick] <= kept.last_tick)]
+    assert totals.lost == 0 and totals.poses > 1000
+    sensed = sensed[(sensed[:, AT.tick] >= totals.first_tick) & (sensed[:, AT.tick] <= totals.last_tick)]
     again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
     # The time step of a pose includes deadlines missed before it.
     periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
@@ -134,9 +134,9 @@ def moving(count: int) -> np.ndarray:
 
 def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
     """Missing ticks are counted, the longest gap is reported, and later rows keep their times."""
-    kept, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
-    assert (kept.poses, kept.lost, kept.gap_count, kept.worst) == (396, 4, 2, (49, 3))
-    assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in kept.gaps()
+    totals, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
+    assert (totals.poses, totals.lost, totals.gap_count, totals.worst) == (396, 4, 2, (49, 3))
+    assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in totals.gaps()
     poses = load_poses(file)
     np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # both in whole milliseconds
 
@@ -155,22 +155,22 @@ def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
 
 def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
     """Thinned telemetry gives a thinner recording of the same duration without losses."""
-    kept, file = published(tmp_path, moving(501), every=5)
-    assert (kept.poses, kept.lost, kept.every) == (101, 0, 5)
+    totals, file = published(tmp_path, moving(501), every=5)
+    assert (totals.poses, totals.lost, totals.every) == (101, 0, 5)
     np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
 
 
 def test_duration_ends_the_recording(tmp_path: Path) -> None:
     """The recording contains the requested duration even if the publisher continues."""
-    kept, file = published(tmp_path, moving(400), duration_s=0.3)
-    assert kept.end_reason == "0.3 s are over"
+    totals, file = published(tmp_path, moving(400), duration_s=0.3)
+    assert totals.end_reason == "0.3 s are over"
     assert len(load_poses(file).t) == 300
 
 
 def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
     """Decreasing tick numbers belong to another run, so the file ends before them."""
-    kept, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
-    assert kept.end_reason == "the server started again"
+    totals, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
+    assert totals.end_reason == "the server started again"
     assert len(load_poses(file).t) == 100
 
 
@@ -178,9 +178,9 @@ def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
     """A tick with NaN is left out with a report, and the file can be replayed."""
     records = moving(100)
     put(records[30:31], "probe.position", np.nan)
-    kept, file = published(tmp_path, records)
-    assert (kept.poses, kept.unusable) == (99, 1)
-    assert "1 left out" in str(kept)
+    totals, file = published(tmp_path, records)
+    assert (totals.poses, totals.unusable) == (99, 1)
+    assert "1 left out" in str(totals)
     assert len(load_poses(file).t) == 99
 
 

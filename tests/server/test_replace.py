@@ -66,12 +66,12 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     """The force never exceeds the slew limit, each loop ends at zero, ticks and times continue."""
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
-    rig, kept, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
+    rig, recorder, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
     begun, missed, loops, open_before = [], [], [], None
-    with Daemon(rig, first, sinks=[kept.sink]) as running:
+    with Daemon(rig, first, sinks=[recorder.sink]) as running:
         running.start()
         for time_number in range(TIMES):
-            assert eventually(kept.pressed)
+            assert eventually(recorder.pressed)
             loops.append(weakref.ref(running.servo.shared.tuning.values))
             begun.append(running.rendering.replace(first if time_number % 2 else second))
             missed.append(running.servo.missed_before)
@@ -89,7 +89,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         assert running.wait(60.0)
         ticks = running.servo.ticks
         written = device._log.read_log().wrench
-    rows = kept.all
+    rows = recorder.all
     assert rows[:, 0].tolist() == list(range(ticks))
     assert rows[begun, 2].tolist() == missed
     assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
@@ -104,33 +104,33 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
 def test_a_new_rig_cannot_exceed_the_force_of_the_device():
     """A guard of 40 N replaces one of 0.2 N: the force then equals the device's 0.3 N and never exceeds it."""
     most, device = 0.3, {"device.force_max_n": 0.3}
-    kept, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
-    with Daemon(rig, load_scene("paper-plane"), sinks=[kept.sink]) as running:
+    recorder, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
+    with Daemon(rig, load_scene("paper-plane"), sinks=[recorder.sink]) as running:
         running.start()
-        assert eventually(lambda: bool(kept.rows) and np.linalg.norm(kept.rows[-1][-1, 3:]) > 0.19)
+        assert eventually(lambda: bool(recorder.rows) and np.linalg.norm(recorder.rows[-1][-1, 3:]) > 0.19)
         begun = running.replace(rig=load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 40.0}))
         assert eventually(lambda: running.servo.ticks > begun + 200)
         running.stop()
         assert running.wait(WAIT_S)
         (plant,) = running.devices
         written = np.linalg.norm(plant._log.read_log().wrench[:, :3], axis=1)
-    norms = np.linalg.norm(kept.all[:, 3:], axis=1)
+    norms = np.linalg.norm(recorder.all[:, 3:], axis=1)
     assert norms[:begun].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
 
 
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
     """A wall of 1 MN/m requires many times the limit; the force is a share that grows with the ramp."""
-    rig, kept = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
+    rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
-    with Daemon(rig, load_scene("frictionless-plane"), sinks=[kept.sink]) as running:
+    with Daemon(rig, load_scene("frictionless-plane"), sinks=[recorder.sink]) as running:
         running.start()
-        assert eventually(kept.pressed)
+        assert eventually(recorder.pressed)
         begun = running.rendering.replace(stiff)
         assert eventually(lambda: running.servo.ticks > begun + 500)
         running.stop()
         assert running.wait(WAIT_S)
-    forces = np.linalg.norm(kept.all[begun : begun + 500, 3:], axis=1)
+    forces = np.linalg.norm(recorder.all[begun : begun + 500, 3:], axis=1)
     limits = rig.guard.force_max_n * np.arange(1, 501) / (rig.guard.ramp_s * rig.servo.rate_hz)
     assert (forces <= limits * (1.0 + 1e-9)).all()  # rounding of the sum of shares
     assert (forces[:20] > 0.9 * limits[:20]).all()  # the hand has not moved away yet
@@ -163,14 +163,14 @@ def test_subscribers_stay_connected_and_get_an_event():
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
     """A faulty rig or scene is refused, and the old loop continues with its force."""
-    rig, kept, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
+    rig, recorder, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
         (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"telemetry.every": 10})}),
         (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"servo.priority": 70})}),
         (DeviceNotFound, "no driver", {"rig": load_rig("replay", QUIET | {"device.driver": "nosuch"})}),
     ]
-    with Daemon(rig, first, sinks=[kept.sink]) as running:
+    with Daemon(rig, first, sinks=[recorder.sink]) as running:
         running.start()
         shared, devices = running.servo.shared, running.devices
         for error, words, given in refused:
@@ -180,7 +180,7 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
         with pytest.raises(ZeroDivisionError):
             running.replace(second)
         assert running.servo.shared is shared and running.devices is devices
-        assert eventually(kept.pressed)
+        assert eventually(recorder.pressed)
         running.stop()
         assert running.wait(60.0)
 
@@ -197,13 +197,13 @@ def faulty_rig(**changes):
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
     """The servo stops and closes the old device and arms the new one before its first read; no tick is lost."""
-    kept, (first, second) = Kept(), scenes()
-    with Daemon(faulty_rig(), first, sinks=[kept.sink]) as running:
+    recorder, (first, second) = Kept(), scenes()
+    with Daemon(faulty_rig(), first, sinks=[recorder.sink]) as running:
         running.start()
-        assert eventually(kept.pressed)
+        assert eventually(recorder.pressed)
         running.replace(second, faulty_rig(**{"servo.rate_hz": 4000.0}))
-        kept.rows.append(np.zeros((1, 6)))
-        kept.rows.pop()
+        recorder.rows.append(np.zeros((1, 6)))
+        recorder.rows.pop()
         assert eventually(
             lambda: len(driver.devices) == 2 and np.abs(driver.devices[1].wrenches).max(initial=0.0) > 0.2
         )
@@ -216,7 +216,7 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
         rises = np.diff(np.linalg.norm(device.wrenches[:, :3], axis=1))  # falls may be faster: MAX_OFF_S
         assert rises.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
-    assert kept.all[:, 0].tolist() == list(range(running.servo.ticks))
+    assert recorder.all[:, 0].tolist() == list(range(running.servo.ticks))
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
@@ -320,15 +320,15 @@ def test_replacing_requires_a_running_daemon(driver):
 
 def test_the_number_of_ticks_is_counted_over_all_loops(driver):
     """A run with a limit of ticks ends after them even if its scene was replaced."""
-    kept, (first, second) = Kept(), scenes()
+    recorder, (first, second) = Kept(), scenes()
     rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow, so that a busy machine can follow
-    with Daemon(rig, first, 1_000, sinks=[kept.sink]) as running:
+    with Daemon(rig, first, 1_000, sinks=[recorder.sink]) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 20)
         running.replace(second)
         assert running.wait(120.0)
         assert running.servo.ticks == 1_000
-    assert kept.all[-1, 0] == 999
+    assert recorder.all[-1, 0] == 999
 
 
 def test_two_pauses_are_one_pause(driver):

@@ -35,8 +35,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 )
 def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Path) -> None:
     """For each name of the file: exit code 2, one sentence, and an unchanged file."""
-    done = called(*words, written)
-    assert done.returncode == 2 and "choose another output file" in done.stderr, done.stderr
+    result = called(*words, written)
+    assert result.returncode == 2 and "choose another output file" in result.stderr, result.stderr
     assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
 
 
@@ -44,12 +44,12 @@ def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Pat
 def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) -> None:
     """A recording with too few poses is deleted."""
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
-    done = called("record", "a.csv", "--duration", "0.05", *to)
-    assert done.returncode == 3 and "already exists" in done.stderr and (here / "a.csv").read_text() == POSES
-    done = called("record", "short.csv", "--duration", "0.0005", *to)
-    assert done.returncode == 3 and "at least 2" in done.stderr and not (here / "short.csv").exists()
-    done = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
-    assert done.returncode == 2 and "are the same file" in done.stderr and not (here / "b.csv").exists()
+    result = called("record", "a.csv", "--duration", "0.05", *to)
+    assert result.returncode == 3 and "already exists" in result.stderr and (here / "a.csv").read_text() == POSES
+    result = called("record", "short.csv", "--duration", "0.0005", *to)
+    assert result.returncode == 3 and "at least 2" in result.stderr and not (here / "short.csv").exists()
+    result = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
+    assert result.returncode == 2 and "are the same file" in result.stderr and not (here / "b.csv").exists()
     assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (here / "b.csv").stat().st_size
 
 
@@ -59,5 +59,7 @@ def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> No
     table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
     scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")
     words = [sys.executable, "-m", "softfinger.server.cli", "check", str(scene)]
-    done = run_program(words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
-    assert done.returncode == 0 and "\\u0441\\u0442\\u043e\\u043b" in done.stdout and "Traceback" not in done.stderr
+    result = run_program(words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert (
+        result.returncode == 0 and "\\u0441\\u0442\\u043e\\u043b" in result.stdout and "Traceback" not in result.stderr
+    )

@@ -83,16 +83,16 @@ def environment(home: Path) -> dict[str, str]:
 def checked(file: Path, home: Path) -> dict[str, Any]:
     """Return a report after checking its keys and that it does not identify the user or the machine."""
     text = file.read_text(encoding="utf-8")
-    found: dict[str, Any] = json.loads(text)
-    assert found.keys() == KEYS
+    content: dict[str, Any] = json.loads(text)
+    assert content.keys() == KEYS
     assert str(home) not in text
     assert USER not in text
     assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
     assert not re.search(r"/home/|/root\b", text)
-    assert {row["id"] for row in found["questions"]} == {
-        question.id for question in questions() if found["driver"] in question.drivers
+    assert {row["id"] for row in content["questions"]} == {
+        question.id for question in questions() if content["driver"] in question.drivers
     }
-    return found
+    return content
 
 
 def rig_file(home: Path, name: str, *more: str) -> str:
@@ -109,16 +109,16 @@ def test_a_recording_is_reported(here: Here, home: Path) -> None:
     rig = home / "mine.toml"
     rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
     output = here("--rig", str(rig), "--seconds", "0.3")
-    found = checked(home / "softfinger-replay-report.json", home)
-    assert found["complete"] and found["ended"] == "in full" and found["fault"] is None
-    assert found["options"]["recording"] == "mine.csv"
-    assert found["device"]["name"] == "replay mine"
-    assert found["rest"]["ticks"] == 1000
-    assert found["exchange"]["ticks"] == 300
-    assert found["without_pauses"]["exchanges"] > 0
-    assert found["counts"]["reads"] >= 1300 + found["without_pauses"]["exchanges"]
-    assert found["moves"] == found["pushes"] == found["questions"] == found["identity"] == []
-    assert {"system", "python", "packages", "checks"} == found["system"].keys()
+    content = checked(home / "softfinger-replay-report.json", home)
+    assert content["complete"] and content["ended"] == "in full" and content["fault"] is None
+    assert content["options"]["recording"] == "mine.csv"
+    assert content["device"]["name"] == "replay mine"
+    assert content["rest"]["ticks"] == 1000
+    assert content["exchange"]["ticks"] == 300
+    assert content["without_pauses"]["exchanges"] > 0
+    assert content["counts"]["reads"] >= 1300 + content["without_pauses"]["exchanges"]
+    assert content["moves"] == content["pushes"] == content["questions"] == content["identity"] == []
+    assert {"system", "python", "packages", "checks"} == content["system"].keys()
     assert "attach it to an issue" in output and "noise along x, y, z" in output
 
 
@@ -128,14 +128,14 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
     words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
     output = here("report.json", "--rig", str(rig), *words)
-    found = checked(home / "report.json", home)
-    assert json.loads(output) == found
+    content = checked(home / "report.json", home)
+    assert json.loads(output) == content
     assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
-    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
-    assert all(1.5 < push["largest_n"] <= 2.0 for push in found["pushes"])
+    assert [push["seen"] for push in content["pushes"]] == ["+x", "+y", "+z"]
+    assert all(1.5 < push["largest_n"] <= 2.0 for push in content["pushes"])
     # 2 N displace a hand of 1000 N/m by 2 mm; at 3 Hz its mass overshoots slightly.
     for low, high, at in zip(
-        found["range"]["position_min_m"], found["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
+        content["range"]["position_min_m"], content["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
     ):
         assert -0.003 < low - at < 0.0 < high - at < 0.003
 
@@ -145,11 +145,11 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
     rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
     result = run(home, "--rig", rig, "--seconds", "0.3")
     assert result.returncode == 0, result.stderr
-    found = checked(home / "softfinger-forcedimension-report.json", home)
-    assert found["device"]["name"] == "omega.3, serial ...30"
-    assert found["maker_library"] == [stub_library.name]
-    assert "/" not in found["options"]["library_file"]
-    by_id = {row["id"]: row for row in found["questions"]}
+    content = checked(home / "softfinger-forcedimension-report.json", home)
+    assert content["device"]["name"] == "omega.3, serial ...30"
+    assert content["maker_library"] == [stub_library.name]
+    assert "/" not in content["options"]["library_file"]
+    by_id = {row["id"]: row for row in content["questions"]}
     measured = {name for name, row in by_id.items() if row["measured"]}
     assert measured == {"exchange-time", "fd-library", "fd-force-on", "fd-held-back"}
     assert by_id["fd-held-back"]["answer"].startswith("0 of ")
@@ -169,8 +169,8 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
     done, saw = beside(case, *COMMAND, *words)
     assert done.returncode == (4 if lost else 0), done.stderr
-    found = checked(file, home)
-    (arm,) = found["identity"]
+    content = checked(file, home)
+    (arm,) = content["identity"]
     assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
         "16c0",
         "0486",
@@ -178,15 +178,15 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
         "...42",
     )
     assert arm["report_descriptor"].startswith("06abff")
-    assert found["counts"]["written"] >= 300
+    assert content["counts"]["written"] >= 300
     assert not any(saw["last"]), "the last report was no zero"
-    answers = {row["id"]: row for row in found["questions"]}
+    answers = {row["id"]: row for row in content["questions"]}
     assert answers["hid-descriptor"]["answer"] == arm["report_descriptor"]
     assert answers["unplugged"]["measured"] is lost
-    assert found["complete"] is not lost
+    assert content["complete"] is not lost
     if lost:
-        assert found["fault"]["kind"] == "DeviceLost" and found["fault"]["in_use"]
-        assert "is gone" in found["fault"]["message"]
+        assert content["fault"]["kind"] == "DeviceLost" and content["fault"]["in_use"]
+        assert "is gone" in content["fault"]["message"]
 
 
 @pytest.mark.sampled(1)
@@ -202,12 +202,12 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     done, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
     assert done.returncode == 0, done.stderr
-    found = checked(file, home)
-    (device,) = found["identity"]
+    content = checked(file, home)
+    (device,) = content["identity"]
     assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
-    assert found["complete"]
-    assert "exchange-time" in {row["id"] for row in found["questions"] if row["measured"]}
-    assert found["counts"]["replies" if driver == "falcon" else "reads"] > 0
+    assert content["complete"]
+    assert "exchange-time" in {row["id"] for row in content["questions"] if row["measured"]}
+    assert content["counts"]["replies" if driver == "falcon" else "reads"] > 0
 
 
 def test_a_puck_is_not_pushed() -> None:
@@ -231,12 +231,12 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
     """The fault without the searched home, and the open questions, which only the file has; exit code 4."""
     result = run(home, "--rig", "omega-3", "--seconds", "0.3")
     assert result.returncode == 4 and "not answered" not in result.stdout
-    found = checked(home / "softfinger-forcedimension-report.json", home)
-    assert found["ended"] == "by a fault" and not found["complete"]
-    assert found["fault"] == {"kind": "DeviceNotFound", "message": found["fault"]["message"], "in_use": False}
-    assert "searched for libdrd.so*, /usr/local/lib/libdrd.so*" in found["fault"]["message"]
-    assert found["device"] is None and found["exchange"] is None
-    assert not any(row["measured"] for row in found["questions"])
+    content = checked(home / "softfinger-forcedimension-report.json", home)
+    assert content["ended"] == "by a fault" and not content["complete"]
+    assert content["fault"] == {"kind": "DeviceNotFound", "message": content["fault"]["message"], "in_use": False}
+    assert "searched for libdrd.so*, /usr/local/lib/libdrd.so*" in content["fault"]["message"]
+    assert content["device"] is None and content["exchange"] is None
+    assert not any(row["measured"] for row in content["questions"])
 
 
 @pytest.mark.sampled(1)
@@ -257,11 +257,11 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     process.send_signal(number)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    found = checked(home / "softfinger-replay-report.json", home)
-    assert found["ended"] == "cut short by the user" and not found["complete"]
-    assert found["rest"]["ticks"] == 1000
-    assert (found["exchange"] is not None) == (number == signal.SIGTERM)
-    assert found["pushes"] == []
+    content = checked(home / "softfinger-replay-report.json", home)
+    assert content["ended"] == "cut short by the user" and not content["complete"]
+    assert content["rest"]["ticks"] == 1000
+    assert (content["exchange"] is not None) == (number == signal.SIGTERM)
+    assert content["pushes"] == []
     assert "cut short by the user" in output
     force = np.load(home / "forces.npz")["force"]
     assert force.any() == (number == signal.SIGTERM)
@@ -287,13 +287,13 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
     output, _ = process.communicate(timeout=60)
     os.close(main)
     assert process.returncode == 0, output
-    found = checked(home / "softfinger-simulated-report.json", home)
-    assert found["guided"]
+    content = checked(home / "softfinger-simulated-report.json", home)
+    assert content["guided"]
     assert len(asked) == 6  # rest, three directions, a rotation, buttons
-    assert [move["expected"] for move in found["moves"]] == ["+x", "+y", "+z", "+z"]
-    assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in found["moves"])
-    assert found["moves"][3]["kind"] == "rotation" and found["moves"][3]["seen"] == "no motion"
-    assert found["buttons"] == {"masks": [0]}
+    assert [move["expected"] for move in content["moves"]] == ["+x", "+y", "+z", "+z"]
+    assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in content["moves"])
+    assert content["moves"][3]["kind"] == "rotation" and content["moves"][3]["seen"] == "no motion"
+    assert content["buttons"] == {"masks": [0]}
 
 
 @pytest.mark.parametrize(

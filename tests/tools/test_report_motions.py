@@ -41,11 +41,11 @@ def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen:
     """The motion is the difference between the handle's last and first position; positions in between do not matter."""
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
-    found = motions.move("ask", "translation", "+x", poses(path))
-    assert found is not None
-    assert found["seen"] == seen
-    assert found["agrees"] == (seen == "+x")
-    np.testing.assert_allclose(found["vector"], way, atol=1e-12)  # rounding of a median
+    result = motions.move("ask", "translation", "+x", poses(path))
+    assert result is not None
+    assert result["seen"] == seen
+    assert result["agrees"] == (seen == "+x")
+    np.testing.assert_allclose(result["vector"], way, atol=1e-12)  # rounding of a median
 
 
 def test_a_turn_is_the_rotation_between_first_and_last() -> None:
@@ -55,10 +55,10 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
     ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
     orientation = np.array([np.roll(one.as_quat(), 1) for one in ways])  # scipy has w last
     orientation[25:] *= -1.0
-    found = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
-    assert found is not None
-    np.testing.assert_allclose(found["vector"], turn, atol=1e-12)  # rounding of products
-    assert found["seen"] == "+z" and found["unit"] == "rad"
+    result = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
+    assert result is not None
+    np.testing.assert_allclose(result["vector"], turn, atol=1e-12)  # rounding of products
+    assert result["seen"] == "+z" and result["unit"] == "rad"
 
 
 def test_noise_at_rest_and_range_of_known_rows() -> None:
@@ -67,12 +67,12 @@ def test_noise_at_rest_and_range_of_known_rows() -> None:
     noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
     rows = poses(noise + np.array([0.0, 0.01, 0.0]))
     rows[7, SAMPLE] = math.nan
-    found = motions.rest(rows, turns=False)
-    assert found is not None
-    assert found["not_finite"] == 1
+    result = motions.rest(rows, turns=False)
+    assert result is not None
+    assert result["not_finite"] == 1
     # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
-    np.testing.assert_allclose(found["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
-    assert found["rotation_std_rad"] is None
+    np.testing.assert_allclose(result["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
+    assert result["rotation_std_rad"] is None
     span = motions.reach(rows)
     assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
     assert motions.rest(rows[7:8], turns=False) is None
@@ -109,24 +109,24 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
 def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
     """Of an integrated mass on a spring; a free mass with the wrong sign looks like a held one with the right."""
     for sign, said in ((1.0, plus), (-1.0, minus)):
-        found = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
-        assert found is not None
-        assert found["axis"] == "+z" and found["moved_axis"] == "y"
-        assert said in found["seen"], found
-        assert found["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
+        result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
+        assert result is not None
+        assert result["axis"] == "+z" and result["moved_axis"] == "y"
+        assert said in result["seen"], result
+        assert result["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
 
 
 def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
     """A hand that moves by itself makes the result undetermined, and a handle that does not move gives none."""
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
-    found = motions.push(2, 1.0, RATE_HZ, rows)
-    assert found is not None
-    assert found["seen"].startswith(("not clear", "+y"))
+    result = motions.push(2, 1.0, RATE_HZ, rows)
+    assert result is not None
+    assert result["seen"].startswith(("not clear", "+y"))
     rows[:, SAMPLE + 1] = 0.0
-    found = motions.push(2, 1.0, RATE_HZ, rows)
-    assert found is not None
-    assert found["seen"].startswith("not clear")
+    result = motions.push(2, 1.0, RATE_HZ, rows)
+    assert result is not None
+    assert result["seen"].startswith("not clear")
     rows[:, SAMPLE] = 0.0
     assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"  # type: ignore[index]
     rows[:, FORCE + 2] = 0.0
