@@ -16,6 +16,10 @@ from helpers.touching import R, saved, scene_with, thing
 from references.brute_force import balls_of, brute_distances
 from references.triangles import distances
 
+from softfinger.proxy.kernels.jit.pack import flatten
+from softfinger.proxy.kernels.shapes.budget import BUDGET
+from softfinger.proxy.scene import build_scene
+
 SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 
 
@@ -44,6 +48,16 @@ def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
     assert found["inside"] > 0 and found["deepest"] > 0.01
     assert mesh_truth.is_wrong({"hand": found})
     assert mesh_truth.check_distances(scene, larger, 200, rng)["error"] > 1e-3
+
+
+def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None:
+    """Compiled: a comparison with NaN is false, so the search would accept all boxes, also the empty ones."""
+    mesh = build_scene(scene_with(thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(8, 0.05))))).objects.body
+    values = [(x, y, z) for x in (0.0, np.nan, np.inf) for y in (0.1, np.nan) for z in (0.0, -np.inf, np.nan)]
+    points = np.array([value for value in values if not np.isfinite(value).all()])
+    results = np.zeros((len(points), 3))
+    mesh_truth.ask(mesh.shape, flatten(mesh.shape), points, BUDGET, results)
+    assert np.all(results[:, :2] > 1.0) and not results[:, 2].any()
 
 
 def test_a_path_through_a_sheet_is_detected() -> None:

@@ -60,7 +60,15 @@ def empty_spot() -> Spot:
 
 @jit
 def spot_without_load(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
-    return Spot(nodes, weights, slopes, ZERO, mat3.ZEROS, ZERO, mat3.ZEROS)
+    return Spot(
+        nodes=nodes,
+        weights=weights,
+        slopes=slopes,
+        load=ZERO,
+        spring=mat3.ZEROS,
+        excess=ZERO,
+        stuck=mat3.ZEROS,
+    )
 
 
 @jit

@@ -11,6 +11,7 @@ closer than the fingertip's radius, because each of them obstructs the fingertip
 A query has a budget of nodes and triangles. If it is exhausted, the result includes a lower bound of the distance.
 """
 
+from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -200,6 +201,10 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     """
     mesh = whole.row[0]
     near = to_search_frame(mesh, x)
+    if isnan(
+        near[0] + near[1] + near[2]
+    ):  # the bounds of boxes would be those of a point in all boxes, also empty ones
+        return NearestTriangle(-1, limit * limit, limit * limit, 0)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
     most = min(budget, ROOM)
