@@ -203,7 +203,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     near = to_search_frame(mesh, x)
     if isnan(
         near[0] + near[1] + near[2]
-    ):  # the bounds of boxes would be those of a point in all boxes, also empty ones
+    ):  # all boxes would count as near, also the empty ones
         return NearestTriangle(-1, limit * limit, limit * limit, 0)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
