@@ -17,6 +17,7 @@ from softfinger.proxy.kernels.elastic.response import compliance_of, compute_nod
 from softfinger.proxy.kernels.elastic.spots import spot_on
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
+from softfinger.proxy.kernels.numerics import mat3
 from softfinger.proxy.meshes.reading import Arrays
 from softfinger.proxy.record import LARGE_STRAIN, UNSOLVED
 from softfinger.proxy.scene import start_state
@@ -235,6 +236,24 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
             assert (records[name]["contact.normal_force"] <= largest).all()
             unsolved += np.count_nonzero(records[name]["contact.nonlinear"].astype(int) & UNSOLVED)
     assert unsolved > 0
+
+
+@pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
+@pytest.mark.parametrize("fingers", [1, 2])
+def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a singular matrix: the displacement stays a number, the tick is reported, and the next is solved."""
+    engine, inverse = Engine(scene(True, fingers)), mat3.inverse
+    pose = {name: [at(x, 0.0, 0.001)] for name, x in zip("ab"[:fingers], (-0.008, 0.008), strict=False)}
+
+    def press() -> list[Any]:
+        records = engine.run(pose) if fingers > 1 else {"a": engine.run(pose["a"])}
+        assert all(np.isfinite(each["force"]).all() for each in records.values())
+        return [int(each["contact.nonlinear"][-1]) & UNSOLVED for each in records.values()]
+
+    monkeypatch.setattr(mat3, "inverse", lambda m: tuple((np.nan,) * 3 for _ in range(3)))
+    assert press() == [UNSOLVED] * fingers
+    monkeypatch.setattr(mat3, "inverse", inverse)
+    assert press() == [0] * fingers
 
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")

@@ -96,7 +96,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             break
         if square < least:
             least, best = square, u
-        if left == 1 and square > CLOSE**2:
+        if left == 1 and not square <= CLOSE**2:  # also NaN
             u = best
             continue
         spot, added = hold_if_reversed(spot, error)
@@ -147,7 +147,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             break
         if square < least:
             least, best = square, (u, v)
-        if left == 1 and square > CLOSE**2:
+        if left == 1 and not square <= CLOSE**2:  # also NaN
             u, v = best
             continue
         held_x, added_x = hold_if_reversed(x, error_u)

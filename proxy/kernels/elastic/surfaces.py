@@ -85,7 +85,7 @@ def surface_after(
         beyond += LARGE_ROTATION
     if bent[1] > STRAIN_MAX:
         beyond += LARGE_STRAIN
-    if bent[2] > CLOSE**2:
+    if not bent[2] <= CLOSE**2:  # also NaN
         beyond += UNSOLVED
     if contact.mode == FREE:
         return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
