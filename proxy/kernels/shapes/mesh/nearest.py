@@ -201,9 +201,7 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     """
     mesh = whole.row[0]
     near = to_search_frame(mesh, x)
-    if isnan(
-        near[0] + near[1] + near[2]
-    ):  # all boxes would count as near, also the empty ones
+    if isnan(near[0] + near[1] + near[2]):  # all boxes would count as near, also the empty ones
         return NearestTriangle(-1, limit * limit, limit * limit, 0)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
