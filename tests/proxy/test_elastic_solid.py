@@ -27,7 +27,8 @@ from softfinger.proxy.elastic.factors import Factors  # noqa: E402
 from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
 from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
-from softfinger.proxy.kernels.elastic.spots import compliance_of, compute_node_rows, spot_on  # noqa: E402
+from softfinger.proxy.kernels.elastic.response import compliance_of, compute_node_rows  # noqa: E402
+from softfinger.proxy.kernels.elastic.spots import spot_on  # noqa: E402
 from softfinger.proxy.kernels.numerics import mat3  # noqa: E402
 from softfinger.proxy.meshes.prepared import about  # noqa: E402
 from softfinger.proxy.scene import build_scene  # noqa: E402
