@@ -241,7 +241,7 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
 @pytest.mark.parametrize("fingers", [1, 2])
 def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of a singular matrix: the displacement stays a number, the tick is reported, and the next is solved."""
+    """With a singular matrix the displacement remains finite, the tick is reported, and the next one is solved."""
     engine, inverse = Engine(scene(True, fingers)), mat3.inverse
     pose = {name: [at(x, 0.0, 0.001)] for name, x in zip("ab"[:fingers], (-0.008, 0.008), strict=False)}
 

@@ -283,7 +283,7 @@ def looped(x: float, n: int) -> Any:
 def test_values_before_their_uses_are_typed_in_one_round(
     monkeypatch: pytest.MonkeyPatch, function: Any, rounds: int
 ) -> None:
-    """`TypeInferer`: a kernel has the type and the results of numba's own compilation; only loops need its rounds."""
+    """`TypeInferer`, `_strip_phi_nodes`: types and results are those of numba's compilation; only loops need rounds."""
     ran: list[str] = []
     numba_propagate = TypeInferer.propagate
 

@@ -166,9 +166,9 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         transposed = (mat3.transpose(a), mat3.transpose(c)), (mat3.transpose(b), mat3.transpose(d))
         slope_u, slope_v = times_both(transposed, gradients[0], gradients[1])
     bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
-    bent = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1], square)
-    surface_u = surface_after(scene, fingers[0], last[0], u, first, bent, dt)
-    surface_v = surface_after(scene, fingers[1], last[1], v, second, bent, dt)
+    measures = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1], square)
+    surface_u = surface_after(scene, fingers[0], last[0], u, first, measures, dt)
+    surface_v = surface_after(scene, fingers[1], last[1], v, second, measures, dt)
     if not is_loaded:
         inverse = ((mat3.IDENTITY, mat3.ZEROS), (mat3.ZEROS, mat3.IDENTITY))
     surface_u = replace(surface_u, "inverse", inverse[0])

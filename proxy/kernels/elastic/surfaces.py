@@ -67,11 +67,11 @@ def share_in_tick(elastic: Elastic, dt: float) -> float:
 
 @jit
 def surface_after(
-    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, bent: Any, dt: float
+    scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, measures: Any, dt: float
 ) -> Surface:
     """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
 
-    bent  largest rotation, rad, and strain of the body, and the square of the error, m2, of the displacement
+    measures  largest rotation, rad, and strain of the body, and squared error of the displacement, m^2
     """
     elastic, body, rate = scene.elastic, scene.objects.body, last.rate
     moved = vec3.sub(displacement, last.displacement)
@@ -81,11 +81,11 @@ def surface_after(
     beyond = 0.0
     if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
         beyond += LARGE_DISPLACEMENT
-    if bent[0] > ROTATION_MAX_RAD:
+    if measures[0] > ROTATION_MAX_RAD:
         beyond += LARGE_ROTATION
-    if bent[1] > STRAIN_MAX:
+    if measures[1] > STRAIN_MAX:
         beyond += LARGE_STRAIN
-    if not bent[2] <= CLOSE**2:  # also NaN
+    if not measures[2] <= CLOSE**2:  # also NaN
         beyond += UNSOLVED
     if contact.mode == FREE:
         return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)

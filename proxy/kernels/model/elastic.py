@@ -34,7 +34,7 @@ class Surface(NamedTuple):
 
     displacement  (3,) m    in the object frame
     change        (3,) m    of it since the tick before
-    inverse       (3, 3)    of Newton's matrix, the block for each finger: with it the next tick begins
+    inverse       (3, 3)    blocks of the inverse of Newton's matrix, one per finger: first correction of the next tick
     rate          (3,) m/s  filtered rate of it
     moved         (3,) m    the displacement in the world frame, 0 without contact
     beyond        bits of `contact.nonlinear`

@@ -73,7 +73,7 @@ def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int)
     Moves by the clearance in each step. The next tick continues from there.
     """
     length, gone = vec3.norm(way), 0.0
-    if length == 0.0:  # a fingertip at rest that touches to rounding
+    if length == 0.0:  # no motion: the gap is below the radius by rounding only
         return 0.0, budget
     for _ in range(LOOKS):
         x = vec3.add_scaled(start, gone / length, way)
