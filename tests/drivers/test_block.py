@@ -29,8 +29,6 @@ class Own(NamedTuple):
 
 
 class Leaves(NamedTuple):
-    """Structure of floats."""
-
     pair: tuple[float, float]
     one: float
 
@@ -42,7 +40,6 @@ LIKE: Final = Leaves((0.0, 0.0), 0.0)
 
 @entry
 def _fill(handle: int) -> float:
-    """Write fields by name, and return a number computed from the table and the sample."""
     at = int64_at(handle)
     at[FRONT.ready] = 7
     at[AT.came] += 2
@@ -53,7 +50,6 @@ def _fill(handle: int) -> float:
 
 
 def taken(layouts: tuple[Any, ...]) -> list[int]:
-    """Return the indices of all 64-bit words that the fields of the layouts cover."""
     return [
         at + k
         for layout in layouts
@@ -63,19 +59,16 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
 
 
 def test_layouts_do_not_overlap() -> None:
-    """Layouts, including the drivers' ones, cover each element of a block exactly once."""
     for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
         assert taken(layouts) == list(range(len(Block(*layouts).word)))
 
 
 def test_every_field_has_a_description() -> None:
-    """Each field of the drivers' layouts has a description."""
     for layout in (BOARD, serial.AT, hid.AT):
         assert all(place.doc for place in read_fields(type(layout)).values())
 
 
 def test_kernels_and_python_address_the_same_data() -> None:
-    """Kernels and Python access the same fields by name, and `counts` lists counters in order of declaration."""
     block = Block(FRONT, AT)
     block.set_address(AT.table, np.array([0.5, 0.25]))
     gc.collect()  # only the block references the table now

@@ -65,7 +65,6 @@ class Board:
         return self.block.word
 
     def read(self) -> int:
-        """Return the status of a read; `done` then has the calls it made."""
         self.done = []
         return int(self._functions.read(self.block.handle, self.sample))
 
@@ -78,12 +77,10 @@ class Board:
         return int(self._functions.silence(self.block.handle))
 
     def heard(self) -> None:
-        """Deliver a first sample, as from a board that has been running for long."""
         self.comes = [0, 0, 1]
         assert self.read() == OK
 
     def later(self, ns: int) -> None:
-        """Advance the clock without a sample and without causing a pause of the loop."""
         self.now += ns
         self.word[BOARD.read_at] = self.now
 
@@ -179,7 +176,6 @@ def _wake(driver: Scripted, handle: int) -> int:
 
 
 def locked(board: Board) -> None:
-    """Simulate another thread that holds the lock while it stops the device."""
     board.word[BOARD.lock] = 1
 
 
@@ -187,7 +183,6 @@ def locked(board: Board) -> None:
 
 
 def test_init_stores_times_and_arms_the_device(board: Board) -> None:
-    """Initialisation stores the times in ns and the file descriptor, and arms the device."""
     at = board.word
     assert [at[BOARD.quiet], at[BOARD.kick], at[BOARD.kick_awaiting], at[BOARD.timeout_after]] == [
         QUIET, KICK, AWAITING, TIMEOUT_NS,
@@ -202,7 +197,6 @@ def test_init_stores_times_and_arms_the_device(board: Board) -> None:
 
 
 def test_a_device_that_is_closed_is_lost(board: Board) -> None:
-    """A closed device is lost, accepts zeros and withholds forces, without any call; descriptor 0 is valid."""
     board.word[BOARD.fd] = -1
     assert board.read() == LOST and board.done == []
     assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.done == []
@@ -214,7 +208,6 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
 
 
 def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
-    """The first read discards queued samples, then wakes the board at once and every AWAITING ns."""
     board.comes, board.arrives = [3, 2], [START + 62 * MS]
     board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
@@ -231,7 +224,6 @@ def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
 def test_a_loss_during_the_first_read_is_reported_at_once(reads: int, board: Board) -> None:
-    """If the first, the second or the read after the wait reports a loss, no further call is made."""
     board.comes = [0] * reads + [LOST]
     assert board.read() == LOST
     calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START), "wait 10", "drain"]
@@ -240,7 +232,6 @@ def test_a_loss_during_the_first_read_is_reported_at_once(reads: int, board: Boa
 
 @pytest.mark.parametrize("status", [LOST, OK, HELD])
 def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
-    """A negative status ends the read; after a full port the board is woken again later."""
     board.woken, board.arrives = status, [START + 5 * MS]
     assert board.read() == (status if status < 0 else OK)
 
@@ -275,7 +266,6 @@ def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, boa
 
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
-    """The read waits RESUME_WAIT_NS and one poll more; the pause does not count toward the time-out."""
     board.heard()
     board.now += 150 * MS
     begun, before = board.now, board.sample.copy()
@@ -294,7 +284,6 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
 
 
 def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
-    """A new sample gives OK and its time. Without one, the last is repeated bit for bit with STALE."""
     board.heard()
     board.later(MS)
     board.comes = [4]
@@ -308,7 +297,6 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
 
 
 def test_slow_ticks_are_no_pause(board: Board) -> None:
-    """The gap is measured from the previous read."""
     board.heard()
     for _ in range(3):
         board.now += RESUME_NS
@@ -317,7 +305,6 @@ def test_slow_ticks_are_no_pause(board: Board) -> None:
 
 
 def test_an_unusable_sample_is_a_protocol_error(board: Board) -> None:
-    """An unusable sample gives PROTOCOL, and a loss reported by the driver is returned."""
     board.heard()
     board.later(MS)
     board.comes, board.usable = [1], False
@@ -328,7 +315,6 @@ def test_an_unusable_sample_is_a_protocol_error(board: Board) -> None:
 
 @pytest.mark.parametrize(("misread", "status"), [(7, TIMEOUT), (8, PROTOCOL)])
 def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: int, board: Board) -> None:
-    """A silence of exactly the time-out is still STALE."""
     board.heard()
     board.word[BOARD.misread_bytes] = misread
     board.later(TIMEOUT_NS)
@@ -338,7 +324,6 @@ def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: i
 
 
 def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
-    """Wakes start after a silence longer than QUIET and are at least KICK apart."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
@@ -356,7 +341,6 @@ def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
 
 
 def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None:
-    """While another thread has the lock, no wake, force or zero is sent and the lock is not released."""
     board.heard()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET + 1)
@@ -390,7 +374,6 @@ def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
 
 @pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
 def test_a_force_is_sent_and_the_driver_status_returned(status: int, board: Board) -> None:
-    """A force is sent unchanged if the last sample is at most QUIET old, and the driver's status is returned."""
     board.heard()
     board.later(QUIET)
     board.force = status
@@ -412,7 +395,6 @@ def unsensed(board: Board) -> None:
 @pytest.mark.parametrize("why", [deaf, unarmed, unsensed])
 @pytest.mark.parametrize("status", [OK, HELD, LOST])
 def test_a_zero_replaces_a_withheld_force(why: Callable[[Board], None], status: int, board: Board) -> None:
-    """The write returns WITHHELD, or the driver's status if that is negative."""
     board.heard()
     why(board)
     board.zero = status
@@ -423,7 +405,6 @@ def test_a_zero_replaces_a_withheld_force(why: Callable[[Board], None], status: 
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("number", [nan, inf, -inf])
 def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: Board) -> None:
-    """Each of the three components is checked; a torque, which no motor displays, may have any value."""
     board.heard()
     wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     wrench[place] = number
@@ -435,14 +416,12 @@ def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_the_smallest_force_along_one_axis_is_sent(place: int, board: Board) -> None:
-    """The smallest positive component already counts as a force."""
     board.heard()
     wrench = tuple(5e-324 * (k == place) for k in range(6))
     assert board.write(wrench) == OK and board.done == [wrench]
 
 
 def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
-    """A zero is skipped without an error while the board still owes an answer, but it is sent if it ends a force."""
     board.heard()
     board.busy = True
     assert board.write(ZERO) == OK and board.done == ["busy? hears"]
@@ -454,7 +433,6 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
 
 @pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
 def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
-    """`silence` succeeds once the zero is sent completely or the device is lost. It always disarms the device."""
     board.heard()
     board.zero, board.word[BOARD.unsent_bytes] = status, left
     assert board.silence() == done and board.done == ["zero"]
@@ -464,7 +442,6 @@ def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: in
 
 
 def test_info_of_a_board() -> None:
-    """The workspace is a box around the origin, and limits come from the rig."""
     rig = SimpleNamespace(
         mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
         stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,

@@ -32,7 +32,6 @@ COMMAND = (sys.executable, "-m", "softfinger.server.cli", "devices")
 
 @pytest.fixture
 def root() -> Iterator[Path]:
-    """Create empty device tables in a folder that every user may enter."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         Path(folder).chmod(0o755)
         (Path(folder) / discovery.USB).mkdir(parents=True)
@@ -76,7 +75,6 @@ def at(node: Path | str, vendor: int = 0x046D, product: int = 0xC626, bus: disco
 
 
 def test_tables_are_read(root: Path) -> None:
-    """Devices have ids, name, serial number and node; hubs, interfaces, duplicates and damaged entries are left out."""
     plug_usb(root, "usb1", "1d6b", "0002", bDeviceClass="09")
     plug_usb(root, "1-1", "2109", "2813", bDeviceClass="09")
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00", product="omega.x haptic device", serial="0042")
@@ -107,7 +105,6 @@ def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
 
 
 def test_unreadable_tables_give_no_devices(root: Path) -> None:
-    """If the tables or a driver's file are not readable, the result is empty or a diagnosis, not a traceback."""
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
     hidden = root / "hidden"
     hidden.mkdir()
@@ -155,7 +152,6 @@ def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str
 
 
 def test_no_driver_claims_a_keyboard() -> None:
-    """An unclaimed device is reported as such, with a link to the page on describing it."""
     keyboard = at("/dev/null", 0x1234, 0x5678)
     assert find_claim(keyboard) is None
     assert diagnose(keyboard, None).state == "unclaimed"
@@ -163,14 +159,12 @@ def test_no_driver_claims_a_keyboard() -> None:
 
 
 def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
-    """A node that can be opened is usable, without reason or remedy."""
     node = root / "hidraw0"
     node.write_bytes(b"")
     assert diagnose(at(node), find_claim(at(node))) == Diagnosis("usable")
 
 
 def test_missing_nodes_are_diagnosed(root: Path) -> None:
-    """A hidraw node that does not exist, a puck without a node and a board without a port have different remedies."""
     gone = at(root / "hidraw5")
     assert diagnose(gone, find_claim(gone)).state == "node"
     assert "--device" in diagnose(gone, find_claim(gone)).remedy
@@ -183,7 +177,6 @@ def test_missing_nodes_are_diagnosed(root: Path) -> None:
 
 
 def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
-    """The rig has to name a generic Teensy's port. The haply driver claims Haply's boards and needs the service."""
     node = root / "ttyACM0"
     node.write_bytes(b"")
     board = at(node, 0x16C0, 0x0483, bus="serial")
@@ -208,7 +201,6 @@ def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
 
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
-    """A Teensy's debug channel is not claimed; without a descriptor an LPC1768 is claimed by all rigs with its ids."""
     teensy, *_ = BOARDS.values()
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=interface.descriptor) for interface in teensy.interfaces)
     claim = find_claim(raw)
@@ -259,7 +251,6 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
 def test_permission_is_diagnosed(
     root: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
 ) -> None:
-    """The remedy is the command that grants write permission, or the group to join."""
     node = root / "node"
     node.write_bytes(b"")
     node.chmod(mode)
@@ -277,7 +268,6 @@ def test_permission_is_diagnosed(
 
 
 def test_a_holder_is_named(root: Path) -> None:
-    """A node that another process has open or locked is busy, and the process is named."""
     node = root / "hidraw0"
     node.write_bytes(b"")
     code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
@@ -301,7 +291,6 @@ def test_a_holder_is_named(root: Path) -> None:
 
 
 def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The diagnosis of a Force Dimension device names the missing library and how to point to it."""
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(root))
@@ -315,7 +304,6 @@ def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_the_library_file_of_the_rig_is_checked(root: Path) -> None:
-    """The diagnosis looks for the library file of the rig, unless the rig is for another driver."""
     node = root / "node"
     node.write_bytes(b"")
     omega = at(node, 0x1451, 0x0402, bus="usb")
@@ -326,7 +314,6 @@ def test_the_library_file_of_the_rig_is_checked(root: Path) -> None:
 
 
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
-    """A Falcon is usable once a rig names an existing firmware file."""
     claim = Claim("falcon", "usb", 0x0403, 0xCB48)
     file = root / "firmware.bin"
     assert "no rig named one" in diagnose_requirements(claim, {}).reason
@@ -338,14 +325,12 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
 
 
 def test_a_missing_driver_is_diagnosed(root: Path) -> None:
-    """A missing driver is reported before anything else."""
     diagnosis = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
     assert diagnosis.state == "driver"
     assert "'no-such-driver' is not in this installation" in diagnosis.reason
 
 
 def test_a_falcon_is_claimed(root: Path) -> None:
-    """An accessible Falcon still needs its firmware."""
     node = root / "node"
     node.write_bytes(b"")
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
@@ -354,7 +339,6 @@ def test_a_falcon_is_claimed(root: Path) -> None:
 
 
 def test_output_without_devices() -> None:
-    """Without devices the text is one line, which also names the simulated rig."""
     text = devices.lines([])
     assert len(text) == 1
     assert text[0].startswith("no USB or HID device is attached")
@@ -364,7 +348,6 @@ def test_output_without_devices() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
-    """The verb lists an emulated arm with node, name, serial number, driver and rigs, and sends nothing to it."""
     done, saw = beside({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert done.returncode == 0, done.stderr
     (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
@@ -383,7 +366,6 @@ def test_an_emulated_device_is_listed() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    """An arm without hidraw is listed with its USB node, as usable through threads."""
     done, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert done.returncode == 0, done.stderr
     (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]

@@ -23,8 +23,6 @@ OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
 
 class Recorded(Bench):
-    """Bench of a driver that plays a recording: only `not_found` can be produced."""
-
     cannot: ClassVar[Mapping[str, str]] = {
         "busy": "a recording is read, so any number of processes may have it",
         "permission": "a recording that cannot be read is one that is not there",
@@ -54,7 +52,6 @@ class Recorded(Bench):
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install the example package with pip from its sources, and return the folder."""
     target = tmp_path_factory.mktemp("site")
     options = "--quiet --no-index --no-deps --no-build-isolation --disable-pip-version-check --target"
     run_program([sys.executable, "-m", "pip", "install", *options.split(), str(target), str(OUTSIDE)], check=True)
@@ -71,7 +68,6 @@ class TestContract(DriverContract):
 
 
 def test_built_in_drivers_load() -> None:
-    """Each built-in name loads a module with Options and open_device."""
     assert {"replay", "simulated", "forcedimension"} <= set(registry.names())
     for name in registry.BUILT_IN:
         driver = registry.load(name)
@@ -80,13 +76,11 @@ def test_built_in_drivers_load() -> None:
 
 
 def test_unknown_driver_is_named_with_a_suggestion() -> None:
-    """The error for an unknown driver lists the existing names and suggests the closest."""
     with pytest.raises(DeviceNotFound, match=r"'repley'.*did you mean 'replay'.*replay"):
         registry.load("repley")
 
 
 def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """An entry point that is not a driver, or cannot be imported, is listed; loading it raises DeviceError."""
     info = tmp_path / "outside-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: outside\nVersion: 1.0\n")
@@ -103,7 +97,6 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
 
 
 def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`registry.add` registers a module for this process, and rejects modules that are no driver and names in use."""
     monkeypatch.setattr(registry, "_registered", {})
     replay = registry.load("replay")
     registry.add("mine", replay)
@@ -115,7 +108,6 @@ def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
-    """`stop_all`, which signals call, writes a zero; the device then withholds forces."""
     config = load_rig("replay").device
     assert config is not None
     with registry.open_device(config, RATE_HZ) as device:
@@ -128,7 +120,6 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
 
 @pytest.mark.exhaustive
 def test_the_example_package_runs_after_installation(installed: Path, tmp_path: Path) -> None:
-    """With the package its rig passes `check` and runs, and a wrong option is named; without it `check` fails."""
     rig = str(OUTSIDE / "lissajous.toml")
 
     def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:

@@ -53,7 +53,6 @@ def recording(**options: object) -> replay.Replay:
 
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
-    """With a disarmed guard every wrench written is zero, even during a push; each tick has its row."""
     with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
@@ -64,7 +63,6 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 
 def test_rows_contain_every_sample_in_order() -> None:
-    """Rows have successive poses of the recording, device time advances by one period, and ticks do not overlap."""
     with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
@@ -96,14 +94,12 @@ def test_a_push_is_a_faded_sine_along_its_axis() -> None:
 
 
 def test_a_push_stays_below_the_guard() -> None:
-    """A push of ten times the limit is clamped to the limit."""
     with recording() as device, Exchange(device, RIG, ARMED) as exchange:
         rows = exchange.record(0.3, Push((50.0, 0.0, 0.0), 10.0, 0.3))
     assert np.abs(rows[:, FORCE]).max() == pytest.approx(ARMED.force_max, rel=1e-12)  # rounding of a norm
 
 
 def test_an_exception_during_a_push_ends_with_zero() -> None:
-    """After an interrupt during a push the last wrench is zero."""
     device = recording()
 
     def interrupted() -> None:
@@ -119,7 +115,6 @@ def test_an_exception_during_a_push_ends_with_zero() -> None:
 
 
 def test_a_burst_is_bounded() -> None:
-    """A burst ends at its maximum number of rows or its maximum time, and a later record continues the recording."""
     with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
@@ -130,7 +125,6 @@ def test_a_burst_is_bounded() -> None:
 
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
-    """A recording that is not looped ends the record early, without a failure."""
     with recording(loop=False) as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
@@ -142,7 +136,6 @@ def test_the_end_of_a_recording_is_no_failure() -> None:
     ("fault", "error"), [("lost", DeviceLost), ("write_lost", DeviceLost), ("timeout", DeviceTimeout)]
 )
 def test_a_failing_device_raises_its_error(fault: Fault, error: type[DeviceError]) -> None:
-    """`record` returns the rows up to the failure, the error names the device, and the last wrench is zero."""
     with FaultyDevice(Options(fault=fault, at=150)) as device:
         with Exchange(device, RIG, ARMED) as exchange:
             rows = exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
@@ -156,7 +149,6 @@ def test_a_failing_device_raises_its_error(fault: Fault, error: type[DeviceError
 
 
 def test_a_hanging_device_is_stopped() -> None:
-    """If an exchange takes more than 0.25 s, the thread is stopped with SafetyStop and the last wrench is zero."""
     with FaultyDevice(Options(fault="stall", at=100, stall_us=800_000)) as device:
         with pytest.raises(SafetyStop, match=r"no exchange for 0\.25 s"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(1.0, Push((1.0, 0.0, 0.0), 3.0, 1.0))
@@ -164,7 +156,6 @@ def test_a_hanging_device_is_stopped() -> None:
 
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
-    """No allocator and no interpreter; the pointers are the device's two functions, two empty ones, the last zero."""
     compile_exchange()
     (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
     fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]
@@ -178,7 +169,6 @@ def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
 
 
 def rows_of(count: int) -> np.ndarray:
-    """Rows with 2 us per read, 1 us per write and 0.1 us per empty call; every fourth sample is stale."""
     rows = np.zeros((count, ROW_SIZE))
     rows[:, START] = np.arange(count) * 1e-3
     rows[:, READ], rows[:, WRITE] = 2e-6, 1e-6
@@ -207,14 +197,12 @@ def test_figures_of_known_rows() -> None:
 
 
 def test_histogram_counts_every_value_once() -> None:
-    """Each value, also the largest, is counted in the bin whose upper edge it does not exceed."""
     counted = histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
     assert counted == [[1e-8, 1], [2e-8, 1], [5e-6, 2], [0.9, 1]]
     assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
 
 
 def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`bench device` on a simulated device prints figures of all ticks as JSON and saves a plot."""
     plot = tmp_path / "plot.png"
     words = ("--rig", "simulated", "--seconds", "0.3", "--json", "--plot", str(plot))
     assert main(["bench", "device", *words]) == 0
@@ -239,14 +227,12 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
 def test_bad_words_give_one_clear_error(
     words: list[str], code: int, pieces: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error names the argument and the allowed range or names."""
     assert main(["bench", "device", *words]) == code
     errors = capsys.readouterr().err
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
 
 
 def test_the_device_is_armed_right_before_its_first_exchange() -> None:
-    """The exchange thread arms the device once, right before its first exchange; the loop is compiled before."""
     compile_exchange()
     before = len(exchange_loop.signatures)  # type: ignore[attr-defined]
     with FaultyDevice(Options()) as device, Exchange(device, RIG, ARMED) as exchange:
@@ -258,7 +244,6 @@ def test_the_device_is_armed_right_before_its_first_exchange() -> None:
 
 
 def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:
-    """`record` raises the device's error, and the device is stopped."""
     with FaultyDevice(Options(refuses_to_arm=True)) as device:
         with pytest.raises(DeviceError, match="force button"), Exchange(device, RIG, ARMED) as exchange:
             exchange.record(0.1)
@@ -266,7 +251,6 @@ def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:
 
 
 def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
-    """The last wrench is zero, and the error asks the user to switch the device off."""
     device = FaultyDevice(Options(stop_fails=True))
     with (
         pytest.raises(DeviceError, match=r"could not be stopped.*switch it off"),
@@ -279,7 +263,6 @@ def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
 def test_a_push_ramps_up_after_it_was_withheld(way: Fault) -> None:
-    """Rows have zero force while it is withheld, and then the force increases no faster than the guard's ramp."""
     slow = ARMED._replace(ramp=0.5)
     with FaultyDevice(Options(fault=way, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:
         rows = exchange.record(1.2, Push((1.0, 0.0, 0.0), 0.01, 1.2))
@@ -295,6 +278,5 @@ def test_a_push_ramps_up_after_it_was_withheld(way: Fault) -> None:
 
 
 def pushed_at(number: int) -> float:
-    """Closed form of the push of the test above at row `number`."""
     t = number / RATE_HZ
     return math.sin(math.pi * t / 1.2) ** 2 * math.sin(2.0 * math.pi * 0.01 * t)

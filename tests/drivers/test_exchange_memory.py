@@ -16,7 +16,6 @@ ALLOCATORS = ("NRT_Allocate", "NRT_MemInfo_alloc", "malloc")
 
 @pytest.mark.parametrize("exchange", [falcon, forcedimension], ids=["falcon", "forcedimension"])
 def test_exchange_allocates_nothing(exchange: Any) -> None:
-    """The code of read and write contains no allocator; the code of a function that allocates does."""
     compile_fresh = numba.cfunc(exchange.IO_SIGNATURE, error_model="numpy")
 
     def allocates(handle: int, values: Any) -> int:

@@ -33,7 +33,6 @@ beside = functools.partial(on_testbed, "falcon_testbed.py")
 
 
 def rig_with(tmp_path: Path, **keys: object) -> str:
-    """Write the shipped rig with other keys in [device] to a file, and return its path."""
     text = find("falcon", Rig).read_text()
     # A tick of the emulation waits for two other programs, so silences are longer than on a bus.
     given = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
@@ -46,13 +45,11 @@ def rig_with(tmp_path: Path, **keys: object) -> str:
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run the daemon on an emulated device."""
     fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *fixed, *words)
 
 
 def test_the_driver_contract() -> None:
-    """All tests of the contract pass over the device behind libusb, without a skip."""
     command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CONTRACT))
     process, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
     assert process.returncode == 0, process.stdout
@@ -61,7 +58,6 @@ def test_the_driver_contract() -> None:
 
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
-    """A hand presses into the plane, drags and releases: modes and forces equal the engine's for the same poses."""
     records_file = tmp_path / "records.npy"
     program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(records_file))
     process, saw = beside(STROKE, *program)
@@ -79,7 +75,6 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("reversed_motors", [True, False])
 def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Path) -> None:
-    """A hand whose goal is 6 mm below the plane is stopped by the motors, for either sign of the motors."""
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
     process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
@@ -95,7 +90,6 @@ def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Pa
 
 
 def test_force_without_a_gain_is_flagged() -> None:
-    """The shipped rig has no gain, and the daemon warns that the force is not calibrated."""
     process, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
     assert process.returncode == 0, process.stderr
     assert "force is not calibrated: 10000 motor counts per N m are assumed" in process.stderr
@@ -104,7 +98,6 @@ def test_force_without_a_gain_is_flagged() -> None:
 
 
 def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
-    """With each tenth reply 4 ms late the run completes."""
     process, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
     assert process.returncode == 0, process.stderr
     assert saw["steps"] > 30
@@ -123,7 +116,6 @@ def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
     ids=["unplugged", "broken", "mute", "blocked", "noise", "unhomed"],
 )
 def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path) -> None:
-    """A fault of cable or device ends the daemon with its message and without force."""
     process, saw = run({"place": [0.0, 0.0, 0.005], **case}, rig_with(tmp_path), "--duration", "10")
     assert process.returncode != 0, process.stderr
     assert re.search(message, process.stderr), process.stderr
@@ -133,7 +125,6 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 
 
 def test_homing(tmp_path: Path) -> None:
-    """A Falcon without homing is used only after the knob was pulled out and pushed in; then positions are correct."""
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
     process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
     assert process.returncode == 0, process.stderr
@@ -143,7 +134,6 @@ def test_homing(tmp_path: Path) -> None:
 
 
 def test_homing_times_out(tmp_path: Path) -> None:
-    """Opening fails after `homing_s` with instructions, and no motor was driven."""
     rig = rig_with(tmp_path, homing_s=0.1)
     process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
     assert process.returncode == 4, process.stderr
@@ -155,7 +145,6 @@ FIRMWARE_BYTES = 7324
 
 
 def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
-    """The firmware file is sent again after each wrong echo, until the device runs."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     rig = rig_with(tmp_path, firmware=str(path))
@@ -175,7 +164,6 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
     ids=["no-file", "not-a-firmware", "never-right"],
 )
 def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str, tmp_path: Path) -> None:
-    """Without a file, with a wrong file or with a disturbed line the error contains instructions."""
     keys = {}
     if size is not None:
         path = tmp_path / "firmware.bin"
@@ -190,14 +178,12 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
-    """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         process, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
         assert said in process.stderr
 
 
 def test_devices_reports_running_firmware() -> None:
-    """Without touching the device `devices` reports missing firmware; with `--ask` it reports running firmware."""
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         process, saw = beside({}, *words, *more)
@@ -233,7 +219,6 @@ second.close()
 
 
 def test_two_falcons_through_libusb() -> None:
-    """Two Falcons open by serial number, each exchange is with its knob, and closing one does not affect the second."""
     case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{TWO}"
     process, saw = beside(case, sys.executable, "-c", code)
@@ -249,7 +234,6 @@ def test_two_falcons_through_libusb() -> None:
 
 
 def test_a_weight_gives_the_gain() -> None:
-    """`calibrate` determines the gain of the emulated motors from a weight, though the rig has another gain."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
     process, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
@@ -261,7 +245,6 @@ def test_a_weight_gives_the_gain() -> None:
 
 
 def test_a_force_of_the_wrong_sign_is_noticed() -> None:
-    """`calibrate` ends with zero force and a hint if the knob accelerates away."""
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
     process, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)

@@ -32,18 +32,15 @@ STATUS = b"\x01\x60"
 
 
 def packet(numbers: tuple[int, ...], state: int) -> bytes:
-    """Return a packet of either direction: one nibble per byte, least significant first."""
     nibbles = [0x41 + ((n >> (4 * k)) & 15) for n in numbers for k in range(4)]
     return bytes([0x3C, *nibbles, 0x41 + state, 0x41, 0x3E])
 
 
 def reply(count: int = 0) -> bytes:
-    """Return a reply of a homed knob with all three encoders at `count`."""
     return packet((count,) * 3, 0x70)
 
 
 def counts_of(sent: bytes) -> tuple[int, ...]:
-    """Return the motor counts of a packet."""
     nibbles = [byte - 0x41 for byte in sent[1:13]]
     whole = [sum(n << (4 * k) for k, n in enumerate(nibbles[at : at + 4])) for at in (0, 4, 8)]
     return tuple(n - 65536 if n >= 32768 else n for n in whole)
@@ -152,7 +149,6 @@ class Usb:
         return status
 
     def later(self, ns: int) -> None:
-        """Advance the clock without a read and without causing a pause of the loop."""
         self.clock.now += ns
         self.word[AT.read_at] = self.clock.now
 
@@ -163,23 +159,19 @@ class Usb:
         return out
 
     def counts(self) -> dict[str, int]:
-        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
     def forces(self) -> dict[str, int]:
-        """Return the counters of sent packets that are not 0."""
         return {name: n for name, n in self.counts().items() if name in ("written", "held", "kicks", "cut")}
 
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> Usb:
-    """Scripted libusb before the first read."""
     return Usb(monkeypatch)
 
 
 @pytest.fixture
 def usb(opened: Usb) -> Usb:
-    """Scripted libusb after one read, with counters at 0 and no packet unanswered; the test supplies the replies."""
     assert opened.read()[0] == OK
     opened.answers = False
     opened.sent.clear()
@@ -192,7 +184,6 @@ def usb(opened: Usb) -> Usb:
 
 
 def test_the_first_read_requests_a_reply(opened: Usb) -> None:
-    """The first read sends a zero and waits for its answer in slices of 2 ms."""
     status, sample = opened.read()
     assert status == OK  # no force was active before
     assert np.isfinite(sample).all()
@@ -202,7 +193,6 @@ def test_the_first_read_requests_a_reply(opened: Usb) -> None:
 
 
 def test_the_first_read_times_out(opened: Usb) -> None:
-    """The read repeats its zero every `kick_s` and fails at the first check after the time-out."""
     opened.answers = False
     assert opened.read()[0] == TIMEOUT
     assert TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
@@ -215,7 +205,6 @@ def test_the_first_read_times_out(opened: Usb) -> None:
 
 
 def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
-    """After a pause, replies to earlier packets are discarded; the read sends a zero and returns WITHHELD."""
     assert usb.write(*PULL) == OK
     assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
@@ -238,7 +227,6 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
 
 
 def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
-    """A gap of exactly 30 ms is not a pause."""
     usb.clock.now += 30 * MS
     usb.word[AT.sent_at] = usb.clock.now
     assert usb.read()[0] == STALE
@@ -250,7 +238,6 @@ def test_a_pause_is_longer_than_thirty_ms(usb: Usb) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
-    """After a pause the read waits 0.1 s, then repeats the old sample and restarts the silence; no force is sent."""
     before = usb.read(reply(5))[1].tolist()
     usb.got()
     usb.clock.now += 3 * TIMEOUT_NS
@@ -266,7 +253,6 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
 
 
 def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
-    """If the answer to an earlier packet is lost, the next reply after the second zero counts as current."""
     usb.write(*PULL)
     usb.clock.now += 31 * MS
     events = usb._events
@@ -285,7 +271,6 @@ def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
 
 
 def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
-    """Errors of event handling and of the zero packet are reported as LOST."""
     usb.clock.now += 31 * MS
     usb.error = ERROR_IO
     assert usb.read()[0] == LOST
@@ -301,7 +286,6 @@ def test_a_bus_that_fails_after_a_pause_is_lost(usb: Usb) -> None:
 
 
 def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
-    """A reply gives OK without waiting, then STALE repeats. A reply in pieces counts once it is complete."""
     status, first = usb.read(reply(5))
     assert status == OK
     assert set(usb.waits) == {0}
@@ -314,7 +298,6 @@ def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
 
 
 def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
-    """The last of several replies is used, earlier ones are counted as `passed`, and status bytes are skipped."""
     assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK
     assert usb.word[AT.counts] == 3
     assert usb.counts() == {"replies": 3, "passed": 2}
@@ -325,13 +308,11 @@ def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
 
 
 def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
-    """One tick handles at most eight transfers."""
     assert usb.read(*[reply(n) for n in range(20)])[0] == OK
     assert usb.counts() == {"replies": 8, "passed": 7}
 
 
 def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
-    """A length beyond the buffer is clamped; the memory behind the buffer contains the sent packet."""
     usb.write(*ZERO)
     usb.block.raw_bytes(AT.buffer_in, 64)[:] = 0
     usb._done(AT.transfer_in, COMPLETED, 200)
@@ -349,7 +330,6 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
     ],
 )  # fmt: skip
 def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
-    """After a time-out or cancellation the transfer is submitted again; other failures mean that the device is lost."""
     usb.ends = ends
     usb.comes = [None]
     assert usb.read()[0] == status
@@ -358,7 +338,6 @@ def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -
 
 
 def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
-    """Interrupted event handling completes no transfer; the next tick reads the reply."""
     usb.interrupted = True
     assert usb.read(reply(1))[0] == STALE
     usb.interrupted = False
@@ -366,7 +345,6 @@ def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
 
 
 def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
-    """If libusb rejects a submission in either direction, the transfer is marked as done and the call returns LOST."""
     for knob in (AT.in_done, AT.out_done):
         usb.word[AT.error] = 0
         call = usb._call
@@ -383,13 +361,11 @@ def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
 
 
 def test_a_device_that_lost_its_homing_ends_the_run(usb: Usb) -> None:
-    """The read returns the status of the pose."""
     usb.read(reply(1))
     assert usb.read(packet((1, 1, 1), 0x30))[0] < 0
 
 
 def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
-    """A closed device is lost, accepts zeros and withholds forces, without a call of libusb."""
     usb.word[AT.open] = 0
     assert usb.read()[0] == LOST
     assert usb.write(*ZERO) == OK
@@ -398,7 +374,6 @@ def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
 
 
 def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
-    """While another thread stops the device, reads repeat the last sample and writes are withheld, without waiting."""
     before = usb.read(reply(5))[1].tolist()
     usb.word[AT.lock] = 1
     sample = np.full(SAMPLE_SIZE, nan)
@@ -415,7 +390,6 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
-    """Motor counts are those of the transposed Jacobian, the packet has the light, and torques are ignored."""
     wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
     wrench[axis] = 1.0
     wanted, cut = command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
@@ -431,7 +405,6 @@ def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
 
 @pytest.mark.parametrize("leg", [0, 1, 2])
 def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A single count at any motor is a force, and the zero that ends it is sent even if packets are unanswered."""
     counts = [0, 0, 0]
     counts[leg] = 1
     monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
@@ -444,14 +417,12 @@ def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: p
 
 
 def test_a_force_past_the_motors_is_limited(usb: Usb) -> None:
-    """The write returns STALE."""
     assert usb.write(0.0, 0.0, 100.0, 0.0, 0.0, 0.0) == STALE
     assert max(map(abs, counts_of(usb.got()[0]))) == 4095
     assert usb.forces() == {"written": 1, "cut": 1}
 
 
 def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
-    """The third force in flight is held back, but one zero is sent. Answers allow new packets."""
     assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD]
     assert usb.write(*ZERO) == OK
     assert usb.write(*ZERO) == STALE
@@ -466,7 +437,6 @@ def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
 
 
 def test_missing_answers_are_lost_after_five_ms(usb: Usb) -> None:
-    """Two unanswered packets count as lost 5 ms after the last was sent; a single one is not counted as lost."""
     usb.write(*ZERO)
     usb.later(LOST_NS + 1)
     assert usb.read()[0] == STALE
@@ -481,7 +451,6 @@ def test_missing_answers_are_lost_after_five_ms(usb: Usb) -> None:
 
 
 def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
-    """Also a zero is held back; the write returns TIMEOUT after the time-out."""
     usb.blocked = True
     assert usb.write(*PULL) == OK
     assert usb.write(*PULL) == HELD
@@ -500,7 +469,6 @@ def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
     ("ends", "error"), [(BROKEN, BROKEN), (STALLED, STALLED), (NO_DEVICE, ERROR_NO_DEVICE), (TIMED_OUT, 0)]
 )
 def test_an_error_of_a_packet_stops_the_next(ends: int, error: int, usb: Usb) -> None:
-    """An error of the bus is a loss."""
     usb.transfers[AT.transfer_out].view(np.int32)[4] = ends
     assert usb.write(*PULL) == (LOST if error else OK)
     assert usb.word[AT.error] == error
@@ -510,7 +478,6 @@ def test_an_error_of_a_packet_stops_the_next(ends: int, error: int, usb: Usb) ->
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) -> None:
-    """Each of the three components is checked; the torque is ignored."""
     wrench = [0.0, 0.0, 0.0, bad, bad, bad]
     wrench[axis] = bad
     assert usb.write(*wrench) == WITHHELD
@@ -520,7 +487,6 @@ def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) ->
 
 
 def test_no_force_without_a_position(usb: Usb) -> None:
-    """If no position matches the encoders, each write sends a zero and returns WITHHELD."""
     status, sample = usb.read(reply(-3000))
     assert status == OK and isnan(sample[0])
     assert usb.write(*PULL) == WITHHELD
@@ -529,7 +495,6 @@ def test_no_force_without_a_position(usb: Usb) -> None:
 
 
 def test_no_force_during_a_silence(usb: Usb) -> None:
-    """Forces are sent up to a silence of `kick_s`; after that each write sends a zero and returns WITHHELD."""
     usb.read(reply(1))
     usb.later(KICK)
     assert usb.write(*PULL) == OK
@@ -542,7 +507,6 @@ def test_no_force_during_a_silence(usb: Usb) -> None:
 
 
 def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
-    """Before `arm` and after `stop` forces are withheld and zeros are sent, unless two packets are unanswered."""
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
         usb.word[AT.unanswered] = 0
@@ -559,7 +523,6 @@ def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
 
 
 def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
-    """The read sends a zero `kick_s` after the last packet and returns WITHHELD; `timeout_s` gives TIMEOUT."""
     usb.read(reply(1))
     usb.write(*PULL)
     usb.word[AT.stale_replies] = 1
@@ -583,7 +546,6 @@ def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
 
 
 def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
-    """The age of the last reply decides, not that of the last packet."""
     usb.write(*ZERO)
     usb.got()
     usb.later(1)
@@ -595,7 +557,6 @@ def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
 
 
 def test_no_kick_follows_a_recent_packet(usb: Usb) -> None:
-    """During a longer silence, no kick follows a zero that was sent just before."""
     usb.read(reply(1))
     usb.later(3 * KICK)
     usb.write(*ZERO)
@@ -605,7 +566,6 @@ def test_no_kick_follows_a_recent_packet(usb: Usb) -> None:
 
 
 def test_a_kick_that_is_not_transmitted(usb: Usb) -> None:
-    """If the last packet is not transmitted, the kick is not reported as a zero; an error of the bus is LOST."""
     usb.read(reply(1))
     usb.blocked = True
     usb.write(*PULL)
@@ -627,7 +587,6 @@ def stop(usb: Usb) -> int:
 
 
 def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
-    """The stop waits for the pending force, sends one zero and disarms the device; a closed device gets none."""
     usb.write(*PULL)
     usb.got()
     assert stop(usb) == 0
@@ -642,7 +601,6 @@ def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
 
 
 def test_a_failed_zero_is_repeated(usb: Usb) -> None:
-    """A zero that failed is repeated even if no force is active; if the bus rejects packets, the stop ends."""
     usb.transfers[AT.transfer_out].view(np.int32)[4] = CANCELLED
     assert stop(usb) == 0
     assert usb.got() == [NOTHING]
@@ -653,7 +611,6 @@ def test_a_failed_zero_is_repeated(usb: Usb) -> None:
 
 
 def test_a_pending_force_is_cancelled(usb: Usb) -> None:
-    """A stop cancels a pending packet after `STOP_HANG_NS`, then sends the zero."""
     usb.blocked = True
     usb.write(*PULL)
     usb.got()
@@ -667,7 +624,6 @@ def test_a_pending_force_is_cancelled(usb: Usb) -> None:
 
 
 def test_closing_cancels_both_transfers(usb: Usb) -> None:
-    """Closing cancels the pending transfers and returns 1 once libusb has returned both."""
     assert usb.block.call(exchange.cancel_transfers) == 1
     assert usb.cancelled == [AT.transfer_in]
     assert [usb.word[at] for at in (AT.open, AT.in_done, AT.out_done, AT.lock)] == [0, 1, 1, 0]
@@ -678,7 +634,6 @@ def test_closing_cancels_both_transfers(usb: Usb) -> None:
 
 @pytest.mark.parametrize("hangs", [AT.transfer_in, AT.transfer_out])
 def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
-    """Closing returns 0 while libusb has not returned one of the transfers."""
     usb.blocked = usb.stubborn = True
     usb.write(*PULL)
     usb._done(AT.transfer_in if hangs == AT.transfer_out else AT.transfer_out, CANCELLED)
@@ -691,7 +646,6 @@ def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
 
 
 def test_the_callback_marks_its_transfer_as_done() -> None:
-    """The callback sets the flag at the address in the transfer's user data, its sixth field."""
     word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
     transfer[5] = ctypes.addressof(word)
     exchange.on_complete(ctypes.addressof(transfer))

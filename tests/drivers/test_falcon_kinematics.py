@@ -65,7 +65,6 @@ def test_published_torques() -> None:
 
 @pytest.mark.scaled
 def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
-    """The angles of 5000 positions (10^5 in `make test-all`) give them back, from either of two starts."""
     count = cases(5000, 100_000)
     near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (count, 3))
     worst = 0.0
@@ -79,7 +78,6 @@ def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
 
 
 def test_a_failed_search_restarts_at_the_centre() -> None:
-    """If the last solution is not a number or out of reach, the search still finds the position."""
     for place in places(100):
         theta, _ = inverse(delta.FALCON, tuple(place))
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
@@ -88,7 +86,6 @@ def test_a_failed_search_restarts_at_the_centre() -> None:
 
 
 def test_rows_of_k_are_the_derivative() -> None:
-    """K equals d theta1 / d p from central differences."""
     h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
     for place in places(300):
         _, k = inverse(delta.FALCON, tuple(place))
@@ -101,7 +98,6 @@ def test_rows_of_k_are_the_derivative() -> None:
 
 
 def test_torques_do_the_work_of_the_force() -> None:
-    """F . dp = tau . d theta for every small motion: the legs conserve power."""
     rng = np.random.default_rng(SEED)
     h = 1e-6
     for place in places(300):
@@ -115,7 +111,6 @@ def test_torques_do_the_work_of_the_force() -> None:
 
 
 def test_two_derivations_of_the_legs_agree() -> None:
-    """The half-angle solution equals the emulator's, which solves the triangle of the links."""
     for place in places(300):
         theta, _ = inverse(delta.FALCON, tuple(place))
         theirs = [other.leg_angle(leg, tuple(place)) for leg in other.LEGS]
@@ -124,12 +119,10 @@ def test_two_derivations_of_the_legs_agree() -> None:
 
 @pytest.mark.parametrize("counts", [(32767, -32768, 0), (-3000, -3000, -3000), (2500, 2500, 2500), (math.nan, 0, 0)])
 def test_counts_without_a_position_are_not_found(counts: tuple[float, float, float]) -> None:
-    """Angles of no position are reported as not found."""
     assert not forward(delta.FALCON, angles(*counts), delta.HOME)[1]
 
 
 def test_no_force_out_of_reach() -> None:
-    """Out of reach the torques and counts are 0 and marked as limited."""
     for place in ((0.2, 0.0, 0.11), (0.0, 0.0, 0.4), (math.nan, 0.0, 0.11), (0.0, 0.0, -0.1)):
         torque, able = torques_for(delta.FALCON, place, (0.0, 0.0, 1.0))
         assert not able
@@ -152,7 +145,6 @@ RECORDED = {
 
 
 def test_motors_turn_as_in_recorded_packets() -> None:
-    """With the shipped rig each count has the recorded sign, which within 2 cm of the centre is everywhere the same."""
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():
@@ -161,7 +153,6 @@ def test_motors_turn_as_in_recorded_packets() -> None:
 
 
 def test_counts_are_scaled_together() -> None:
-    """A force beyond the motors is scaled to a maximum of 4095 counts, which preserves its direction."""
     force = (3.0, -2.0, 60.0)
     wanted = 10000.0 * np.array(torques_for(delta.FALCON, delta.HOME, force)[0])
     counts, cut = motor_counts(10000.0, delta.HOME, force)

@@ -42,7 +42,6 @@ def test_published_packets(motors: tuple[int, int, int], state: int, wire: str) 
 
 
 def test_every_count_is_decoded() -> None:
-    """Each sampled int16 is decoded from its four bytes, at each of the three positions."""
     for value in range(-32768, 32768, 17):
         counts = (value, -1 - value, value ^ 0x5A)
         assert packets.decode(np.frombuffer(packet(counts, 0x75), np.uint8)) == (counts, 0x75)
@@ -57,7 +56,6 @@ def blank() -> np.ndarray:
 
 @entry
 def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
-    """Process bytes, store the counts of each reply in `out`, and return the number of replies."""
     came = 0
     for byte in data:
         if reply.process_byte(handle, byte):
@@ -70,7 +68,6 @@ def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
 
 @pytest.mark.scaled
 def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
-    """All complete packets are decoded in order between noise and truncated packets."""
     rng = np.random.default_rng(3)
     number = cases(5000, 1_000_000)
     counts = rng.integers(-32768, 32768, (number, 3))
@@ -91,7 +88,6 @@ def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
 
 @pytest.mark.scaled
 def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
-    """Random bytes contain no reply, which occurs by chance at one byte in 256^2 16^12 2."""
     data = np.random.default_rng(4).integers(0, 256, cases(50_000, 10_000_000)).astype(np.uint8)
     word = blank()
     assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
@@ -99,7 +95,6 @@ def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
 
 @pytest.mark.parametrize("broken", [n for n in range(16) if n != packets.FILLER])
 def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
-    """A wrong value of any byte except the filler drops the packet."""
     wire = bytearray(packet((1, 2, 3), 0))
     wire[broken] = 0x20
     word = blank()
@@ -108,7 +103,6 @@ def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
 
 @pytest.mark.parametrize("filler", [0x00, 0x20, 0x3E, 0x42, 0xFF])
 def test_the_filler_byte_may_have_any_value(filler: int) -> None:
-    """Byte 14 is 'A' in traced packets, but other drivers ignore it: another value is accepted and counted."""
     wire = bytearray(packet((1, 2, 3), 0) * 3)
     wire[packets.FILLER] = filler
     word, out = blank(), np.zeros((3, 3), np.int64)
@@ -129,7 +123,6 @@ def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
 
 @pytest.mark.scaled
 def test_any_counts_give_a_matching_position_or_none(cases: Cases) -> None:
-    """For any encoder counts the sample is a position with these angles, or NaN, which the guard rejects."""
     rng, count = np.random.default_rng(5), cases(500, 2000)
     word = blank()
     sample = word.view(np.float64)[AT.sample : AT.sample + 9]
@@ -145,7 +138,6 @@ def test_any_counts_give_a_matching_position_or_none(cases: Cases) -> None:
 
 
 def test_buttons_and_lost_homing() -> None:
-    """Button bits are in the sample. Lost homing is a fault once the firmware has reported homing."""
     word = blank()
     word[AT.armed] = 1
     assert answer(word, (0, 0, 0), 0x05) == OK  # no homing bits yet
@@ -155,7 +147,6 @@ def test_buttons_and_lost_homing() -> None:
 
 
 def test_options_are_checked() -> None:
-    """A gain beyond any motor and a kick period above the time-out are rejected by name."""
     given = load_rig("falcon").device.options
     for change, said in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
         with pytest.raises(ConfigError, match=said):

@@ -63,7 +63,6 @@ class TestContract(DriverContract):
 
 
 def run(device: Falcon, ticks: int) -> tuple[s.LoopEnd, np.ndarray]:
-    """Run the servo for `ticks`; return its end and its records."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
     servo.compile()
@@ -81,7 +80,6 @@ def columns(records: np.ndarray, at: int, number: int = 3) -> np.ndarray:
 
 
 def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: FalconBench) -> None:
-    """Each tick has a new reply with the knob's position; modes and forces equal the engine's."""
     stub.update(**STROKE)
     with bench.open() as device:
         stub["logged"] = 0
@@ -118,7 +116,6 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
 
 
 def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: FalconBench) -> None:
-    """If every tenth reply is one tick late, that tick repeats the sample and the next has a new one."""
     with bench.open() as device:
         stub.update(late=1, late_every=10, lates=0, logged=0)
         ended, records = run(device, 1000)
@@ -147,7 +144,6 @@ def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: Falc
 def test_faults_leave_no_transfer_pending(
     fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
 ) -> None:
-    """Each fault ends the servo with its status; all transfers are freed and no packet is pending."""
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -166,7 +162,6 @@ def test_faults_leave_no_transfer_pending(
 
 
 def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
-    """Before `arm` the device only gets zeros, however long that takes; after `stop` it cannot be armed again."""
     with open_device(options(), RATE_HZ) as device:
         servo = Servo(device, arm=False)
         servo.read()
@@ -187,7 +182,6 @@ def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
 def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
     timeout_s: float, stub: UsbStub, bench: FalconBench
 ) -> None:
-    """`stop` cancels a hung packet and sends zero when the device accepts packets, for any `timeout_s`."""
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = Servo(device)
         servo.read()
@@ -206,7 +200,6 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
 
 
 def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture) -> None:
-    """If the zero of a stop is not transmitted, a message is logged; closing cancels the pending packet."""
     device = bench.open(timeout_s=0.05, kick_s=0.02)
     servo = Servo(device)
     servo.read()
@@ -223,7 +216,6 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
 def test_transfers_not_returned_by_libusb_are_not_freed(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If a cancelled transfer is not returned, its memory is not freed, but the device closes and opens again."""
     device = bench.open()
     Servo(device).read()
     stub.update(stubborn=1, hush_at=0)
@@ -238,7 +230,6 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
 
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
-    """While one thread handles events for 0.1 s, a stop waits for it, then sends the zero: never two in libusb."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -257,7 +248,6 @@ def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBen
 def test_closing_under_a_loop_that_hangs_in_libusb(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If libusb does not return to the loop, `close` logs that the device remains open; later it succeeds."""
     device = bench.open()
     servo = Servo(device)
     servo.read()
@@ -283,7 +273,6 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
 def test_a_failed_opening_frees_everything(
     knobs: dict[str, float], error: type[Exception], stub: UsbStub, bench: FalconBench
 ) -> None:
-    """If a transfer is refused, or memory for the second one is missing, opening fails and frees everything."""
     stub.update(**knobs)
     with pytest.raises(error):
         bench.open()
@@ -292,7 +281,6 @@ def test_a_failed_opening_frees_everything(
 
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
-    """Firmware is sent again after a wrong echo; after homing by hand the sensed position equals the knob's."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(bytes(range(250)) * 6)
     stub.update(firmware=1500, spoil=1, homed=0)
@@ -307,7 +295,6 @@ def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) 
 
 @pytest.mark.scaled
 def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int, int], int]) -> None:
-    """Each position belongs to the counts of a complete packet, or is NaN and no force follows it."""
     number = cases(20_000, 1_000_000)
     with bench.open() as device:
         stub.update(still=1, fuzz=1)
@@ -322,7 +309,6 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
 
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
-    """In two loops of one process each exchange is with its knob; without a serial number none is opened."""
     stub.update(z=0.03)
     stub[1, "attached"] = 1
     stub[1, "z"], stub[1, "x"] = 0.045, 0.02
@@ -364,7 +350,6 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
 
 
 def test_the_daemon_itself(tmp_path: Path) -> None:
-    """`softfinger run` finds the stub where the loader expects libusb, renders contact, and releases everything."""
     words = ["run", "--rig", "falcon", "--scene", "paper-plane", "--endpoint", "tcp://127.0.0.1:*"]
     words += ["--realtime", "off", "--duration", "1.5"]
     done = run_program(
@@ -384,7 +369,6 @@ FALCON = SystemDevice("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/u
 
 
 def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
-    """With `--ask` the device reports if its firmware runs, in JSON and text, and then needs no file."""
     claim = find_claim(FALCON)
     assert claim is not None
     diagnosis, said = devices.identify_device(FALCON, claim)

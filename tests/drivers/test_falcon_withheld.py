@@ -38,7 +38,6 @@ def pull(stub: UsbStub) -> np.ndarray:
 
 @contextmanager
 def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
-    """Run the servo loop under the contract's scene, pulling up. Each tick counts as one period, however late it is."""
     scene = load_scene({**PULL, "effect": [{"kind": "constant_force", "force_n": [0.0, 0.0, PULL_N]}]})
     guard = load_rig("falcon", {"guard.ramp_s": ramp_s, "guard.force_slew_n_per_s": SLEW_N * RATE_HZ}).guard
     with FalconBench(stub).open(timeout_s=2.0, kick_s=0.02) as device:
@@ -57,7 +56,6 @@ def running(stub: UsbStub, ramp_s: float, **knobs: float) -> Iterator[None]:
 
 
 def test_a_force_ramps_up_after_a_silence(stub: UsbStub) -> None:
-    """A silence of 60 ms ends the force with zeros; then it ramps from zero, within the guard's slew limit."""
     with running(stub, RAMP_S):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         before = len(pull(stub)) - 1
@@ -77,7 +75,6 @@ def test_a_force_ramps_up_after_a_silence(stub: UsbStub) -> None:
 
 @pytest.mark.parametrize("late", [2, 4])
 def test_a_force_that_waits_is_no_wider_step(late: int, stub: UsbStub) -> None:
-    """If late replies hold forces back, the next force is within the slew limit of the last one sent."""
     with running(stub, 0.01, late=late):
         until(lambda: stub["logged"] > 0 and pull(stub)[-1] > 0.99 * PULL_N)
         forces = pull(stub)

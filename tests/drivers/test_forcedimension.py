@@ -90,7 +90,6 @@ def test_models_equal_the_vendors_header() -> None:
 
 
 def test_causes_and_status_words_equal_the_vendors_header() -> None:
-    """Force, error, cause are words 5, 9, 14; causes 1 to 6 are button, velocity, watchdog, software, USB, dead man."""
     assert (exchange.STATUS_FORCE, exchange.STATUS_ERROR, exchange.STATUS_CAUSE) == (5, 9, 14)
     words = ("button", "velocity", "watchdog", "library", "USB", "dead-man")
     assert len(library.FORCE_OFF_CAUSES) == 6
@@ -99,7 +98,6 @@ def test_causes_and_status_words_equal_the_vendors_header() -> None:
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
 def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Each system type opens under its name with its limits; a wrist with motors adds three actuated axes."""
     name = MODELS[kind].name
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)
@@ -116,7 +114,6 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBen
 
 
 def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
-    """Nothing moves, no setting changes; after closing, force is off and brakes are on as the library leaves them."""
     with bench.open():
         seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
         assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
@@ -127,7 +124,6 @@ def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
 
 
 def test_settings_of_the_rig_are_made(stub: Stub, bench: StubBench) -> None:
-    """Calibration, gravity compensation and velocity threshold are set as in the rig."""
     stub["initialized"] = 0
     with bench.open(velocity_threshold=300, calibrate=True, gravity_compensation=True):
         seen = {name: stub[name] for name in ("moved", "gravity", "threshold", "regulated", "force_on")}
@@ -150,7 +146,6 @@ def test_brakes_are_on_or_off_while_the_force_is_off(brakes: bool, stub: Stub, b
 def test_brakes_that_cannot_be_released_are_logged(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If the device rejects the brake setting, it opens, and `brakes = false` logs a warning."""
     stub["refuse_brakes"] = 1
     bench.open().close()
     assert "brakes" not in caplog.text
@@ -162,7 +157,6 @@ def test_brakes_that_cannot_be_released_are_logged(
 
 
 def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBench) -> None:
-    """`arm`, not opening, enables force and watchdog. Before, reads work and forces are withheld."""
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
         servo = Servo(device, arm=False)
@@ -181,7 +175,6 @@ def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: StubBenc
 
 
 def test_opening_disables_a_force_of_a_killed_program(stub: Stub, bench: StubBench) -> None:
-    """Opening disables a force that a killed program left on a device without a watchdog."""
     stub.update(force_on=1, fz=3.0, cause=0)
     assert stub.norm() == 3.0
     with bench.open_unarmed():
@@ -189,7 +182,6 @@ def test_opening_disables_a_force_of_a_killed_program(stub: Stub, bench: StubBen
 
 
 def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
-    """After `stop` the device cannot be armed, whether `arm` was called before or not."""
     with bench.open_unarmed() as device:
         device.stop()
         device.arm()
@@ -198,7 +190,6 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: StubBench) -> None:
 
 
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
-    """If the library hangs during arming, `stop` returns, and the arming thread then disables the force."""
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
         arming = threading.Thread(target=device.arm)
@@ -213,7 +204,6 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: StubBench) -> None:
 
 @pytest.mark.parametrize("code", [2, 6, 7])
 def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) -> None:
-    """If the firmware rejects the watchdog, opening fails and closes the device; with `watchdog_s = 0` it opens."""
     stub["refuse_watchdog"] = code
     with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
         bench.open(watchdog_s=0.03)
@@ -228,7 +218,6 @@ def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: StubBench) ->
 
 
 def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench) -> None:
-    """An omega.3 is read by its position in one call; with a wrist a failed frame is a failure."""
     stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     with bench.open() as device:
         servo = Servo(device)
@@ -250,7 +239,6 @@ def test_device_without_a_frame_gives_its_position(stub: Stub, bench: StubBench)
 def test_a_device_of_unknown_type_has_the_lowest_limits(
     stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An unknown type opens with a warning, the lowest limits and no torque; a rig for a certain model rejects it."""
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"
@@ -268,7 +256,6 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
 
 
 def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench: StubBench) -> None:
-    """Without `calibrate` an uncalibrated device is closed unmoved; the error warns that calibration moves it."""
     stub["initialized"] = 0
     with pytest.raises(DeviceError, match=r"not calibrated.*calibrate = true.*MOVES"):
         bench.open()
@@ -276,7 +263,6 @@ def test_device_that_is_not_calibrated_does_not_move_by_itself(stub: Stub, bench
 
 
 def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, bench: StubBench) -> None:
-    """If a setting fails, the error names its function, and the device is closed without force."""
     stub.update(initialized=0, refuse_init=1)
     with pytest.raises(DeviceTimeout, match=r"drdAutoInit.*timeout"):
         bench.open(calibrate=True)
@@ -292,7 +278,6 @@ def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, benc
     [(3, DeviceBusy), (20, DeviceBusy), (5, DeviceNotFound), (7, DeviceTimeout), (2, DeviceError), (4, DeviceError)],
 )
 def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub: Stub, bench: StubBench) -> None:
-    """The error code of the library selects the exception."""
     stub.update(fail_open=1, error=code)
     with pytest.raises(kind) as caught:
         bench.open()
@@ -300,7 +285,6 @@ def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub:
 
 
 def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBench) -> None:
-    """Of three devices the selected one is opened and the rest are closed; without a match the error lists them."""
     stub["devices"] = 3  # the stub's serial numbers end in the device's number
     with bench.open(serial=1232) as device:
         assert device.info.name == "omega.3, serial 1232"
@@ -313,7 +297,6 @@ def test_device_is_chosen_by_serial_model_and_number(stub: Stub, bench: StubBenc
 
 
 def test_a_device_is_identified_without_force(stub: Stub) -> None:
-    """`devices --ask` reports the device without motion or force and closes it, or reports it as busy."""
     claim = Claim("forcedimension", "usb", 0x1451, None)
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
@@ -329,7 +312,6 @@ def test_a_device_is_identified_without_force(stub: Stub) -> None:
 
 
 def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
-    """A watchdog shorter than two ticks is rejected before opening; the error contains the minimum."""
     with pytest.raises(DeviceError, match=r"watchdog_s = 0\.001 .*at 1000 Hz: give at least 0\.002"):
         bench.open(watchdog_s=0.001)
     bench.open(watchdog_s=0.002).close()
@@ -338,7 +320,6 @@ def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
 
 
 def test_options_outside_their_range_are_refused_by_name() -> None:
-    """The error names every option that is out of range, wrong or unknown."""
     given = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
     with pytest.raises(ConfigError) as caught:
         build(forcedimension.Options, given, "rig [device]")
@@ -350,7 +331,6 @@ def test_options_outside_their_range_are_refused_by_name() -> None:
 
 
 def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None:
-    """The error lists searched paths, unset variables, the source of the library, and the attached devices."""
     environ = {"FDSDK": str(tmp_path / "sdk"), "HOME": str(tmp_path)}
     with pytest.raises(DeviceNotFound) as caught:
         library.load(None, environ)
@@ -376,7 +356,6 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
 def test_the_library_is_found_in_the_folders_of_the_sdk(variable: str, stub_library: Path, tmp_path: Path) -> None:
-    """The library is found through both variables and in ~/.local/lib; of two versions the newer is loaded."""
     folder = tmp_path / (".local/lib" if variable == "HOME" else f"lib/release/lin-{os.uname().machine}-gcc")
     folder.mkdir(parents=True)
     (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
@@ -394,7 +373,6 @@ def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.Mo
 
 
 def test_unusable_library_is_named(tmp_path: Path) -> None:
-    """The error names a file that is not a library, and a function that the library lacks."""
     file = tmp_path / "libdrd.so"
     file.write_text("no library")
     with pytest.raises(DeviceError, match=rf"{file} cannot be loaded"):
@@ -466,7 +444,6 @@ def matrix_of(q: Any) -> np.ndarray:
 
 
 def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
-    """Towards the user is -y, right is x, up is z: poses and wrenches equal a computation by matrices."""
     assert np.linalg.det(TURN) == 1.0
     stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     for axis in range(3):
@@ -491,7 +468,6 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBen
 
 @pytest.mark.parametrize("kind", [33, 34, 35, 63, 131])
 def test_no_torque_is_sent_to_a_passive_wrist(kind: int, stub: Stub, bench: StubBench) -> None:
-    """Devices without motors at the wrist, such as an omega.6, get forces only; no gripper is driven."""
     stub.update(type=kind, wrist=1, gripper=kind == 35)
     with bench.open() as device:
         servo = Servo(device)
@@ -506,7 +482,6 @@ def test_no_torque_is_sent_to_a_passive_wrist(kind: int, stub: Stub, bench: Stub
 def test_failing_call_gives_its_status_and_reason(
     call: str, code: int, status: int, stub: Stub, bench: StubBench
 ) -> None:
-    """The library's timeout gives TIMEOUT, any other error LOST, and the reason contains its code."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -522,7 +497,6 @@ def test_failing_call_gives_its_status_and_reason(
 
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: StubBench, cases: Callable[[int, int], int]) -> None:
-    """For any bits from the library, reads are OK or STALE, orientations NaN or unit, and forces within the limit."""
     with bench.open(status_period_s=1.0) as device:
         stub.update(garbage=1)
         io, out = device.io(), np.zeros(3, np.int64)

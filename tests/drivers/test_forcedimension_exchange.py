@@ -79,7 +79,6 @@ class Library:
         return self.block.call(exchange.write, wrench)
 
     def counts(self) -> dict[str, int]:
-        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
@@ -92,7 +91,6 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
 
 
 def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
-    """Position and rotation are in the world frame; the sample has 32 buttons, the gripper's angle and the time."""
     library.rotation = turned(2, 0.3) @ turned(0, 0.7) @ turned(1, -1.1)
     library.gives["get_buttons"] = -2  # an int32 of a mask
     status, sample = library.read()
@@ -108,7 +106,6 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
 
 
 def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
-    """The position is in the world frame, the orientation is the identity; without a gripper no angle is read."""
     library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
     library.rotation = turned(2, 0.3)
     status, sample = library.read()
@@ -129,7 +126,6 @@ def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
     ids=["mirror", "long", "short", "last", "volume 1", "volume 1 too", "and so", "zeros", "nan", "askew"],
 )  # fmt: skip
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
-    """A row length or a volume off by more than a hundredth gives NaN; a smaller deviation is accepted."""
     library.rotation = rotation
     status, sample = library.read()
     assert status == OK
@@ -141,7 +137,6 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 @pytest.mark.parametrize("row", [0, 1, 2])
 @pytest.mark.parametrize("length", [0.9891, 1.0109])
 def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
-    """Each row is checked, though the volume is within a hundredth of 1."""
     scale = np.full(3, length**-0.49)
     scale[row] = length
     library.rotation = np.diag(scale)
@@ -150,14 +145,12 @@ def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Li
 
 
 def test_a_repeated_reading_is_stale(library: Library) -> None:
-    """A reading repeated by the library's time guard gives STALE and is counted."""
     library.gives["get_frame"] = 1
     assert library.read()[0] == STALE
     assert library.counts() == {"reads": 1, "reads_guarded": 1}
 
 
 def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
-    """While another thread has the lock, samples repeat and forces are withheld, without calling the library."""
     _, before = library.read()
     library.place += 1.0
     library.word[AT.lock] = 1
@@ -171,7 +164,6 @@ def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: 
 
 
 def test_a_device_that_is_closed_is_lost(library: Library) -> None:
-    """The library is not called."""
     library.word[AT.open] = 0
     assert library.read()[0] == LOST
     assert library.asked == []
@@ -182,7 +174,6 @@ def test_a_device_that_is_closed_is_lost(library: Library) -> None:
 
 @pytest.mark.parametrize("name", ["get_frame", "get_gripper"])
 def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
-    """The library's timeout gives TIMEOUT, another error LOST and a status read; a repeated gripper angle is OK."""
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
     assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"
@@ -215,7 +206,6 @@ def test_the_status_is_read_periodically(library: Library) -> None:
     ("words", "status"), [({FORCE: 0}, FORCE_OFF), ({ERROR: 9}, FORCE_OFF), ({FORCE: 0, ERROR: 9}, FORCE_OFF), ({}, OK)]
 )
 def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], status: int, library: Library) -> None:
-    """A status with force off or an error word ends the run, and its cause and error word are stored."""
     library.word[AT.reads] = 2
     _, before = library.read()
     library.status |= {CAUSE: 4, **words}
@@ -229,7 +219,6 @@ def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], 
 
 
 def test_a_failed_status_call_is_a_failure(library: Library) -> None:
-    """A failed status call gives the status of the library's error."""
     library.gives |= {"get_status": -1, "get_error": ERROR_TIMEOUT}
     library.word[AT.reads] = 3
     assert library.read()[0] == TIMEOUT
@@ -243,7 +232,6 @@ def test_a_failed_status_call_is_a_failure(library: Library) -> None:
 
 
 def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
-    """Force and torque are converted, the gripper force is 0; a device without motors at the wrist gets no torque."""
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
     assert library.asked == ["set_wrench"]
@@ -255,7 +243,6 @@ def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
 
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> None:
-    """A NaN in any component gives a zero wrench and WITHHELD."""
     wrench = [1.0] * 6
     wrench[place] = nan
     assert library.write(*wrench) == WITHHELD
@@ -265,7 +252,6 @@ def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> Non
 
 @pytest.mark.parametrize("place", range(6))
 def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library) -> None:
-    """Before arming and after a stop the library is not called: forces are withheld and a zero is OK."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
@@ -281,7 +267,6 @@ def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library)
     [(0, OK, {}), (1, HELD, {"writes_guarded": 1}), (2, STALE, {"saturated": 1}), (3, STALE, {})],
 )
 def test_results_of_a_force(code: int, status: int, counts: dict[str, int], library: Library) -> None:
-    """Accepted gives OK, held back by the time guard HELD, beyond the motors STALE; a NaN wrench is always WITHHELD."""
     library.gives["set_wrench"] = code
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
     assert library.counts() == {"writes": 1, **counts}
@@ -290,7 +275,6 @@ def test_results_of_a_force(code: int, status: int, counts: dict[str, int], libr
 
 
 def test_a_failed_force_has_a_reason(library: Library) -> None:
-    """A failed force gives the status of the library's error and is not counted as written."""
     library.gives |= {"set_wrench": -1, "get_error": ERROR_TIMEOUT}
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == TIMEOUT
     library.gives["get_error"] = 2
@@ -299,7 +283,6 @@ def test_a_failed_force_has_a_reason(library: Library) -> None:
 
 
 def test_only_one_thread_has_the_lock(library: Library) -> None:
-    """`lock` returns whether the lock was free."""
     assert library.block.call(exchange.lock) == 1
     assert library.block.call(exchange.lock) == 0
     assert library.block.call(exchange.unlock) == 0

@@ -56,7 +56,6 @@ def fd_rig(stub: Stub, **changes: Any) -> Rig:
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> None:
-    """Forces and modes equal the engine's on the sensed poses; never two threads are in the library."""
     stub.update(**PRESSING, gripper=1, gripper_rad=0.25)
     scene = load_scene("paper-plane")
     records = records_of_daemon(fd_rig(stub, **{"device.gravity_compensation": True}), scene, 2500)
@@ -89,7 +88,6 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> 
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
 ) -> None:
-    """The daemon raises the error of each fault with its cause, motors have no force, and the device opens again."""
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
     if "watchdog" in words:
@@ -106,7 +104,6 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 
 def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -> bool:
-    """Run 300 ticks with the default watchdog after `late`; return False if the watchdog ends them."""
     stub.reset()
     stub.update(**PRESSING)
     options = build(forcedimension.Options, {"library_file": str(stub.path)}, "[device]")
@@ -134,7 +131,6 @@ def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
 
 
 def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_path: Path) -> None:
-    """`softfinger run` with real-time settings and publisher finishes in one of five runs, as above."""
     rig = tmp_path / "rig.toml"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n'
@@ -149,7 +145,6 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
 
 
 def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
-    """A NaN from the device gives zero force and a guard bit for its tick, and the loop continues."""
     stub.update(**PRESSING, nan_at=480)  # in contact
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
@@ -165,7 +160,6 @@ def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBe
 
 
 def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> None:
-    """A force that the device turned off is detected after the rig's status period, not earlier."""
     with bench.open(status_period_s=0.02) as device:
         servo = Servo(device)
         for _ in range(20):
@@ -180,7 +174,6 @@ def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> N
 def test_stop_while_a_transfer_hangs(
     exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """`stop` waits briefly for a hanging exchange; the force is disabled at the latest when the library returns."""
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
@@ -204,7 +197,6 @@ def test_stop_while_a_transfer_hangs(
 
 
 def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None:
-    """`stop` from another thread during a slow reading never enters the library together with the loop."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
     for _ in range(3):  # this thread might stall for a full reading, but not each time
@@ -223,7 +215,6 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
-    """A signal in contact ends the daemon with code 0; the device was zeroed, disabled and closed."""
     rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
@@ -246,7 +237,6 @@ def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_lib
 
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each shipped rig for Force Dimension opens its device without moving it, and rejects another model."""
     names = [name for name in list_shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
     assert names == ["omega-3", "omega-6", "omega-7"]
     for kind, name in zip((33, 34, 35), names, strict=True):

@@ -48,14 +48,11 @@ BOARD = SystemDevice("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyAC
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """Check that the driver's thread has ended with the device."""
     yield
     assert not [one for one in threading.enumerate() if one.name == "haply exchange"]
 
 
 class Bench(driver_contract.Bench):
-    """Bench on the emulated service; a missing device is removed from the service's list."""
-
     patience_s: ClassVar[float] = 10.0
     cannot: ClassVar[Mapping[str, str]] = {
         "permission": "the service opens the device, and every program of this machine may speak to the service"
@@ -105,7 +102,6 @@ def service() -> Iterator[Service]:
 
 
 def until_status(servo: Servo, wanted: int) -> None:
-    """Read once a millisecond until a read returns `wanted`."""
     end = time.monotonic() + 10.0
     while (status := servo.read()[0]) != wanted:
         assert status >= 0 and time.monotonic() < end, f"the last status was {status}"
@@ -113,7 +109,6 @@ def until_status(servo: Servo, wanted: int) -> None:
 
 
 def at_rest(service: Service) -> None:
-    """Wait until the device has no force; the service reads in a separate process."""
     end = time.monotonic() + 5.0
     while any(service.force()):
         assert time.monotonic() < end
@@ -129,7 +124,6 @@ def first_failure(servo: Servo) -> int:
 
 
 def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
-    """Move the cursor, and return a sample with the new position."""
     service.do("move", id=ID, to=to)
     fresh(servo)
     time.sleep(0.02)  # a state with the old position may be in flight
@@ -138,7 +132,6 @@ def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
-    """Position, orientation and force are converted between service and world; buttons a, b, c are bits 0 to 2."""
     half = math.sqrt(0.5)
     turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
@@ -159,14 +152,12 @@ def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
 
 
 def test_without_a_grip_there_is_no_orientation() -> None:
-    """Without a grip the device senses 3 degrees of freedom, and the orientation is the identity."""
     with Service() as alone, opened(alone) as device:
         assert device.info.sensed_dof == 3
         np.testing.assert_allclose(fresh(Servo(device))[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-12)  # rounding
 
 
 def test_a_wired_grip_has_one_button() -> None:
-    """A wired VerseGrip reports `button` instead of `buttons`."""
     with Service(grips=("verse_grip:61548",)) as wired:
         wired.do("grip", id="61548", to={"button": True})
         with opened(wired, grip="61548") as device:
@@ -174,7 +165,6 @@ def test_a_wired_grip_has_one_button() -> None:
 
 
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
-    """Forces written before the answer are HELD; the device receives the accepted ones once each and in order."""
     late_s = 0.02
     service.set(late_s=late_s)
     with opened(service) as device:
@@ -200,7 +190,6 @@ def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
     ("version", "key"), [("3.1.1", "values"), ("3.4.2", "values"), ("3.5.0", "vector"), ("3.9.1", "vector")]
 )
 def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None:
-    """The service reads the force under the key of its version and ignores other keys; the force arrives with each."""
     with Service(version) as of_version, opened(of_version) as device:
         servo = Servo(device)
         fresh(servo)
@@ -222,7 +211,6 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     ids=["old", "next", "no number", "a list", "nothing", "deep"],
 )  # fmt: skip
 def test_a_service_of_another_version_is_rejected(page: str, told: str, service: Service) -> None:
-    """A version outside of 3.1 to 3.x, or none, is rejected; the rig can set it if the service reports none."""
     service.set(pages={"/version": page})
     with pytest.raises(DeviceError, match=told):
         opened(service)
@@ -230,7 +218,6 @@ def test_a_service_of_another_version_is_rejected(page: str, told: str, service:
 
 
 def test_the_error_lists_available_devices() -> None:
-    """Without a unique match the error lists the available devices or grips; a name selects one."""
     with Service(
         devices=("inverse3:049D", "minverse:0A11"), grips=("wireless_verse_grip:1", "wireless_verse_grip:2")
     ) as two:
@@ -253,7 +240,6 @@ def test_the_error_lists_available_devices() -> None:
 
 
 def test_the_error_without_a_service_names_the_one_to_start() -> None:
-    """Without a service the error names the one to start; port 10000 is rejected for its unsupported format."""
     with Service() as ended:
         port = ended.port
     with pytest.raises(
@@ -265,7 +251,6 @@ def test_the_error_without_a_service_names_the_one_to_start() -> None:
 
 
 def test_opening_at_a_silent_service_times_out(service: Service) -> None:
-    """Without an inventory, opening fails after two seconds."""
     service.set(mute=True)
     begun = time.monotonic()
     with pytest.raises(NoAnswer, match=r"does not answer within 2 s: restart it"):
@@ -274,7 +259,6 @@ def test_opening_at_a_silent_service_times_out(service: Service) -> None:
 
 
 def test_filters_are_set_as_in_the_rig(service: Service) -> None:
-    """Home return is always off, other filters are set if different; a refusal is an error."""
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
     found = service.do("settings", id=ID)
@@ -291,7 +275,6 @@ def test_filters_are_set_as_in_the_rig(service: Service) -> None:
 
 @pytest.mark.parametrize("enveloped", [False, True])
 def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
-    """At top level or below `data`; an answer with another value than the posted one, or `ok: false`, is a refusal."""
     service.set(enveloped=enveloped, version_enveloped=enveloped)
     opened(service, filters={"torque_scaling": False}).close()
     assert not service.do("settings", id=ID)["torque_scaling"]["enabled"]
@@ -311,7 +294,6 @@ def test_a_wrong_version_in_the_rig_is_rejected(service: Service) -> None:
 
 
 def test_another_kind_of_device_is_refused() -> None:
-    """The model is that of `config.type` or of the list; of several devices one of a model of the rig is selected."""
     with Service(devices=("minverse:0A11",)) as mini:
         with pytest.raises(DeviceNotFound, match=r"lists minverse 0A11.*for inverse3, inverse3x.*haply-minverse"):
             opened(mini)
@@ -327,7 +309,6 @@ def test_another_kind_of_device_is_refused() -> None:
 
 
 def test_filters_of_an_older_service() -> None:
-    """A service before 3.5 has separate pages for two of the filters; settings it lacks are an error."""
     with Service("3.3.0") as old:
         opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
         found = old.do("settings", id=ID)
@@ -352,7 +333,6 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
 
 
 def test_warnings_of_the_service_are_reported(service: Service) -> None:
-    """A device without power or calibration opens, and `warning` reports it until it is fixed."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -369,7 +349,6 @@ def test_warnings_of_the_service_are_reported(service: Service) -> None:
 
 
 def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"write", "clock_gettime", "__errno_location", "sqrt"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     for function in (exchange.read, exchange.write):
@@ -381,7 +360,6 @@ def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
 
 
 def test_two_devices_of_one_service_run_at_once() -> None:
-    """Two devices of one service are open at once and each gets its force."""
     with (
         Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both,
         opened(both, device_id=ID) as one,
@@ -396,7 +374,6 @@ def test_two_devices_of_one_service_run_at_once() -> None:
 
 
 def test_the_lock_is_for_one_service() -> None:
-    """Devices of two services may have the same id: both open, each only once."""
     with Service() as one, Service() as other, opened(one), opened(other):
         for service in (one, other):
             with pytest.raises(DeviceBusy, match=f"on port {service.port} is in use by this program"):
@@ -404,7 +381,6 @@ def test_the_lock_is_for_one_service() -> None:
 
 
 def test_an_old_wrench_becomes_zero(service: Service) -> None:
-    """If the loop stops writing, the thread sends zero and the next read returns WITHHELD; poses are still read."""
     with opened(service, stale_s=0.02) as device:
         servo = Servo(device)
         fresh(servo)
@@ -419,7 +395,6 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
 
 
 def test_silence_ends_the_force_then_times_out(service: Service) -> None:
-    """A service that stops answering gets one zero; forces are withheld until the read returns TIMEOUT."""
     with opened(service, quiet_s=0.02, timeout_s=0.3) as device:
         servo = Servo(device)
         fresh(servo)
@@ -435,7 +410,6 @@ def test_silence_ends_the_force_then_times_out(service: Service) -> None:
 
 
 def test_no_force_for_late_poses(service: Service) -> None:
-    """If answers take longer than `quiet_s`, forces are withheld until a state is recent."""
     with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
         servo = Servo(device)
         fresh(servo)
@@ -456,7 +430,6 @@ def test_no_force_for_late_poses(service: Service) -> None:
     "place", ["null", "1e400", "100.0", "-1e300"], ids=["no number", "too large to read", "far away", "farther away"]
 )
 def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
-    """A coordinate that is null or out of bounds gives NaN; a number beyond JSON's range is a protocol error."""
     text = (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
         '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
@@ -498,7 +471,6 @@ BAD: dict[str, tuple[Any, int, str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
-    """A malformed message ends the exchange with its status, a short reason and zero force; the device opens again."""
     text, wanted, told = BAD[case]
     with opened(service) as device:
         servo = Servo(device)
@@ -516,7 +488,6 @@ def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> N
 
 
 def test_a_flood_of_states_is_a_protocol_error(service: Service) -> None:
-    """Unexpected states are counted; more than a hundred are a protocol error."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -536,7 +507,6 @@ def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
 
 
 def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
-    """A service killed in contact is a loss without automatic reconnection; the device opens again at a new service."""
     with Service() as before:
         device = opened(before)
         servo = Servo(device)
@@ -552,7 +522,6 @@ def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
 
 
 def test_a_stopped_service_blocks_no_call(service: Service) -> None:
-    """Reads return TIMEOUT, `stop` and `close` return in time, and the messages read after SIGCONT end with a zero."""
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)
@@ -570,7 +539,6 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
 
 
 def test_stop_while_the_loop_writes(service: Service) -> None:
-    """However fast another thread writes, no force follows the zero of a stop."""
     with opened(service) as device:
         servo = Servo(device)
         fresh(servo)
@@ -595,7 +563,6 @@ def test_stop_while_the_loop_writes(service: Service) -> None:
 
 
 def test_devices_of_the_service_are_listed(service: Service) -> None:
-    """`devices --ask` lists the service's version, devices and grips."""
     said = identify(BOARD, rig_options(service.port))
     assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
 
@@ -603,7 +570,6 @@ def test_devices_of_the_service_are_listed(service: Service) -> None:
 def test_the_service_of_a_rig_is_queried_without_usb(
     service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`devices --ask --rig` queries the rig's service even if USB lists no device, as in a container."""
     monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))
@@ -619,7 +585,6 @@ def test_the_service_of_a_rig_is_queried_without_usb(
 
 
 def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
-    """Python's switch interval is short from the first opening to the last closing, and then restored."""
     before = sys.getswitchinterval()
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)
@@ -634,7 +599,6 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
 
 
 def test_a_device_leaks_no_descriptor(service: Service) -> None:
-    """Opening and closing a device twenty times leaks no file descriptor."""
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(20):
         device: HaplyDevice = opened(service)
@@ -643,8 +607,6 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
 
 
 class Listener:
-    """Server that is not an Inverse Service: it sends fixed bytes to each client, then waits or closes."""
-
     def __init__(self, said: bytes, closes: bool) -> None:
         self.end = socket.create_server(("127.0.0.1", 0))
         self.port = self.end.getsockname()[1]
@@ -686,6 +648,5 @@ class Listener:
     ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
 )  # fmt: skip
 def test_another_program_on_the_port_is_rejected_in_time(said: bytes, closes: bool, version: str | None) -> None:
-    """Any other program on the port gives a DeviceError in time, even if it never answers."""
     with Listener(said, closes) as other, pytest.raises(DeviceError):
         open_device(rig_options(other.port, version=version), 1000.0)

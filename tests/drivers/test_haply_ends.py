@@ -83,7 +83,6 @@ def service() -> Iterator[Service]:
 
 @pytest.fixture
 def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
-    """Both devices, each with a force."""
     devices = [opened(service, device_id=name, models=None) for name in (ID, OTHER)]
     for device, name in zip(devices, (ID, OTHER), strict=True):
         servo = Servo(device)
@@ -101,7 +100,6 @@ def received(service: Service, name: str, after: float = 0.0) -> list[tuple[floa
 
 
 def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str | None = None) -> list[int]:
-    """Let the service send `raw` to each session; return the statuses with which the devices fail."""
     service.set(raw=raw.hex(), end=end)
     statuses = []
     for device in devices:
@@ -114,7 +112,6 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
 
 @pytest.mark.parametrize("case", [*BREACHES, *GOODBYES])
 def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushing: list[HaplyDevice]) -> None:
-    """After any end by the service, each device's last force is zero before any `stop`, and it is confirmed."""
     raw = (BREACHES | GOODBYES)[case]
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
@@ -126,14 +123,12 @@ def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushi
 
 
 def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pushing: list[HaplyDevice]) -> None:
-    """A half-closed connection still transmits the zero."""
     assert end_with(service, pushing, b"", "fin") == [LOST, LOST]
     for name in (ID, OTHER):
         assert received(service, name)[-1] == (0.0, 0.0, 0.0)
 
 
 def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
-    """TCP transmits no zero after a reset; the end of the session ends its force."""
     assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
     for name in (ID, OTHER):
         assert received(service, name)[-1] == (0.0, 0.0, 1.5)
@@ -142,7 +137,6 @@ def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevic
 
 @pytest.mark.scaled
 def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Callable[[int, int], int]) -> None:
-    """For random frames, some of them valid, the last force the service received is zero once the device is stopped."""
     draw = random.Random(7)
     for _ in range(cases(20, 1000)):
         raw = b"".join(
@@ -163,7 +157,6 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
 
 
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
-    """After one more force it receives zeros; the zero of a stop is unconfirmed, and only the first `stop` waits."""
     service.set(deaf=True)
     deaf_at = time.monotonic()
     servos = [Servo(device, arm=False) for device in pushing]
@@ -192,7 +185,6 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
 
 
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
-    """Unexpected states look like answers, but the send queue grows: forces are withheld until the exchange ends."""
     room = 2048
     with Service(room=room) as service, opened(service) as device:
         servo = Servo(device)

@@ -24,8 +24,6 @@ Q = (0.5, 0.1, -0.7, 0.5)
 
 
 class Device:
-    """A block as the driver fills it, with a scripted thread; the mounting rotates and shifts."""
-
     def __init__(self, patch: pytest.MonkeyPatch, mounting: tuple[Any, Any]) -> None:
         self.clock, self.woken = by_call(patch, exchange), File(FD)
         patch.setattr(exchange, "write_now", self.woken.write)
@@ -38,7 +36,6 @@ class Device:
         self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1
 
     def state(self, x: float, y: float, z: float, buttons: float = 0.0) -> None:
-        """Receive a state now, as the thread does."""
         pose = self.block.numbers(AT.pose, exchange.POSE_SIZE)
         pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
         self.word[AT.pose_sequence] += 2
@@ -48,7 +45,6 @@ class Device:
         return self.block.call(exchange.read, sample), sample
 
     def write(self, *wrench: float, sends: bool = True) -> int:
-        """Write a wrench; if `sends`, the thread sends it before the next call."""
         status = self.block.call(exchange.write, wrench)
         if sends:
             self.word[AT.handled] = self.word[AT.written]
@@ -60,13 +56,11 @@ class Device:
         return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
 
     def counts(self) -> dict[str, int]:
-        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
-    """Armed device with a first state that the loop has read."""
     made = Device(monkeypatch, ((0.1, 0.2, 0.3), (HALF, 0.0, 0.0, HALF)))
     made.state(0.0, 0.0, 0.0)
     assert made.read()[0] == OK
@@ -74,7 +68,6 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Device:
 
 
 def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
-    """The pose is in the world frame, time counts from opening, no gripper. A state is OK once, then STALE."""
     device.clock.now += 5 * MS
     device.state(0.25, 0.5, -0.125, 3.0)
     device.clock.now += 1 * MS
@@ -86,7 +79,6 @@ def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
 
 
 def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
-    """While the thread writes a state, the previous sample is repeated."""
     before = device.read()[1].tolist()
     device.state(1.0, 2.0, 3.0)
     device.word[AT.pose_sequence] -= 1
@@ -97,7 +89,6 @@ def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
 
 
 def test_silence_ends_forces_then_the_run(device: Device) -> None:
-    """A silence longer than `quiet_s` withholds forces; one longer than `timeout_s` gives TIMEOUT."""
     device.clock.now += QUIET
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -114,7 +105,6 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
 
 
 def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
-    """After more than 30 ms without a read only a state received within `quiet_s` before the read is current."""
     device.clock.now += 2 * TIMEOUT_NS
     assert device.read()[0] == STALE
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -151,7 +141,6 @@ def test_before_the_first_read_there_is_no_pause(device: Device) -> None:
 
 
 def test_a_failure_of_the_thread_ends_the_run(device: Device) -> None:
-    """After the thread has failed, reads and forces return its status; a zero is OK."""
     device.word[AT.failed] = LOST
     assert device.read()[0] == LOST
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0) == LOST
@@ -172,7 +161,6 @@ def test_a_force_dropped_by_the_thread_is_reported_once(device: Device) -> None:
 
 
 def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> None:
-    """The force is stored in the service's frame and wakes the thread; beyond the maximum it is scaled."""
     before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
@@ -187,7 +175,6 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
 
 
 def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A force of exactly the maximum is not limited."""
     device = Device(monkeypatch, ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     device.state(0.0, 0.0, 0.0)
     device.read()
@@ -202,7 +189,6 @@ def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device) -> None:
-    """Each component is checked; the torque is ignored."""
     wrench = [0.0] * 6
     wrench[axis], wrench[3] = bad, bad
     assert device.write(*wrench) == WITHHELD
@@ -212,7 +198,6 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
 
 
 def test_withheld_forces(device: Device) -> None:
-    """Forces are withheld unless armed, open and not being stopped; the zero of a stop is not overwritten."""
     device.word[AT.armed] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert device.given()[:3] == [0.0, 0.0, 0.0]
@@ -231,7 +216,6 @@ def test_withheld_forces(device: Device) -> None:
 
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
-    """While a force waits to be sent, the next is HELD; a zero, or a force that becomes one, replaces it."""
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
     first = device.given()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
@@ -249,7 +233,6 @@ def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
 
 
 def test_eventfd_zero_is_valid(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The eventfd may be 0, as in a process without standard streams."""
     device.woken.number = device.word[AT.wake] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
     assert len(device.woken.sent) == 1

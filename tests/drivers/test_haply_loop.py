@@ -39,7 +39,6 @@ PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
 
 
 def rig(service: Service, **changes: Any) -> Rig:
-    """Load the shipped rig for an emulated service."""
     base = {
         "device.port": service.port, "servo.realtime": "off", "guard.ramp_s": 0.01,
         "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -48,12 +47,10 @@ def rig(service: Service, **changes: Any) -> Rig:
 
 
 def pushes(service: Service) -> None:
-    """Wait until the device pushes up."""
     until(lambda: service.force()[2] >= 0.5, 240.0)  # a process may have to compile first
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """Modes and forces equal the engine's; the device receives the ticks' forces in order and bit for bit."""
     scene = load_scene("paper-plane")
     with Service() as service:
         service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
@@ -91,7 +88,6 @@ def garble(service: Service) -> None:
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    """If device or service disappear, stop answering or send garbage, the daemon raises the matching error."""
     with Service() as service:
         service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
         with Daemon(rig(service), load_scene("paper-plane")) as daemon:
@@ -105,7 +101,6 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 
 
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
-    """Return the command for the daemon on the shipped rig at an emulated service."""
     mine = folder / "rig.toml"
     text = find(RIG, Rig).read_text()
     for key, value in {"port": service.port, **PATIENT}.items():
@@ -117,7 +112,6 @@ def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
 
 @contextlib.contextmanager
 def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run the daemon in contact, in a separate process."""
     service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
     words = command_line(service, folder, "a")
     with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as running:
@@ -137,7 +131,6 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
     ],
 )
 def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
-    """The last force is zero; after SIGKILL the connection's end ends it. An ended process leaves no lock."""
     with (
         Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
         pushing_daemon(service, tmp_path) as running,
@@ -153,7 +146,6 @@ def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None
 
 
 def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path: Path) -> None:
-    """A second daemon names the first; if the service stops reading, no message says that the force is zero."""
     with Service() as service, pushing_daemon(service, tmp_path) as running:
         second = called(*command_line(service, tmp_path, "b")[3:])
         assert second.returncode == 4
@@ -170,7 +162,6 @@ def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path
 
 @pytest.mark.exhaustive
 def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
-    """Without websockets, `run` prints one line with the package to install."""
     (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
@@ -182,7 +173,6 @@ def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
 
 
 def test_check_lists_the_filters(tmp_path: Path) -> None:
-    """`check` lists the filters that opening will set, also those missing in the rig."""
     mine = tmp_path / "rig.toml"
     text = find(RIG, Rig).read_text()
     mine.write_text(text[: text.index("[device.filters]")] + "[device.filters]\nforce_gate = 0.0\n")
@@ -193,7 +183,6 @@ def test_check_lists_the_filters(tmp_path: Path) -> None:
 
 
 def test_doctor_queries_the_service() -> None:
-    """For a rig of this driver `doctor` lists the devices of the service, or names the service to start."""
     with Service() as service:
         found = attached.inverse_service(rig(service))
         assert (found.state, found.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")

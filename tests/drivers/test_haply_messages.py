@@ -55,7 +55,6 @@ JSON = st.recursive(
 @pytest.mark.scaled
 @given(st.binary(max_size=200) | JSON.map(lambda value: json.dumps(value).encode()))
 def test_any_bytes_are_a_state_or_an_error(message: bytes) -> None:
-    """Bytes and JSON of any shape give a result, Malformed or Missing; no other exception."""
     for read in (lambda: read_state(message, DEVICE, GRIP), lambda: read_inventory(message)):
         with suppress(Malformed, Missing):
             read()
@@ -67,7 +66,6 @@ NUMBERS = st.none() | st.floats(-1e12, 1e12)
 @pytest.mark.scaled
 @given(st.lists(NUMBERS, min_size=7, max_size=7))
 def test_a_pose_is_in_bounds_or_nan(values: list[float | None]) -> None:
-    """For any numbers the position is within 10 m or NaN, and the quaternion is of unit length or NaN."""
     x, y, z, w, i, j, k = values
     state = {
         "inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": x, "y": y, "z": z}}}],
@@ -80,7 +78,6 @@ def test_a_pose_is_in_bounds_or_nan(values: list[float | None]) -> None:
 
 
 def test_a_command_has_the_key_of_the_version() -> None:
-    """The force is under the given key at full precision; the basis is set only on request."""
     force = (0.1, -1e-9, 2.0 / 3.0)
     said = json.loads(command(DEVICE, "values", force))
     assert said == {
@@ -94,7 +91,6 @@ def test_a_command_has_the_key_of_the_version() -> None:
 
 
 def test_versions() -> None:
-    """Versions 3.1 to 3.x have their key; any other is rejected."""
     assert [force_key(parse_version(text)) for text in ("3.1.0", "3.4.2.0", "3.5.0", "v3.10.1")] == [
         "values", "values", "vector", "vector",
     ]  # fmt: skip

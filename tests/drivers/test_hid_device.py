@@ -48,8 +48,6 @@ COUNT_M = 3e-4
 
 
 class Bench(RefusingBench):
-    """Bench with an emulated arm at the end of a packet socket; refusals come from a plain file."""
-
     # An encoder count and 1 mA of a motor are 8 mN at the end.
     force_step_n: ClassVar[float] = 0.012
 
@@ -138,7 +136,6 @@ def test_a_board_that_sends_continuously() -> None:
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
-    """`arm` requests a new report, whatever is queued; a board that no longer answers raises DeviceTimeout."""
     with woody() as (device, arm, answering):
         servo = Servo(device)
         servo.read()
@@ -158,7 +155,6 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2019", "woodenhaptics-2015", "woodenhaptics-vintage"])
 def test_position_equals_the_position_of_the_arm(rig: str) -> None:
-    """The sample is the emulated end's position to half an encoder count, and the end gets the force written."""
     with woody(rig) as (device, arm, answering):
         servo = Servo(device)
         for _ in range(50):
@@ -176,7 +172,6 @@ def test_position_equals_the_position_of_the_arm(rig: str) -> None:
 
 
 def test_wrist_buttons_and_mounting() -> None:
-    """A mounted device senses and pushes in the world frame, and both buttons are read."""
     turned = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]}
     with woody("woodenhaptics-polhem-v1", mounting=turned) as (device, arm, answering):
         arm.wrist, arm.button, arm.calibration_button = (100, -50, 25), True, True
@@ -196,7 +191,6 @@ def test_wrist_buttons_and_mounting() -> None:
 
 @pytest.mark.parametrize("through", ["node", "thread"])
 def test_silence_is_kicked_and_then_given_up(through: str) -> None:
-    """A silent device gets a zero every 10 ms and no force; after the time-out the read returns TIMEOUT."""
     with woody(through=through, timeout_s=0.1) as (device, arm, answering):
         servo = Servo(device, arm=False)
         servo.read()
@@ -217,7 +211,6 @@ def test_silence_is_kicked_and_then_given_up(through: str) -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """An unplugged device gives LOST, `stop` and `close` raise nothing, and the zero is not confirmed."""
     with woody() as (device, _, answering):
         servo = Servo(device)
         servo.read()
@@ -232,7 +225,6 @@ def test_unplugging_is_a_loss() -> None:
 
 
 def test_every_shutdown_ends_with_zero() -> None:
-    """After `stop`, `close` or an error in the context the last report is zero, and later forces are withheld."""
     for way in ("stop", "close", "error"):
         with woody() as (device, arm, answering):
             servo = Servo(device)
@@ -252,7 +244,6 @@ def test_every_shutdown_ends_with_zero() -> None:
 
 
 def test_the_last_report_ends_the_force() -> None:
-    """`last_word` is the node and a report that ends the arm's force, for another process; without a node None."""
     with woody() as (device, arm, answering):
         assert device.last_word() is None
         device._node = "/dev/hidraw7"
@@ -268,7 +259,6 @@ def test_the_last_report_ends_the_force() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with woody() as (device, arm, answering):
             servo = Servo(device)
@@ -297,7 +287,6 @@ def test_stop_while_the_loop_writes() -> None:
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
 def test_calibration_at_opening(rig: str) -> None:
-    """An arm in its calibration pose at opening senses that pose, whatever its counters contained."""
     options = rig_options(rig, calibrate=True)
     itself = Arm(RIGS[rig])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -314,7 +303,6 @@ def test_calibration_at_opening(rig: str) -> None:
 
 
 def test_calibration_of_a_board_that_pauses() -> None:
-    """Calibration waits for a board that is silent for longer than `timeout_s` while it stores the counts."""
     options = rig_options("woodenhaptics-polhem-v1", calibrate=True)
     itself = Arm(RIGS["woodenhaptics-polhem-v1"])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -335,7 +323,6 @@ def test_calibration_of_a_board_that_pauses() -> None:
 
 
 def test_a_failed_calibration_raises_an_error() -> None:
-    """A board without the command and one without any answer raise different errors at opening."""
     options = rig_options("woodenhaptics-2019", calibrate=True)
     fd, end = ends()
     said = r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"
@@ -347,7 +334,6 @@ def test_a_failed_calibration_raises_an_error() -> None:
 
 
 def test_a_described_device() -> None:
-    """A device described in its rig, with numbered reports of floats: pose, buttons, gripper and forces."""
     heard: list[bytes] = []
 
     def answer(data: bytes) -> bytes:
@@ -400,7 +386,6 @@ def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, 
 
 @pytest.mark.scaled
 def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int]) -> None:
-    """Random reports of random lengths and ids give a finite pose with a unit quaternion, or a status below 0."""
     fd, end = ends()
     generator = np.random.default_rng(11)
     number = cases(20_000, 1_000_000)
@@ -418,7 +403,6 @@ def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int])
 
 
 def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
-    """An absent, wrong or locked node raises a different error with instructions."""
     options = {"path": str(tmp_path / "hidraw9")}
     with pytest.raises(DeviceNotFound, match=r"hidraw9 cannot be opened: No such file.*plug"):
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
@@ -435,7 +419,6 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
 
 
 def test_a_node_without_permission() -> None:
-    """If the user may not open the node, the error contains the command that grants permission."""
     folder = tempfile.mkdtemp(dir="/tmp")
     node = Path(folder) / "hidraw9"
     try:
@@ -457,13 +440,11 @@ def test_a_node_without_permission() -> None:
 
 
 def test_a_device_that_is_not_attached() -> None:
-    """The error for a missing device contains its ids; no vendor has those of this test."""
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
         find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
 
 
 def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos", "sqrt", "acos", "atan"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     for function in (exchange.read, exchange.write):
@@ -477,7 +458,6 @@ def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
 
 
 def test_a_pantograph_on_hid() -> None:
-    """The position is the intersection of two circles, and only the force in the plane is displayed."""
     base, inner, outer = LINKS
     fields = {"input": ("a", "b"), "output": ("torque_a", "torque_b")}
     reports = {

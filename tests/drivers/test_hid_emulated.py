@@ -39,7 +39,6 @@ SYSTEM_PYTHON = "/usr/bin/python3"
 
 
 def _umockdev() -> str | None:
-    """Return the reason why umockdev cannot be used here, or None."""
     if shutil.which("umockdev-wrapper") is None:
         return "umockdev is not installed: apt install umockdev gir1.2-umockdev-1.0 python3-gi"
     code = "import gi; gi.require_version('UMockdev', '1.0'); from gi.repository import UMockdev"
@@ -59,7 +58,6 @@ STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 def on_testbed(
     file: str, case: dict[str, Any], *command: str
 ) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run a command with an emulated device attached, and return its result and the state of the device."""
     process = run_program(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
@@ -74,13 +72,11 @@ def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedPro
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run the daemon on an emulated device."""
     endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
 
 
 def rig_with(folder: Path, name: str, **keys: object) -> str:
-    """Write a shipped rig with additional keys in [device] to a file, and return its path."""
     lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
     path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
     path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
@@ -97,7 +93,6 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
     ],
 )  # fmt: skip
 def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
-    """A hand presses into the plane, drags and releases; modes and forces equal the engine's on the same poses."""
     records_file = tmp_path / "records.npy"
     bus, through = CONNECTIONS[connection]
     name = rig_with(tmp_path, rig, through=through)
@@ -118,7 +113,6 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
 
 
 def test_an_arm_pressed_through_the_plane_is_stopped() -> None:
-    """A hand whose goal is 6 mm below the plane's surface is stopped by the motors."""
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
     process, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
     assert process.returncode == 0, process.stderr
@@ -168,7 +162,6 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
     ],
 )  # fmt: skip
 def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
-    """A fault of the cable, or another device, ends the daemon with its message and exit code."""
     bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
@@ -196,7 +189,6 @@ def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, m
     ],
 )
 def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str, tmp_path: Path) -> None:
-    """The arm's interface is chosen by descriptors of real boards; the rest get no report, forces reach the arm."""
     bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
@@ -215,7 +207,6 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
     ],
 )
 def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
-    """If the board's reports match another format of the library, the error names that format."""
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
     process, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
     assert process.returncode == 4
@@ -224,7 +215,6 @@ def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, sa
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
-    """A rig with the serial number of the emulated device opens it; another number fails and lists the attached one."""
     for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
         process, _ = run(
@@ -249,7 +239,6 @@ for name in sys.argv[1:]:
 
 
 def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
-    """If a listed node does not exist, as in a container, the bus is used unless the rig requires the node."""
     tries: list[tuple[dict[str, object], str]] = [
         ({}, "opened"),
         ({"through": "thread", "serial": "SN42"}, "opened"),
@@ -304,7 +293,6 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("connection", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
 def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: Path) -> None:
-    """While another process has the device open, the daemon fails and names that process."""
     bus, through = CONNECTIONS[connection]
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}

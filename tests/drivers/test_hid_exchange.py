@@ -30,8 +30,6 @@ EIO, ETIMEDOUT = 5, 110
 
 
 class Board:
-    """A driver's block with a scripted node, after the first sample."""
-
     block: GuardedBlock
 
     def __init__(self, patch: pytest.MonkeyPatch, **changes: Any) -> None:
@@ -49,7 +47,6 @@ class Board:
         self.word[BOARD.read_at] = self.word[BOARD.kicked_at] = START_NS
 
     def _read(self, fd: int, address: int, size: int) -> int:
-        """Check that no report is read beyond its buffer."""
         buffer = next(
             b for at in (AT.in_buffer, AT.latest_report) if (b := self.block._arrays[at]).ctypes.data == address
         )
@@ -71,11 +68,9 @@ class Board:
         return out
 
     def counts(self) -> dict[str, int]:
-        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
     def link_by_threads(self) -> ctypes.c_int64:
-        """Send reports to a pump from now on; return its counter of transmitted reports."""
         self.accepted_address = ctypes.c_int64()
         self.word[AT.accepted_address] = ctypes.addressof(self.accepted_address)
         return self.accepted_address
@@ -83,12 +78,10 @@ class Board:
 
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """Described device with an orientation, buttons and a gripper."""
     return Board(monkeypatch)
 
 
 def report(x: float, y: float, z: float, *rest: float, buttons: int = 0, gripper: int = 0) -> bytes:
-    """Return an input report: mm, a quaternion, buttons and hundredths of a radian."""
     return b"\x03" + struct.pack("<7fBB", x, y, z, *(rest or (1.0, 0.0, 0.0, 0.0)), buttons, gripper)
 
 
@@ -98,7 +91,6 @@ def given(x: int, y: int, z: int) -> bytes:
 
 
 def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
-    """Position and orientation follow the mounting, buttons and gripper are unchanged, time counts from opening."""
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = board.read(report(250.0, 500.0, -125.0, *q, buttons=6, gripper=50))
     assert status == OK
@@ -108,7 +100,6 @@ def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
 
 
 def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
-    """The last of several reports is used, earlier ones are counted as drained, other kinds as foreign."""
     comes = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
     status, sample = board.read(comes[0], b"\x07not ours, and longer than ours is", comes[1], comes[2])
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
@@ -127,13 +118,11 @@ def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
 
 @pytest.mark.parametrize("spoilt", [lambda r: r[:-1], lambda r: r + b"\0", lambda r: r[:1]])
 def test_a_report_of_another_length_is_a_fault(spoilt: Any, board: Board) -> None:
-    """A report one byte shorter or longer is a protocol error."""
     assert board.read(spoilt(report(1.0, 0.0, 0.0)))[0] == PROTOCOL
     assert board.counts() == {}
 
 
 def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
-    """A system error and the end of the file mean LOST."""
     board.node.comes = [b""]
     assert board.read()[0] == LOST
     board.node.error = EIO
@@ -144,7 +133,6 @@ def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
     "numbers", [(np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0), (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0), (0, 0, 0, np.nan, 0, 0, 0)]
 )
 def test_a_report_that_is_no_pose_is_a_fault(numbers: tuple[float, ...], board: Board) -> None:
-    """A number that is not finite and a zero quaternion are faults; the last sample is unchanged."""
     _, before = board.read(report(1.0, 0.0, 0.0))
     assert board.read(report(*numbers))[0] == PROTOCOL
     assert board.read()[1].tolist() == before.tolist()
@@ -152,7 +140,6 @@ def test_a_report_that_is_no_pose_is_a_fault(numbers: tuple[float, ...], board: 
 
 
 def test_reports_without_an_id_start_with_their_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports without id start at their first byte; without an orientation the sample has the identity."""
     reports = described()["reports"]
     fields = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
     out = {**reports["output"], "id": 0}
@@ -165,7 +152,6 @@ def test_reports_without_an_id_start_with_their_data(monkeypatch: pytest.MonkeyP
 
 
 def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
-    """Forces are in mN in the device's frame; beyond the maximum they are scaled and the write returns STALE."""
     assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert board.word[BOARD.has_force] == 1
     assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
@@ -179,7 +165,6 @@ def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
 
 
 def test_a_force_that_its_field_cannot_hold_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An int8 of hundredths of a newton has a maximum of 1.27 N."""
     reports = described()["reports"]
     fields = [{"meaning": f"force_{k}", "offset": n, "type": "int8", "scale": 100.0} for n, k in enumerate("xyz")]
     fields += [{"meaning": "constant", "offset": 3, "type": "int8", "scale": 9.0}]
@@ -211,7 +196,6 @@ def test_results_of_writing_a_report(board: Board) -> None:
 
 
 def test_a_force_waits_for_the_pump(board: Board) -> None:
-    """With two reports in flight forces are HELD and a second zero is skipped, but the zero after a force is queued."""
     taken = board.link_by_threads()
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
@@ -232,7 +216,6 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
 
 
 def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
-    """With one report in flight a second zero is sent."""
     board.link_by_threads()
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
@@ -241,7 +224,6 @@ def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
-    """The read sends a zero every `kick_s` and forces are withheld; after `timeout_s` it returns TIMEOUT."""
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     for _ in range(2):
         board.clock.now += 11 * MS
@@ -256,7 +238,6 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
-    """Return the changes of a rig for a device that has only joints with these names."""
     fields = {way: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
               for way, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
     reports = {way: {"bytes": 4 * len(names), "field": each} for way, each in fields.items()}
@@ -264,7 +245,6 @@ def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
 
 
 def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the links of a pantograph in line the torque is zero; elsewhere it is limited, with another counter."""
     links = {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01}
     board = Board(monkeypatch, **mechanism(links, "ab"))
     assert board.read(struct.pack("<2f", np.pi, 0.0))[0] == OK
@@ -287,7 +267,6 @@ DELTA = mechanism(
 
 
 def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Legs of a delta that cannot meet give a position of NaN, for which the guard commands zero, and no fault."""
     board = Board(monkeypatch, **DELTA, mounting={})
     status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
     assert status == OK and np.isnan(sample[:3]).all()
@@ -297,7 +276,6 @@ def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPa
 
 
 def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    """tau . d(angles) = f . d(position), with the change of position from two samples."""
     board = Board(monkeypatch, **DELTA, mounting={})
     angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
     ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]

@@ -70,7 +70,6 @@ def test_forward_inverts_an_independent_inverse(rig: str) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_jacobian_is_the_derivative(rig: str) -> None:
-    """Each column equals central differences of the forward kinematics, and the currents J^T f."""
     arm = arm_of(rig)
     generator, h = np.random.default_rng(6), 1e-5
     for angles in generator.uniform(-1.2, 1.2, (200, 3)):
@@ -107,7 +106,6 @@ def test_power_is_conserved(unlike: bool) -> None:
 
 
 def test_limited_currents_preserve_the_direction() -> None:
-    """Beyond the maximum current all three are scaled by the same factor, and the result is marked as limited."""
     arm = arm_of("woodenhaptics-2019")
     angles = chain.angles_of(arm, (500.0, -800.0, 1200.0))
     whole, cut = chain.currents_for(arm, angles, (5.0, 1.0, 2.0))

@@ -48,7 +48,6 @@ def encoded(report: OutputReport, **values: float) -> tuple[bool, bytes]:
 
 
 def test_woodenhaptics_v1_layout() -> None:
-    """Eight bytes in, encoder a negated; nine bytes out with the id: milliamperes as int16 and a zero word."""
     wire = rig_options("woodenhaptics-2015").reports
     usable, seen = decoded(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
     assert usable
@@ -59,7 +58,6 @@ def test_woodenhaptics_v1_layout() -> None:
 
 
 def test_woodenhaptics_v2_layout() -> None:
-    """Fourteen of 64 bytes in, wrist encoders reversed, the button in the first of them; preset is command 1."""
     wire = rig_options("woodenhaptics-polhem-v1").reports
     usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(64, b"\xff"))
     assert usable
@@ -74,7 +72,6 @@ def test_woodenhaptics_v2_layout() -> None:
 
 
 def test_woodenhaptics_v2_layout_of_an_lpc1768() -> None:
-    """The firmware has two packed structs of seven int16, with the same numbers as a Teensy in 14 bytes."""
     wire = rig_options("woodenhaptics-polhem-v1-lpc1768").reports
     usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1))
     assert usable
@@ -88,7 +85,6 @@ def test_woodenhaptics_v2_layout_of_an_lpc1768() -> None:
 
 
 def test_makers_descriptors() -> None:
-    """Descriptors of a Teensy's two interfaces, without the feature report of the debug channel, and of the LPC1768."""
     lengths = {name: [parse_descriptor(one.descriptor) for one in board.interfaces] for name, board in BOARDS.items()}
     assert lengths["teensy"] == [({0: 64}, {0: 64}), ({0: 64}, {0: 32})]
     assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})]
@@ -97,7 +93,6 @@ def test_makers_descriptors() -> None:
 
 @given(st.sampled_from(TYPES), st.binary(min_size=4, max_size=4), st.integers(0, 5))
 def test_every_type_is_decoded_like_struct(kind: str, data: bytes, offset: int) -> None:
-    """Any bytes decoded as any type at any offset give the number of Python's struct."""
     field = InputField(meaning="x", offset=offset, type=kind, scale=2.0, bias=1.0)
     report = InputReport(bytes=offset + 4, field=(field,))
     usable, seen = decoded(report, b"\x5a" * offset + data)
@@ -109,7 +104,6 @@ def test_every_type_is_decoded_like_struct(kind: str, data: bytes, offset: int) 
 
 @given(st.sampled_from(TYPES), st.floats(-1e10, 1e10), st.integers(0, 5))
 def test_every_type_is_encoded_like_struct(kind: str, value: float, offset: int) -> None:
-    """Encoding gives the closest number of the type and reports if it was clamped; neighbouring bytes remain 0."""
     report = OutputReport(bytes=offset + 4, field=(OutputField(meaning="force_x", offset=offset, type=kind),))
     cut, out = encoded(report, force_x=value)
     code = "<" + CODES[kind]
@@ -126,7 +120,6 @@ def test_every_type_is_encoded_like_struct(kind: str, value: float, offset: int)
 
 @pytest.mark.scaled
 def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
-    """Random bytes decode to finite numbers or are rejected; reports of integer fields are never rejected."""
     number = cases(5000, 500_000)
     generator = np.random.default_rng(9)
     options = build(Options, described(), "described")
@@ -144,7 +137,6 @@ def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
 
 
 def test_descriptors_give_report_lengths() -> None:
-    """Handmade descriptors give report lengths with and without ids; a truncated one raises ValueError."""
     raw = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
     assert parse_descriptor(raw) == ({0: 64}, {0: 64})
     # Two input reports (ids 1 and 2; 6 bytes, and 12 bits padded to 2 bytes) and no output report; a pushed size.
@@ -157,7 +149,6 @@ def test_descriptors_give_report_lengths() -> None:
 
 @given(st.binary(max_size=200))
 def test_any_descriptor_is_parsed_or_rejected(data: bytes) -> None:
-    """For any bytes the parser returns lengths or raises ValueError."""
     try:
         found = parse_descriptor(data)
     except ValueError:
@@ -166,7 +157,6 @@ def test_any_descriptor_is_parsed_or_rejected(data: bytes) -> None:
 
 
 def test_a_number_that_is_not_finite_is_rejected() -> None:
-    """A report with a NaN from the device is rejected."""
     wire = build(Options, described(), "described").reports.input
     good = struct.pack("<7fBx", 1, 2, 3, 1, 0, 0, 0, 5)
     usable, seen = decoded(wire, good)
@@ -213,13 +203,11 @@ def _with(path: str, value: Any) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
-    """Each error of a description names the key, the value and the expected value."""
     with pytest.raises(ConfigError, match=message):
         build(Options, _with(path, value), "rig [device]")
 
 
 def test_a_usb_interface_is_no_node() -> None:
-    """hidapi's name of a USB interface is a valid path for threads, but not for a node."""
     build(Options, described(path="1-2.3:1.0", through="thread"), "rig")
     build(Options, described(path="/dev/hidraw3", through="node"), "rig")
     with pytest.raises(ConfigError, match=r"path = '1-2.3:1.0': is hidapi's name on USB, .* such as /dev/hidraw0"):
@@ -227,7 +215,6 @@ def test_a_usb_interface_is_no_node() -> None:
 
 
 def test_one_fault_gives_one_line() -> None:
-    """One error of a description gives one line; a valid description is accepted."""
     build(Options, described(), "rig")
     with pytest.raises(ConfigError) as caught:
         build(Options, _with("reports.input.bytes", 30 - 1), "rig")
@@ -235,7 +222,6 @@ def test_one_fault_gives_one_line() -> None:
 
 
 def test_a_named_format_can_be_changed() -> None:
-    """A rig can name a format and replace one of its reports."""
     own = {"name": "woodenhaptics-v1", "output": {"bytes": 8, "field": [
         {"meaning": f"current_{k}", "offset": 2 * n, "type": "int16", "scale": -1000.0} for n, k in enumerate("abc")
     ]}}  # fmt: skip
@@ -245,7 +231,6 @@ def test_a_named_format_can_be_changed() -> None:
 
 
 def test_the_description_in_the_docs_is_valid() -> None:
-    """The rig shown in docs/devices/hid.md is valid."""
     page = (Path(__file__).resolve().parents[2] / "docs" / "devices" / "hid.md").read_text("utf-8")
     found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     assert found is not None

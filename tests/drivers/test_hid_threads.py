@@ -31,7 +31,6 @@ GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
 
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
-    """Check that the device's threads have ended with it."""
     before = set(threading.enumerate())
     yield
     left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
@@ -41,8 +40,6 @@ def no_thread_is_left() -> Iterator[None]:
 
 
 class Linked:
-    """Described device with its hidapi: `heard` are the reports sent to it, `end` is its end of the bus."""
-
     def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
         self.heard: list[bytes] = []
 
@@ -65,7 +62,6 @@ class Linked:
         return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def until(self, wanted: Callable[[int], bool], within_s: float = 5.0) -> int:
-        """Read once a millisecond until a status is `wanted`, and return it."""
         end = time.monotonic() + within_s
         while not wanted(status := self.servo.read()[0]):
             assert time.monotonic() < end, f"the last status was {status}"
@@ -82,7 +78,6 @@ class Linked:
 
 
 def test_reports_are_transferred_byte_for_byte() -> None:
-    """2 000 random reports of all lengths arrive in order, truncated to one spare byte more than the longest report."""
     fd, end = ends()
     options = build(Options, described(), "rig")
     link = link_by_threads(Api(fd), options)
@@ -106,7 +101,6 @@ def test_reports_are_transferred_byte_for_byte() -> None:
 
 
 def test_one_force_is_queued_behind_another() -> None:
-    """During a slow write one force is queued, further ones are HELD; a zero follows a force, but not another zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
@@ -144,7 +138,6 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
-    """The loop ends with TIMEOUT, `stop` and `close` return in time; the zero is sent once the write returns."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -198,7 +191,6 @@ def test_old_reports_fit_into_one_tick() -> None:
 
 
 def test_stop_returns_after_the_zero() -> None:
-    """When `stop` returns, a slow device has received the zero, and it gets no force afterwards."""
     for _ in range(10):
         with Linked() as linked:
             written: list[bytes] = []
@@ -226,7 +218,6 @@ def test_stop_returns_after_the_zero() -> None:
 
 @pytest.mark.parametrize("rig", ["woodenhaptics-2015", "woodenhaptics-polhem-v1"])
 def test_calibration_at_opening(rig: str) -> None:
-    """Opening waits for the preset: an arm in its calibration pose senses that pose, also through a slow writer."""
     options = rig_options(rig, calibrate=True, timeout_s=1.0)
     itself = Arm(RIGS[rig])
     resting = itself.position(itself.angles_at(itself.calibration))
@@ -248,7 +239,6 @@ def test_calibration_at_opening(rig: str) -> None:
 
 
 def test_a_failed_calibration_closes_the_device() -> None:
-    """A board without an answer and one that rejects the calibration raise different errors, and hidapi is closed."""
     options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
     for answer, error, said in (
         (None, DeviceTimeout, "sends no report"),
@@ -264,7 +254,6 @@ def test_a_failed_calibration_closes_the_device() -> None:
 
 
 def test_a_hanging_preset_raises_an_error() -> None:
-    """If the write of the preset hangs, opening fails with that reason."""
     options = rig_options("woodenhaptics-2019", calibrate=True)
     arm = Woody("woody-2019", 2, lambda _: (0.0, 0.0, 0.0))
     fd, end = ends()
@@ -283,7 +272,6 @@ def test_a_hanging_preset_raises_an_error() -> None:
 
 @pytest.mark.parametrize("way", ["unplugged", "read", "write"])
 def test_a_disconnected_device_is_lost(way: str) -> None:
-    """Unplugging or a failure in one direction gives LOST; a device that accepts reports gets its zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
@@ -317,7 +305,6 @@ def gone(*_: object) -> list[int]:
     ids=["short", "long", "shorter", "nan"],
 )
 def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
-    """A report of another length and one with NaN give PROTOCOL, and `stop` sends a zero."""
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)

@@ -36,7 +36,6 @@ def read(servo: Servo, count: int) -> np.ndarray:
 
 
 def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
-    """The hand moves 40 mm and a quarter turn within both speed limits, arrives and remains there."""
     turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
@@ -53,7 +52,6 @@ def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
 
 
 def test_a_lead_without_an_orientation_preserves_it() -> None:
-    """A lead without an orientation does not change the orientation of the goal."""
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
         device.hand().lead(AT, (0.6, 0.8, 0.0, 0.0))
@@ -65,7 +63,6 @@ def test_a_lead_without_an_orientation_preserves_it() -> None:
 
 
 def test_a_released_hand_resumes_its_recording() -> None:
-    """After a lead and a release the hand follows exactly its recording again, as a hand that was never led."""
     with opened(recording="tap", loop=True, **FIRM) as led, opened(recording="tap", loop=True, **FIRM) as alone:
         ours, theirs = Servo(led), Servo(alone)
         read(ours, 100), read(theirs, 100)
@@ -78,7 +75,6 @@ def test_a_released_hand_resumes_its_recording() -> None:
 
 
 def test_a_recording_ends_also_if_the_hand_is_led() -> None:
-    """The recording ends at the same tick as without a lead."""
     with opened(recording="tap", loop=False, **FIRM) as led, opened(recording="tap", loop=False, **FIRM) as alone:
         led.hand().lead(AT)
         ours, theirs = Servo(led), Servo(alone)
@@ -87,7 +83,6 @@ def test_a_recording_ends_also_if_the_hand_is_led() -> None:
 
 
 def test_impossible_leads_raise_errors() -> None:
-    """Unreachable positions, impossible orientations and a device without a simulated hand raise errors."""
     rig = load_rig("replay")
     with opened(position_m=AT) as device, opened(position_m=AT, preset="omega.3") as wristless:
         with pytest.raises(ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is out of reach of simulated omega.6"):
@@ -102,7 +97,6 @@ def test_impossible_leads_raise_errors() -> None:
 
 
 def test_a_lead_is_for_the_tip_of_the_tool() -> None:
-    """With a stylus of 50 mm and a tare of 10 mm, the handle moves so that the tip reaches the requested pose."""
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(position_m=AT, **FIRM) as device:
         servo = Servo(device)
@@ -114,7 +108,6 @@ def test_a_lead_is_for_the_tip_of_the_tool() -> None:
 
 
 def test_the_shipped_rig_waits_above_the_scenes() -> None:
-    """The hand of the shipped rig is at the rig's position until it is led."""
     rig: Rig = load_rig("simulated-hand")
     with registry.open_device(rig.device, rig.servo.rate_hz, "[device]") as device:
         assert device.hand() is not None

@@ -60,8 +60,6 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 class Ask:
-    """Kernels of one mechanism, called with joint values."""
-
     def __init__(self, given: options.Kinematics) -> None:
         self.kind, self.mechanism = kind_of(given, False), make_mechanism(given, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
@@ -129,7 +127,6 @@ def test_power_of_a_delta(name: str) -> None:
 
 
 def test_a_paddle_moves_on_its_circle() -> None:
-    """The end is at distance r from the axis, at the joint's angle from z, and at the origin for angle 0."""
     ask, r = Ask(GIVEN["paddle"]), 0.07
     assert ask.end((0.0, 0.0, 0.0)).tolist() == [0.0, 0.0, 0.0]
     for a in np.linspace(-1.0, 1.0, 21):
@@ -155,7 +152,6 @@ def test_a_pantograph_inverts_two_triangles(name: str) -> None:
 
 
 def test_the_published_pantograph() -> None:
-    """A 2DIY in its calibration pose, by symmetry and Pythagoras; 1 N along y gives opposite torques."""
     ask = Ask(GIVEN["pantograph"])
     joints = (radians(168.0), radians(12.0), 0.0)
     half = 0.019 + 0.07 * np.cos(radians(12.0))
@@ -168,7 +164,6 @@ def test_the_published_pantograph() -> None:
 
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
-    """Angles by the triangle in each leg's plane for a position give that position."""
     given, rng = GIVEN[name], np.random.default_rng(33)
     assert isinstance(given, options.Delta)
     ask = Ask(given)
@@ -186,7 +181,6 @@ def test_a_delta_inverts_its_triangles(name: str) -> None:
 
 
 def test_aligned_links_give_no_force() -> None:
-    """The force fades to zero, marked singular, without steps; elbows too far apart give their midpoint."""
     given = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
     ask, force = Ask(given), (0.3, 1.0, 0.0)
     seen = set()
@@ -214,7 +208,6 @@ def test_aligned_links_give_no_force() -> None:
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    """Legs that cannot meet, or align with their rods, give NaN and SINGULAR; a possible pose is found again."""
     given = GIVEN["delta"]
     assert isinstance(given, options.Delta)
     ask = Ask(given)
@@ -230,7 +223,6 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
 
 
 def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
-    """If the rods approach one plane, they cannot support the end: up to DET_MIN the torque is zero."""
     d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
     seen = set()
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
@@ -247,7 +239,6 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
 
 @pytest.mark.parametrize("name", ["paddle", "chain"])
 def test_torques_of_serial_joints_are_bounded(name: str) -> None:
-    """tau = J^T f contains no inverse: torques are bounded by force and reach, and the force is not reduced."""
     rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
     if name == "paddle":
         poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07
@@ -271,7 +262,6 @@ def test_torques_of_serial_joints_are_bounded(name: str) -> None:
     ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
-    """Beyond the maximum torque all are scaled by the same factor, and the result is LIMITED."""
     ask = Ask(GIVEN[name])
     assert ask.kind == kind
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))

@@ -59,8 +59,6 @@ class TestContract(DriverContract):
 
 
 def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
-    """Write a force until the motors have it: on a busy machine it may become too old before."""
-
     def given() -> bool:
         servo.read()
         servo.write(*force, 0.0, 0.0, 0.0)
@@ -103,7 +101,6 @@ def test_limits_equal_those_of_chai3d() -> None:
 def test_unknown_model_runs_with_the_least_limits(
     hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An unknown model opens with a warning and without torque; a rig for a certain model rejects it."""
     hd.update(model=6, outputs=6)
     with bench.open() as device:
         assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
@@ -116,7 +113,6 @@ def test_unknown_model_runs_with_the_least_limits(
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
 def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, hd: HdStub, bench: TouchBench) -> None:
-    """Positions (mm), orientations, forces and torques (mN m) are converted to the world frame and SI units."""
     place = np.array([11.0, 22.0, -33.0])
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
@@ -144,7 +140,6 @@ def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, h
 
 
 def test_no_torque_is_sent_to_a_passive_handle(hd: HdStub, bench: TouchBench) -> None:
-    """A Touch gets no torque."""
     with bench.open() as device:
         servo = Servo(device)
         servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
@@ -156,7 +151,6 @@ def test_no_torque_is_sent_to_a_passive_handle(hd: HdStub, bench: TouchBench) ->
 
 
 def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None:
-    """Motors are off after opening and on after arming; closing ends the library's thread; no call is misused."""
     with bench.open_unarmed() as device:
         assert hd["running"] and hd["output_sets"] == 0
         servo = Servo(device, arm=False)
@@ -169,7 +163,6 @@ def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None
 
 
 def test_opening_zeroes_the_force_of_a_killed_program(hd: HdStub, bench: TouchBench) -> None:
-    """The motors retain the force of a program that ended without a zero; the first frame after opening zeroes it."""
     call = ctypes.CDLL(str(hd.path))
     call.hdInitDevice.restype = ctypes.c_uint32
     which = call.hdInitDevice(None)
@@ -184,7 +177,6 @@ def test_opening_zeroes_the_force_of_a_killed_program(hd: HdStub, bench: TouchBe
 
 
 def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None:
-    """A device that needs a calibration update gets it, by the best supported method: automatic before inkwell."""
     hd.update(style=7, calibration=library.NEEDS_UPDATE, updates_needed=3)
     with bench.open() as device:
         assert device.calibrated
@@ -194,7 +186,6 @@ def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None
 def test_calibration_in_the_inkwell_waits_for_the_user(
     hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Opening logs instructions and continues once the stylus is docked; after `calibration_wait_s` it fails."""
     hd.update(style=library.INKWELL, calibration=library.NEEDS_MANUAL_INPUT)
     with pytest.raises(DeviceError, match="not calibrated: put the stylus into the inkwell"):
         bench.open(calibration_wait_s=0.1)
@@ -232,7 +223,6 @@ def test_encoders_are_reset_only_if_the_rig_allows_it(hd: HdStub, bench: TouchBe
 def test_error_of_opening_has_its_kind(
     code: int, kind: type[HapticError], words: str, hd: HdStub, bench: TouchBench
 ) -> None:
-    """The error code of the library selects exception and message."""
     hd["init_error"] = code
     with pytest.raises(kind, match=words) as caught:
         bench.open()
@@ -240,7 +230,6 @@ def test_error_of_opening_has_its_kind(
 
 
 def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> None:
-    """If the port is attached, the error is not DeviceNotFound."""
     hd["devices"] = 0
     bench.ports((PORT,))
     with pytest.raises(
@@ -251,7 +240,6 @@ def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> 
 
 
 def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None:
-    """A missing or unusable file and a library without a required function raise errors with instructions."""
     with pytest.raises(DeviceNotFound, match=r"library_file = '/no/libHD.so'.*OpenHaptics"):
         bench.open(library_file="/no/libHD.so")
     (tmp_path / "libHD.so").write_text("no library")
@@ -263,7 +251,6 @@ def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None
 
 
 def test_search_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hd_library: Path) -> None:
-    """The newest file of the first folder with one is loaded; without any, the error lists the search paths."""
     monkeypatch.setattr(library, "FOLDERS", (tmp_path / "a", tmp_path / "b"))
     with pytest.raises(
         DeviceNotFound, match=rf"{tmp_path}/a/libHD.so\*.*{tmp_path}/b/libHD.so\*.*libHD.so.3.4 by the loader"
@@ -276,7 +263,6 @@ def test_search_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
-    """For `devices --ask`: model, serial number and calibration state, without calibration or motors."""
     hd["calibration"] = library.NEEDS_MANUAL_INPUT
     said = openhaptics.identify(PORT, bench.options())
     assert said == {"model": "Touch", "serial": "70001", "calibrated": False}
@@ -284,7 +270,6 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`devices` names driver, rig and the missing library; `install` writes a rule that excludes ModemManager."""
     claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
@@ -307,7 +292,6 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_each_generation_of_the_touch_is_claimed(
     device: SystemDevice, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A port of 0301:2988 and a HID device of 2988:0304 have driver, rig and udev rules, and are named in errors."""
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
     (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
@@ -328,7 +312,6 @@ def test_each_generation_of_the_touch_is_claimed(
 def test_a_device_that_usb_does_not_list_is_identified(
     hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`devices --ask --rig` opens the rig's device through the library even if USB lists none."""
     rig = tmp_path / "touch.toml"
     text = find("touch", Rig).read_text("utf-8")
     rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))
@@ -355,7 +338,6 @@ def test_a_device_that_usb_does_not_list_is_identified(
 
 
 def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
-    """If the servo stalls, its force ends after `force_age_max_s` and two ticks; one write returns WITHHELD."""
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
         servo = Servo(device)
@@ -376,7 +358,6 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
 
 
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
-    """Motors and telemetry have zero, and a warning names the cause; the force returns with frames in time."""
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
         servo = Loop([device], make_pulling_tuning(), RATE_HZ)
@@ -397,7 +378,6 @@ def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
-    """While docked, forces are withheld without ending the run; with `inkwell = False` the switch is ignored."""
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
@@ -437,7 +417,6 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
     ],
 )  # fmt: skip
 def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
-    """The read has the status of the error, the reason its text and codes, and the motors have zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -448,7 +427,6 @@ def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub,
 
 
 def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
-    """`arm` raises an error with the library's message."""
     with bench.open_unarmed() as device:
         hd["refuse_force"] = 1
         with pytest.raises(DeviceError, match=r"cannot be switched on: it cannot do this now \(error 0x0102"):
@@ -456,7 +434,6 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
-    """After a dropped callback the motors retain the force: reads return TIMEOUT, and `stop` writes zero."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -469,7 +446,6 @@ def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
 
 
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
-    """During a hanging frame `stop` writes zero without waiting; the motors remain off afterwards."""
     with bench.open() as device:
         servo = Servo(device)
         held(servo, bench, (1.0, 0.0, 0.0))
@@ -485,7 +461,6 @@ def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
 
 @pytest.mark.scaled
 def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, int], int]) -> None:
-    """The library gets only finite numbers, reads return OK or STALE, orientations are NaN or of unit length."""
     with bench.open() as device:
         hd["drop_at"] = 0  # from here on the test calls the frames, as fast as possible
         hd.after(3)
@@ -501,7 +476,6 @@ def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, 
 
 
 def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
-    """One thread serves both: each has its pose and force, and closing one does not affect the force of the second."""
     hd["devices"] = 2
     with bench.open_unarmed() as first, bench.open_unarmed(name="Left Device") as second:
         assert second.info.name.endswith("70002")
@@ -531,7 +505,6 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
 
 
 def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
-    """The library reports the second opening as busy; the first device continues."""
     with bench.open_unarmed() as first:
         with pytest.raises(DeviceBusy, match="twice in this rig"):
             bench.open_unarmed()

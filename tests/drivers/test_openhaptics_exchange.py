@@ -37,8 +37,6 @@ OVER, AGAIN = 0, 1
 
 
 class Library:
-    """Scripted library, and a driver's block as after opening, armed, with torques; each word has one writer."""
-
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
         patch.setattr(exchange, "call_void", self._call)
@@ -86,7 +84,6 @@ class Library:
         return [float(v) for v in whole.T.ravel()]
 
     def frame(self, after: int = MS) -> int:
-        """Run a frame of the library's thread, `after` ns after the previous one."""
         self.clock.now += after
         self.clock.room = {self.block.handle + 8 * AT.frame_timespec}
         self.block.fixed = [
@@ -112,12 +109,10 @@ class Library:
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
-        """Return True if the next frame writes exactly this wrench."""
         self.frame()
         return self.given() == list(wrench[:3]) and np.allclose(self.given(TORQUE), 1000.0 * np.array(wrench[3:]))
 
     def warmed_up(self) -> None:
-        """Run the first frames, which include single queries."""
         for _ in range(exchange.PROBES + 1):
             assert self.frame() == AGAIN
         assert self.read()[0] == OK
@@ -128,7 +123,6 @@ class Library:
 
 @pytest.fixture
 def opening(monkeypatch: pytest.MonkeyPatch) -> Library:
-    """Library before its first frame."""
     return Library(monkeypatch)
 
 
@@ -142,7 +136,6 @@ def library(opening: Library) -> Library:
 
 
 def test_the_order_of_a_frame(library: Library) -> None:
-    """State is read and written between begin and end of the frame, errors are read after it."""
     library.frame()
     assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
@@ -157,7 +150,6 @@ def test_the_order_of_a_frame(library: Library) -> None:
 
 
 def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
-    """Output is switched in the first frame and on changes only, and repeated if the library reports another state."""
     switches: list[list[Any]] = []
 
     def frame() -> None:
@@ -216,7 +208,6 @@ def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Li
     ids=["mirror", "askew", "nan"],
 )
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
-    """A volume off by more than a hundredth gives an orientation of NaN."""
     library.rotation = np.array(rotation)
     library.frame()
     sample = library.read()[1]
@@ -224,7 +215,6 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
-    """Also in the second frame, without the inkwell switch; the maximum is stored, limited to ten times hot."""
     asked, inkwell = [], []
     for number in range(301):
         opening.frame()
@@ -250,7 +240,6 @@ def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
 
 
 def test_a_wrench_is_written_in_the_librarys_frame(library: Library) -> None:
-    """Forces are in N, torques in mN m; each frame repeats the wrench as long as it is recent."""
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
     assert library.displays(*PULL)
@@ -260,7 +249,6 @@ def test_a_wrench_is_written_in_the_librarys_frame(library: Library) -> None:
 
 
 def test_a_wrench_being_written_is_used_in_the_next_frame(library: Library) -> None:
-    """While the servo writes a wrench, the frame uses the previous one."""
     library.write(*PULL)
     library.frame()
     library.write(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
@@ -271,7 +259,6 @@ def test_a_wrench_being_written_is_used_in_the_next_frame(library: Library) -> N
 
 
 def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
-    """The force ends after `force_age_max_s`, is counted as one lapse, and one write returns WITHHELD."""
     library.write(*PULL)
     for _ in range(5):
         assert library.displays(*PULL)
@@ -286,7 +273,6 @@ def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
 
 
 def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
-    """A force of exactly `force_age_max_s` is still valid."""
     for late in (0, 1):
         library.write(*PULL)
         library.frame(AGE_MAX)
@@ -298,7 +284,6 @@ def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
 
 
 def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
-    """A force computed before the pause ends; frames have zero until the servo has detected the pause and writes."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -314,7 +299,6 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
 
 
 def test_late_frames_withhold_the_force(library: Library) -> None:
-    """With frames 6 ms apart and a limit of 5 ms, forces are withheld until the first frame in time."""
     statuses = []
     for _ in range(5):
         for _ in range(6):
@@ -331,7 +315,6 @@ def test_late_frames_withhold_the_force(library: Library) -> None:
 
 
 def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> None:
-    """A first force that no frame could use is also one lapse, and the next is withheld."""
     assert library.write(*PULL) == OK
     for _ in range(3):
         library.frame(AGE_MAX + 1)
@@ -345,7 +328,6 @@ def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> N
 
 
 def test_writes_while_frames_have_stopped(library: Library) -> None:
-    """If frames stop, writes are HELD while the motors have a force; if they have zero, forces are withheld."""
     library.write(*PULL)
     library.frame()
     library.clock.now += AGE_MAX
@@ -360,7 +342,6 @@ def test_writes_while_frames_have_stopped(library: Library) -> None:
 
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_of_one_component_can_lapse(place: int, library: Library) -> None:
-    """A wrench with one component, also a torque, counts as a force and can lapse."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     library.write(*wrench)
@@ -373,7 +354,6 @@ def test_a_wrench_of_one_component_can_lapse(place: int, library: Library) -> No
 
 @pytest.mark.parametrize(("name", "value"), [("armed", 0), ("stopped", 1), ("is_leaving", 1), ("status", LOST)])
 def test_no_force_unless_armed_and_running(name: str, value: int, library: Library) -> None:
-    """The frame writes zero and disables the motors; the frame that detects a stop or the end sets its flag."""
     library.write(*PULL)
     library.frame()
     library.word[getattr(AT, name)] = value
@@ -385,7 +365,6 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
 
 
 def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> None:
-    """A flag confirms a completed frame: a frame that was already running may have written a force."""
     call = library._call
 
     def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
@@ -402,7 +381,6 @@ def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> Non
 
 
 def test_a_closed_device_is_not_called(library: Library) -> None:
-    """The library is not called, and the callback ends."""
     library.word[AT.open] = 0
     assert library.frame() == OVER
     assert library.asked == []
@@ -410,7 +388,6 @@ def test_a_closed_device_is_not_called(library: Library) -> None:
 
 
 def test_no_force_in_the_inkwell(library: Library) -> None:
-    """Forces are withheld while the stylus is docked. Without an inkwell a device is never docked."""
     library.write(*PULL)
     library.frame()
     library.switch = 0
@@ -452,7 +429,6 @@ def test_a_zero_after_a_lapse_is_ok(library: Library) -> None:
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Library) -> None:
-    """One such component makes the full wrench zero."""
     wrench = list(PULL)
     wrench[place] = bad
     assert library.write(*wrench) == WITHHELD
@@ -462,7 +438,6 @@ def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Lib
 
 @pytest.mark.parametrize(("armed", "stopped"), [(0, 0), (1, 1), (0, 1)])
 def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library: Library) -> None:
-    """Forces are withheld and a zero is OK; the stored wrench is zero."""
     library.word[AT.armed], library.word[AT.stopped] = armed, stopped
     assert library.write(*PULL) == WITHHELD
     assert library.write(*ZERO) == OK
@@ -473,7 +448,6 @@ def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library:
 
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_of_one_component_is_no_zero(place: int, library: Library) -> None:
-    """A wrench with a single component is withheld with WITHHELD, not taken as a zero."""
     wrench = [0.0] * 6
     wrench[place] = 1.0
     library.word[AT.armed] = 0
@@ -504,7 +478,6 @@ def test_content_of_the_sequence_lock(library: Library) -> None:
     ],
 )  # fmt: skip
 def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: Library) -> None:
-    """The error's status and codes are stored; from the next frame on the force is zero and no pose is stored."""
     library.write(*PULL)
     library.frame()
     library.read()
@@ -532,14 +505,12 @@ def test_the_most_severe_error_is_reported(library: Library) -> None:
 
 
 def test_the_first_of_two_errors_is_reported(library: Library) -> None:
-    """Of two misuses the first is stored."""
     library.errors = [(0x401, 4, DEVICE), (0x402, 3, DEVICE)]
     library.frame()
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [PROTOCOL, 0x402, 3]
 
 
 def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
-    """Errors of another device are only counted; an error without a device counts for this one."""
     library.errors = [(COMM_ERROR, 1, OTHER)] * 2
     library.frame()
     assert library.read()[0] == OK
@@ -550,7 +521,6 @@ def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
 
 
 def test_a_frame_reads_eight_errors(library: Library) -> None:
-    """A frame reads at most eight errors; later frames read the rest."""
     library.errors = [(COMM_ERROR, 1, OTHER)] * 20
     for left in (12, 4, 0):
         library.frame()
@@ -559,7 +529,6 @@ def test_a_frame_reads_eight_errors(library: Library) -> None:
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])
 def test_a_rejected_first_query_disables_the_feature(code: int, opening: Library) -> None:
-    """A rejected first query is not a failure: it disables the inkwell (frame 1) or the temperature (frame 2)."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature, AT.status)] == [0, 1, OK]
@@ -573,7 +542,6 @@ def test_a_rejected_first_query_disables_the_feature(code: int, opening: Library
 
 @pytest.mark.parametrize("code", [INVALID_ENUM - 1, BAD_HANDLE])
 def test_other_errors_of_a_first_query_end_the_run(code: int, opening: Library) -> None:
-    """Only four codes mean that a query was rejected."""
     opening.errors = [(code, 0, DEVICE)]
     opening.frame()
     assert [opening.word[at] for at in (AT.has_inkwell, AT.has_temperature)] == [1, 1]
@@ -584,7 +552,6 @@ def test_other_errors_of_a_first_query_end_the_run(code: int, opening: Library) 
 
 
 def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
-    """A frame being written is read in the next tick."""
     library.frame()
     first = library.read()[1].tolist()
     status, sample = library.read()
@@ -600,7 +567,6 @@ def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
 
 
 def test_a_silent_library_is_given_up(library: Library) -> None:
-    """The time-out is 0.1 s of listening: a pause of the servo counts as 10 ms. Each frame restarts it."""
     library.read()
     for _ in range(10):
         library.clock.now += 10 * MS
@@ -615,7 +581,6 @@ def test_a_silent_library_is_given_up(library: Library) -> None:
 
 
 def test_an_error_precedes_a_sample(library: Library) -> None:
-    """Each status below 0 is returned."""
     for status in (-1, LOST, FORCE_OFF, PROTOCOL):
         library.word[AT.status] = status
         assert library.read()[0] == status

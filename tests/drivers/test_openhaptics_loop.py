@@ -56,7 +56,6 @@ def touch_rig(stub: HdStub, **changes: Any) -> Rig:
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, touch: TouchBench) -> None:
-    """Between two unsynchronised threads forces and modes equal the engine's; no call of the library is misused."""
     hd.update(**PRESSING)
     scene = load_scene("paper-plane")
     records = records_of_daemon(touch_rig(hd), scene, 2500)
@@ -85,7 +84,6 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, tou
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     fault: dict[str, float], error: type[HapticError], words: str, hd: HdStub, touch: TouchBench
 ) -> None:
-    """The daemon raises the error of each fault in contact, and the motors have zero."""
     hd.update(**DEEP, **fault)
     with Daemon(touch_rig(hd), load_scene("paper-plane")) as running:
         running.start()
@@ -99,7 +97,6 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
 
 @pytest.mark.exhaustive
 def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> None:
-    """One finger is 1 mm larger and deeper: each device displays only forces of its finger, and both end at zero."""
     hd["devices"] = 2
     hd.update(**DEEP)
     scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
@@ -139,7 +136,6 @@ OTHERS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGXCPU)
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in OTHERS)])
 def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library: Path, tmp_path: Path) -> None:
-    """A caught signal ends with zero in the motors' last tick; after SIGKILL they retain a force within the limit."""
     rig, left = tmp_path / "rig.toml", tmp_path / "journal"
     rig.write_text(
         f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
@@ -167,7 +163,6 @@ def test_forces_of_the_motors_after_a_signal(number: signal.Signals, hd_library:
 
 
 def test_shipped_rig_opens_a_touch(hd: HdStub, touch: TouchBench) -> None:
-    """The rig's limit is below the device's."""
     rig = load_rig("touch", {"device.library_file": str(hd.path)})
     assert rig.device is not None
     from softfinger.drivers.openhaptics.device import open_device

@@ -28,7 +28,6 @@ ROWS = "0,0,0,0.02,1,0,0,0\n0.01,0.001,0,0.02,1,0,0,0\n0.02,0.002,0,0.02,1,0,0,0
 
 
 def some_poses(count: int = 40, seed: int = 7) -> Poses:
-    """Return an irregular random walk with rotations of either sign."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.004, 0.02, count))
     quaternion = np.cumsum(rng.normal(0, 0.1, (count, 4)), axis=0) + np.array([2.0, 0, 0, 0])
@@ -46,7 +45,6 @@ def records_of(poses: Poses) -> np.ndarray:
 
 
 def test_csv_in_any_column_order(tmp_path: Path) -> None:
-    """Columns are found by name; further columns, blank lines and a byte-order mark are ignored."""
     path = tmp_path / "poses.csv"
     path.write_text("qw, qx,qy,qz,note,t,x,y,z\n1,0,0,0,a,0,1,2,3\n\n1,0,0,0,b,0.5,4,5,6\n", encoding="utf-8-sig")
     poses = load_poses(path)
@@ -74,7 +72,6 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
     ],
 )
 def test_csv_fault_is_located(tmp_path: Path, text: str, message: str) -> None:
-    """The error names the file, the line, the column and the value."""
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(RecordingError, match="bad.csv.*" + message):
@@ -82,7 +79,6 @@ def test_csv_fault_is_located(tmp_path: Path, text: str, message: str) -> None:
 
 
 def test_unknown_names_are_refused_with_the_known(tmp_path: Path) -> None:
-    """An unknown name lists the shipped recordings; an unusable name and an unknown file name extension are errors."""
     with pytest.raises(RecordingError, match=r"did you mean 'roll-follow'.*press-roll-spin-drag"):
         load_poses("rol-follow")
     with pytest.raises(RecordingError, match="not a usable file name"):
@@ -96,7 +92,6 @@ def test_unknown_names_are_refused_with_the_known(tmp_path: Path) -> None:
 
 
 def test_shipped_recordings_load() -> None:
-    """Each shipped recording loads by its name, with and without extension."""
     pairs = [f"{name}-{finger}" for name in ("lift", "pinch", "squeeze", "stack") for finger in ("index", "thumb")]
     bodies = ["open-a-door", "open-a-drawer", "press-a-button", "push-a-ball", "roll-a-pencil", "turn-a-knob"]
     elastic = ["bend-a-strip", "press-a-pad"]
@@ -108,7 +103,6 @@ def test_shipped_recordings_load() -> None:
 
 
 def test_orientation_is_normalised_and_continuous_in_sign() -> None:
-    """q and -q are the same orientation: successive quaternions get the same sign and unit norm."""
     poses = some_poses()
     flipped = poses.orientation * np.random.default_rng(3).choice([-1.6, 1.4], (len(poses.t), 1))
     again = check_poses(poses.t, poses.position, flipped, str)
@@ -119,7 +113,6 @@ def test_orientation_is_normalised_and_continuous_in_sign() -> None:
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_results_are_poses(tmp_path: Path, ending: str) -> None:
-    """Results of this program load as poses; time starts at the first row."""
     assert set(RESULT_COLUMNS) <= set(columns())
     poses = some_poses()
     path = tmp_path / f"results{ending}"
@@ -131,7 +124,6 @@ def test_results_are_poses(tmp_path: Path, ending: str) -> None:
 
 
 def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A truncated recording gives its first part and a warning; one truncated in its header raises an error."""
     poses = some_poses(2000)
     path = tmp_path / "whole.mcap"
     write_results(path, records_of(poses))
@@ -148,7 +140,6 @@ def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.Lo
 
 
 def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
-    """Missing arrays, wrong shapes and object arrays are errors, and a pickle in the file is never executed."""
     path, marker = tmp_path / "x.npz", tmp_path / "pickle-ran"
 
     class Trap:
@@ -183,7 +174,6 @@ SPELLINGS = ("{!r}", "{:.25f}", "{:.30e}", "{:+.17g}", " {:.17g}", "{:.17g}\t")
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("spelling", SPELLINGS)
 def test_numbers_of_a_csv_file_are_exact(tmp_path: Path, spelling: str, end: str) -> None:
-    """Numbers of a file longer than a block equal Python's, in each spelling."""
     rng = np.random.default_rng(5)
     values = rng.standard_normal((3000, 3)) * 10.0 ** rng.integers(-12, 3, (3000, 3))
     values[::7] = [0.0, -0.0, -3.0]
@@ -197,7 +187,6 @@ def test_numbers_of_a_csv_file_are_exact(tmp_path: Path, spelling: str, end: str
 
 
 def test_a_fault_in_a_long_file_is_located(tmp_path: Path) -> None:
-    """The line number is correct after a blank line and beyond rows that were read in blocks."""
     lines = ["t,x,y,z,qw,qx,qy,qz", *(f"{row},0.25,0.125,0.5,1,0,0,0" for row in range(20_000))]
     lines[3] = ""
     lines[15_000] += ",7"
@@ -210,7 +199,6 @@ def test_a_fault_in_a_long_file_is_located(tmp_path: Path) -> None:
 @settings(examples(25, 60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, data: st.DataObject) -> None:
-    """Random bytes, and valid files with changed or missing bytes, give valid poses or RecordingError."""
     path = tmp_path / f"fuzz{ending}"
     content = bytearray(_valid(ending, tmp_path))
     if data.draw(st.booleans()):
@@ -228,7 +216,6 @@ def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, dat
 
 @pytest.mark.parametrize("count", [2, 3, 40])
 def test_resampling_equals_scipy(count: int) -> None:
-    """Positions equal SciPy's PCHIP and orientations SciPy's Slerp, on irregular times."""
     poses = some_poses(count)
     samples = resample(poses, 1000.0)
     at = np.arange(len(samples)) / 1000.0
@@ -244,7 +231,6 @@ def test_resampling_equals_scipy(count: int) -> None:
 
 
 def test_resampling_passes_through_the_samples() -> None:
-    """At the time of a recorded sample the result equals that sample bit for bit."""
     poses = load_poses("press-roll-spin-drag")
     samples = resample(poses, 1000.0)
     assert samples[::10, :3].tobytes() == poses.position.tobytes()
@@ -252,7 +238,6 @@ def test_resampling_passes_through_the_samples() -> None:
 
 
 def test_resampling_has_no_velocity_step_and_no_overshoot() -> None:
-    """Between 100 Hz samples the velocity changes smoothly, and a press does not exceed its ends."""
     samples = resample(load_poses("press-roll-spin-drag"), 1000.0)
     velocity = np.diff(samples[:, :3], axis=0) * 1000.0
     # peak acceleration of the script is 0.15 m/s2: linear interpolation would step by 1.5 mm/s at each sample
@@ -272,7 +257,6 @@ def test_rotations_take_the_short_arc_for_any_sign() -> None:
 
 
 def test_resampling_rejects_too_short_and_too_long_recordings() -> None:
-    """Less than two ticks, or more than fit in memory, raises an error with the numbers."""
     still = np.zeros((2, 3)), np.array([[1.0, 0, 0, 0]] * 2)
     with pytest.raises(RecordingError, match=r"0\.5 ticks at 100 Hz"):
         resample(Poses(np.array([0.0, 0.005]), *still), 100.0)
@@ -293,7 +277,6 @@ def steps(loop: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def test_loop_of_an_open_motion_has_no_jump() -> None:
-    """A motion with another end pose is closed with bounded speed and without a step in velocity."""
     k = np.arange(1001) / 1000.0
     turned = Rotation.from_rotvec(np.outer(k, [0.9, -0.4, 0.2])) * Rotation.from_rotvec([0.1, 0.2, 2.0])
     samples = np.column_stack((0.05 * k, 0.01 * np.sin(9 * k), 0 * k, turned.as_quat()[:, [3, 0, 1, 2]]))
@@ -308,7 +291,6 @@ def test_loop_of_an_open_motion_has_no_jump() -> None:
 
 
 def test_loop_of_a_closed_motion_is_not_lengthened() -> None:
-    """If the end continues into the start, the duplicate sample is removed and nothing is added."""
     angle = np.arange(1001) / 1000.0 * 2 * np.pi
     circle = np.column_stack((np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1, *(0 * angle,) * 3))
     circle[-1] = circle[0]

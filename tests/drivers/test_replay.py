@@ -27,7 +27,6 @@ def opened(**options: Any) -> Replay:
 
 
 def test_reads_return_samples_in_order() -> None:
-    """Reads return the resampled poses in order with nominal time."""
     wanted = resample(load_poses("tap"), 1000.0)
     with opened(loop=False) as device:
         servo = Servo(device)
@@ -40,7 +39,6 @@ def test_reads_return_samples_in_order() -> None:
 
 
 def test_a_recording_that_is_not_looped_ends() -> None:
-    """After the last sample every read returns END and repeats it."""
     with opened(loop=False) as device:
         servo, count = Servo(device), len(device.samples)
         statuses = [servo.read()[0] for _ in range(count)]
@@ -50,7 +48,6 @@ def test_a_recording_that_is_not_looped_ends() -> None:
 
 
 def test_a_looped_recording_restarts() -> None:
-    """A looped recording restarts, and its device time continues."""
     with opened() as device:
         servo, count = Servo(device), len(device.samples)
         first = [servo.read()[1] for _ in range(count)]
@@ -61,7 +58,6 @@ def test_a_looped_recording_restarts() -> None:
 
 
 def test_every_wrench_is_logged_with_its_read() -> None:
-    """Wrenches are logged in order, each with the index of its read; `stop` adds a zero."""
     with opened(loop=False) as device:
         servo = Servo(device)
         servo.write(9.0, 0, 0, 0, 0, 0)
@@ -77,7 +73,6 @@ def test_every_wrench_is_logged_with_its_read() -> None:
 
 
 def test_a_stopped_device_withholds_forces() -> None:
-    """After `stop` a force is withheld and not logged; a second stop changes nothing."""
     device = opened()
     servo = Servo(device)
     servo.write(1.0, 0, 0, 0, 0, 0)
@@ -91,7 +86,6 @@ def test_a_stopped_device_withholds_forces() -> None:
 
 
 def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
-    """If a loop exceeds the log, at least the last 10 s remain in order, and the loss is counted."""
     with opened() as device:
         servo = Servo(device)
         for n in range(15_000):
@@ -105,7 +99,6 @@ def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
 
 
 def test_a_stop_during_writes_ends_with_zero() -> None:
-    """If `stop` is called between writes of another thread, the last logged wrench is zero."""
     for _ in range(30):
         device = opened()
         servo, running = Servo(device), threading.Event()
@@ -128,7 +121,6 @@ def test_a_stop_during_writes_ends_with_zero() -> None:
 
 
 def test_two_replays_are_equal() -> None:
-    """The same writes to the same recording give identical logs."""
     logs = []
     for _ in range(2):
         with opened() as device:
@@ -144,7 +136,6 @@ def test_two_replays_are_equal() -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
-    """With `forces` set, closing writes the log to a file that contains the same numbers."""
     path = tmp_path / f"forces{ending}"
     with opened(forces=str(path)) as device:
         servo = Servo(device)
@@ -164,7 +155,6 @@ def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
 
 
 def test_unusable_options_are_refused(tmp_path: Path) -> None:
-    """A missing recording, a forces file of unknown type and one in a missing folder are errors."""
     with pytest.raises(RecordingError, match="did you mean 'tap'"):
         opened(recording="tapp")
     with pytest.raises(RecordingError, match=r"must end in \.csv or \.npz"):
@@ -175,7 +165,6 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
 def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
-    """The compiled body calls only llvm.mem functions and always returns 0: it never reaches numba's error path."""
     fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)
     code = fresh.inspect_llvm()
     bodies = re.findall(r"^define [^\n]*?@(\S+?)\(.*?^}", code, re.M | re.S)

@@ -28,8 +28,6 @@ pytestmark = pytest.mark.real_time
 
 
 class BoardBench(RefusingBench):
-    """Common part of both benches: refusals of a port from a plain file."""
-
     rig: ClassVar[str]
 
     def __init__(self, node: RefusedNode, undo: contextlib.ExitStack) -> None:
@@ -42,8 +40,6 @@ class BoardBench(RefusingBench):
 
 
 class TwoDiy(BoardBench):
-    """Firmware of a 2DIY; its torques are rounded to float32."""
-
     rig: ClassVar[str] = "haply-2diy"
     force_step_n: ClassVar[float] = 1e-6
 
@@ -81,8 +77,6 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class HapkitBench(BoardBench):
-    """The sketch, mounted so that its handle moves along x and z."""
-
     rig: ClassVar[str] = "hapkit"
     force_step_n: ClassVar[float] = 0.02
     """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
@@ -116,8 +110,6 @@ class Contract(driver_contract.DriverContract):
 
 
 class TestTwoDiy(Contract):
-    """A Haply 2DIY."""
-
     @pytest.fixture
     def bench(self) -> Iterator[TwoDiy]:
         with RefusedNode() as node, contextlib.ExitStack() as undo:
@@ -125,8 +117,6 @@ class TestTwoDiy(Contract):
 
 
 class TestHapkit(Contract):
-    """A Hapkit with its sketch."""
-
     @pytest.fixture
     def bench(self, library: Path) -> Iterator[HapkitBench]:
         with RefusedNode() as node, contextlib.ExitStack() as undo:
@@ -139,7 +129,6 @@ class TestHapkit(Contract):
 
 @contextlib.contextmanager
 def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
-    """Open a 2DIY in its calibration pose; its arm then moves to the middle."""
     board = Firmware()
     with Port(board) as port, opened("haply-2diy", port.path, **changes) as device:
         board.angles = list(REST)
@@ -147,7 +136,6 @@ def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
 
 
 def test_pose_and_force_of_a_2diy() -> None:
-    """The position is the intersection of two circles in the rig's plane; only the force in it is displayed."""
     with two_diy() as (servo, device, board, _):
         fresh(servo)
         x, y = place(*REST)
@@ -175,7 +163,6 @@ Spoil = Callable[[bytes], bytes]
     ],
 )  # fmt: skip
 def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
-    """The last pose repeats and the force ends within `quiet_s`; the next valid answer restores both."""
     with two_diy(quiet_s=0.02, timeout_s=1.0) as (servo, device, board, port):
         known = fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -203,7 +190,6 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
 
 
 def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
-    """After `quiet_s` a zero with preceding resync bytes ends the wait, and the run continues."""
     with two_diy(quiet_s=0.02, timeout_s=2.0) as (servo, _, board, port):
         for at in (1, 3, 6, 9):  # of the device number, and of both torques
             fresh(servo)
@@ -228,7 +214,6 @@ def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
 
 
 def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() -> None:
-    """After a reset the motors retain their force and torques are ignored: the run ends, and closing zeroes them."""
     with two_diy(quiet_s=0.02, timeout_s=0.3) as (servo, device, board, _):
         fresh(servo)
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
@@ -250,7 +235,6 @@ def rig_kinematics(rig: str) -> dict[str, Any]:
 
 
 def test_a_described_rig_without_a_port_is_rejected() -> None:
-    """A rig without ids and path opens no port: the error asks for a path."""
     for rig in ("haply-2diy", "hapkit"):
         with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
             open_device(rig_options(rig), 1000.0)
@@ -266,7 +250,6 @@ def test_a_board_that_never_answers_raises_an_error() -> None:
 
 
 def test_the_sketch_switches_off_by_itself(library: Path) -> None:
-    """Without frames the Hapkit's sketch switches its motor off after 50 ms, and not before 45 ms."""
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)
@@ -279,7 +262,6 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
 
 
 def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
-    """The position follows the joint, also across jumps of the sensor; crc8 rejects damaged frames."""
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)

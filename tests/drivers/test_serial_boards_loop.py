@@ -40,7 +40,6 @@ DEEP = (142.0, 38.0)
 
 
 def rig(name: str, path: str) -> Rig:
-    """Load a shipped rig for an emulated board; a thread of a busy machine may answer late."""
     changes: dict[str, Any] = {
         "device.path": path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
         "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -50,7 +49,6 @@ def rig(name: str, path: str) -> Rig:
 
 @contextmanager
 def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
-    """Daemon that pushes a 2DIY's handle out of a floor."""
     board = Firmware()
     with Port(board) as port, Daemon(rig("haply-2diy", port.path), load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -89,7 +87,6 @@ def tear(port: Port) -> None:
 def test_faults_in_contact_end_the_daemon_without_force(
     fault: Callable[[Port], None], error: type[DeviceError], words: str
 ) -> None:
-    """The daemon ends with the error of each fault, and the motors are off when it does."""
     with pressing() as (daemon, board, port):
         begun = time.monotonic()
         fault(port)
@@ -102,7 +99,6 @@ def test_faults_in_contact_end_the_daemon_without_force(
 
 
 def test_a_late_board_continues() -> None:
-    """After 5 ms it gets a new force every few ticks; after 150 ms it loses its force until it is in time again."""
     with pressing() as (daemon, board, port):
         for late, stays in ((0.005, True), (0.15, False)):
 
@@ -124,7 +120,6 @@ def test_a_late_board_continues() -> None:
 
 
 def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
-    """Return the words of `run` on a copy of a shipped rig that names the port."""
     mine = folder / "rig.toml"
     named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
     text = (
@@ -139,7 +134,6 @@ def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
 def command(
     name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run `softfinger run` in a separate process."""
     words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
     with Program(words, stderr=subprocess.PIPE, text=True, env=environment, kill_at_end=True) as process:
         yield process
@@ -157,7 +151,6 @@ SIGNALS = [
 
 @pytest.mark.parametrize(("number", "code"), SIGNALS)
 def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, tmp_path: Path) -> None:
-    """A catchable signal ends the daemon with its code and zero; a second program finds the port in use."""
     board = Firmware()
     with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
         press(board, process)
@@ -180,7 +173,6 @@ def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, 
 
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:
-    """Move the handle into the floor once the daemon runs, and wait until it is pushed out."""
     until = time.monotonic() + 120.0
     while board.taken < 50:
         assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
@@ -195,7 +187,6 @@ def press(board: Firmware, process: subprocess.Popen[str]) -> None:
 
 @pytest.mark.parametrize("watched", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_watcher_ends_the_force_of_a_killed_program(watched: bool, tmp_path: Path) -> None:
-    """The firmware has no watchdog: after kill -9 it retains the last torque, unless a watcher zeroes it."""
     board = Firmware()
     more = ("--watcher",) if watched else ()
     with Port(board) as port, command("haply-2diy", port.path, tmp_path, *more) as process:
@@ -214,7 +205,6 @@ UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
-    """A Hapkit gets no old force; if the run ends meanwhile, only zeros wait for the board and the exit code is 4."""
     stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
         board.turn(0.3)
@@ -256,7 +246,6 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
-    """The sketch switches its motor off 50 ms after the last frame."""
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board:
         board.turn(0.3)  # to the right is up: 27 mm, and the fingertip has a radius of 10
         with command("hapkit", board.path, tmp_path) as process:

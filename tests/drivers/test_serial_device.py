@@ -46,8 +46,6 @@ STEP_N = 0.5e-3 * 1.001
 
 
 class Bench(RefusingBench):
-    """Bench with an emulated board at the end of a pseudo terminal; refusals of a port come from a plain file."""
-
     force_step_n: ClassVar[float] = STEP_N
 
     def __init__(self, early_end: bool, node: RefusedNode, undo: contextlib.ExitStack) -> None:
@@ -87,7 +85,6 @@ class TestContract(driver_contract.DriverContract):
 
 
 def turned(axis: str, angle: float) -> np.ndarray:
-    """Return the rotation matrix about an axis."""
     c, s = math.cos(angle), math.sin(angle)
     return {
         "x": np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
@@ -97,7 +94,6 @@ def turned(axis: str, angle: float) -> np.ndarray:
 
 
 def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """Return the rotation matrix of a unit quaternion, by its columns' definition q e q*."""
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
@@ -105,7 +101,6 @@ def matrix(w: float, x: float, y: float, z: float) -> np.ndarray:
 
 @pytest.mark.parametrize("mounted", [False, True])
 def test_pose_and_force_in_the_world(mounted: bool) -> None:
-    """The pose is R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE), also with a mounting; the board gets its frame's force."""
     half = math.sqrt(0.5)
     mounting = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]} if mounted else {}
     frame, origin = (turned("z", math.pi / 2), np.array([0.1, 0.2, 0.3])) if mounted else (np.eye(3), np.zeros(3))
@@ -126,7 +121,6 @@ def test_pose_and_force_in_the_world(mounted: bool) -> None:
 
 
 def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
-    """A silent board gets one zero and a newline every 100 ms, then TIMEOUT, unless it answers again before."""
     with board(quiet_s=0.02) as (device, itself, cable):
         servo = Servo(device)
         for again in (True, False):
@@ -173,7 +167,6 @@ def nonsense(text: bytes) -> Callable[[bytes], bytes]:
     ],
 )  # fmt: skip
 def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
-    """The last pose repeats without force until a valid frame; permanent damage gives PROTOCOL with the bytes."""
     with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
         servo = Servo(device)
         known = fresh(servo)
@@ -204,7 +197,6 @@ def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
 
 
 def fill(device: SerialDevice) -> int:
-    """Write into a device's port until it accepts no more, also after a while; return the number of bytes."""
     took = full = 0
     while full < 10:
         try:
@@ -217,7 +209,6 @@ def fill(device: SerialDevice) -> int:
 
 
 def test_a_blocked_port_does_not_block_the_loop() -> None:
-    """Writes return HELD or WITHHELD at once, reads TIMEOUT, and no force follows the blocked bytes."""
     with Cable(Board(lambda _: PLACE)) as cable:
         device = opened(cable)
         servo = Servo(device)
@@ -259,7 +250,6 @@ def test_an_empty_port_is_not_read() -> None:
 
 
 def test_unplugging_is_a_loss() -> None:
-    """Reads and writes of an unplugged board return LOST, and `stop` and `close` raise nothing."""
     with board() as (device, _, cable):
         servo = Servo(device)
         fresh(servo)
@@ -272,7 +262,6 @@ def test_unplugging_is_a_loss() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with board() as (device, itself, cable):
             servo = Servo(device)
@@ -302,7 +291,6 @@ def test_stop_while_the_loop_writes() -> None:
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
-    """`arm` wakes the board again and waits for a new frame; a board that no longer answers raises NoAnswer."""
     with board(wake_s=0.3, timeout_s=0.2) as (device, itself, cable):
         cable.say(20 * itself.frame())
         itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
@@ -315,7 +303,6 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 
 
 def test_a_sleeping_board_is_woken_at_opening() -> None:
-    """A slow board is woken until it answers; a silent board and one that sends garbage raise different errors."""
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
         threading.Timer(0.3, cable.mute.clear).start()
@@ -346,13 +333,11 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
     ],
 )
 def test_invalid_options_are_rejected(key: str, value: object, message: str) -> None:
-    """The error names the key, the value and the range."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         rig_options(**{key: value})
 
 
 def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    """The newly compiled C functions call nothing but system calls, the clock and libm."""
     allowed = {
         "read",
         "write",

@@ -40,19 +40,15 @@ ZERO = (0.0,) * 6
 
 
 def frame(x: float, y: float, z: float, *rest: float) -> bytes:
-    """Return a text frame from the board: mm, rad, info."""
     a, b, d, e, info = rest or (0.0, 0.0, 0.0, 0.0, 0)
     return f"{x:.3f} {y:.3f} {z:.3f} {a:.4f} {b:.4f} {d:.4f} {e:.4f} {info}".ljust(63).encode() + b"\n"
 
 
 def text(*milli: int) -> bytes:
-    """Return a text frame to the board."""
     return " ".join(map(str, [*milli, 2, 0, 0, 0])).ljust(63).encode() + b"\n"
 
 
 class Board:
-    """A driver's block with a scripted port, after the first sample."""
-
     block: GuardedBlock
 
     def __init__(self, options: Options, patch: pytest.MonkeyPatch) -> None:
@@ -75,7 +71,6 @@ class Board:
         self.word[BOARD.read_at] = self.word[BOARD.kicked_at] = START_NS
 
     def _read(self, fd: int, address: int, size: int, word: int) -> int:
-        """Check that no byte is read beyond the buffer."""
         assert word == self.block.handle + 8 * AT.ioctl_scratch
         if self.word[AT.kind] == exchange.TEXT:
             assert address + size <= self.block.handle + self.word.nbytes
@@ -101,13 +96,11 @@ class Board:
         return out
 
     def counts(self) -> dict[str, int]:
-        """Return the counters that are not 0."""
         return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """WoodenHaptics' board with a rotated and shifted mounting, without unanswered frames."""
     return Board(rig_options(**TEXT, mounting=MOUNTING), monkeypatch)
 
 
@@ -115,7 +108,6 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
 
 
 def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
-    """The world pose has R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE); info has 16 bits; time counts from opening."""
     a, b, d, e = 0.3, 0.5, 0.7, -1.1
     status, sample = board.read(frame(10.0, 20.0, -15.0, a, b, d, e, -2))
     assert status == OK
@@ -127,13 +119,11 @@ def test_a_text_frame_is_a_pose_in_the_world(board: Board) -> None:
 
 
 def test_every_bit_of_info_is_a_button(board: Board) -> None:
-    """Exactly 16 bits are buttons."""
     for info in (1, 2, 32767, -32768, 4096):
         assert board.read(frame(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, info))[1][8] == info % 65536
 
 
 def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
-    """The last of several frames is used, earlier ones are counted as drained, other bytes as misread."""
     status, sample = board.read(frame(1.0, 0.0, 0.0) + frame(2.0, 0.0, 0.0) + frame(3.0, 0.0, 0.0))
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
@@ -160,7 +150,6 @@ def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
 
 
 def test_a_port_that_fails_is_lost(board: Board) -> None:
-    """Reads, forces and the newline of a wake return LOST."""
     board.port.error = 5
     assert board.read()[0] == LOST
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
@@ -175,7 +164,6 @@ def test_a_port_that_fails_is_lost(board: Board) -> None:
 
 
 def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
-    """Forces are in mN in the frame of the mounting; beyond the maximum they are scaled and the write returns STALE."""
     board.read(frame(0.0, 0.0, 0.0))
     assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert board.sent() == text(-1000, -500, 2000)
@@ -186,7 +174,6 @@ def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
 
 
 def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A force of exactly the maximum is not limited."""
     board = Board(rig_options(**TEXT), monkeypatch)
     assert board.write(0.0, -3.0, 4.0, 0.0, 0.0, 0.0) == OK
     assert board.sent() == text(0, -3000, 4000)
@@ -194,7 +181,6 @@ def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
-    """With 63 of 64 bytes received, forces are HELD and a second zero is skipped, but a force is ended."""
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     board.read(frame(0.0, 0.0, 0.0)[:63])
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
@@ -212,7 +198,6 @@ def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A zero is sent despite a missing answer while the board has a force, along any axis."""
     board = Board(rig_options(**TEXT), monkeypatch)
     wrench = [0.0] * 6
     wrench[axis] = 1.0
@@ -225,7 +210,6 @@ def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.M
 
 
 def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> None:
-    """After `quiet_s` without an answer, a board with zero force gets no bytes, and forces are withheld."""
     board.clock.now += 21 * MS
     assert board.write(*ZERO) == OK
     assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -236,7 +220,6 @@ def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> Non
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
-    """A frame accepted in pieces is not interrupted by other bytes; one without an accepted byte is not counted."""
     board.port.room = 20
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (44, 1)
@@ -257,7 +240,6 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
 
 
 def test_the_remainder_of_a_frame_is_sent_at_once(board: Board) -> None:
-    """If the port accepts the rest at once, no bytes remain unsent."""
     taken = iter([20, None])
     write = board.port.write
 
@@ -281,7 +263,6 @@ def test_the_remainder_of_a_frame_is_sent_at_once(board: Board) -> None:
 
 
 def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
-    """A board with a force gets a zero before the newline; a port that accepts nothing is not counted as kicked."""
     assert board.wake() == OK
     assert board.sent() == b"\n"
     board.word[BOARD.has_force] = 1
@@ -302,7 +283,6 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
 
 @pytest.mark.parametrize("room", [1, 63])
 def test_a_frame_of_which_one_byte_was_sent_is_not_repeated(room: int, board: Board) -> None:
-    """A frame with one byte accepted, or one byte missing, is completed and not sent again."""
     board.port.room = room
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.word[BOARD.unsent_bytes] == 64 - room
@@ -314,20 +294,17 @@ def test_a_frame_of_which_one_byte_was_sent_is_not_repeated(room: int, board: Bo
 
 
 def test_a_port_that_accepts_nothing_is_full(board: Board) -> None:
-    """A full port returns an error or 0."""
     board.port.room = -1
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == HELD
     assert board.counts() == {}
 
 
 def test_a_frame_received_byte_by_byte(board: Board) -> None:
-    """A frame received byte by byte gives a pose at the last byte."""
     whole = frame(1.0, 0.0, 0.0)
     assert [board.read(bytes([byte]))[0] for byte in whole] == [STALE] * 63 + [OK]
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
-    """After `quiet_s` the board is woken; after `timeout_s` enough bytes without a frame give PROTOCOL."""
     board.clock.now += 21 * MS
     board.word[BOARD.read_at] = board.clock.now
     board.word[BOARD.kicked_at] = START_NS - 100 * MS
@@ -342,7 +319,6 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def described(**changes: Any) -> Options:
-    """Options of a board with position, quaternion, buttons and gripper, whose answers are identified by length."""
     fields = [("x", 1), ("y", 5), ("z", 9), ("qw", 13), ("qx", 17), ("qy", 21), ("qz", 25)]
     frames = {
         "mode": "answer",
@@ -375,24 +351,20 @@ def described(**changes: Any) -> Options:
 
 
 def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
-    """Return a frame from the board."""
     place, q = numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0)
     return b"\7" + struct.pack("<7fBB", *place, *q, buttons, gripper)
 
 
 def given(x: int, y: int, z: int) -> bytes:
-    """Return a frame to the board, in 0.1 mN."""
     return b"\2" + struct.pack("<4h", x, y, z, 258)
 
 
 @pytest.fixture
 def other(monkeypatch: pytest.MonkeyPatch) -> Board:
-    """Described board without unanswered frames."""
     return Board(described(), monkeypatch)
 
 
 def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
-    """The pose follows the mounting, buttons and gripper are unchanged; a zero quaternion is a protocol error."""
     q = (0.5, 0.1, -0.7, 0.5)
     status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
@@ -403,7 +375,6 @@ def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
 
 
 def test_a_force_is_written_as_described(other: Board) -> None:
-    """Forces are in the board's frame, with start bytes and constants; those beyond motor or field are limited."""
     other.read(answer(0.0, 0.0, 0.0))
     assert other.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
     assert other.sent() == given(-10000, -5000, 20000)
@@ -421,7 +392,6 @@ def test_a_force_is_written_as_described(other: Board) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A force along any axis sets `has_force`, and no value of the previous frame remains."""
     other = Board(described(mounting={}), monkeypatch)
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = 1.0
@@ -434,7 +404,6 @@ def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPat
 
 
 def test_resync_bytes_follow_an_unanswered_frame(other: Board) -> None:
-    """A frame after an unanswered one is preceded by resync bytes, which end a torn frame."""
     assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert other.sent() == given(0, 0, 10000)
     assert other.write(*ZERO) == OK
@@ -448,7 +417,6 @@ def test_resync_bytes_follow_an_unanswered_frame(other: Board) -> None:
 
 
 def test_a_described_board_is_woken_after_its_frame(other: Board) -> None:
-    """A full port delays the kick until the pending frame is complete."""
     other.port.room = 3
     assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert other.wake() == HELD
@@ -460,7 +428,6 @@ def test_a_described_board_is_woken_after_its_frame(other: Board) -> None:
 
 
 def test_bytes_before_a_request_are_discarded(other: Board) -> None:
-    """If an answer is identified by its length, bytes received before the request are discarded."""
     other.read(b"\7\7\7")
     other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     status, sample = other.read(answer(0.25, 0.0, 0.0))
@@ -471,7 +438,6 @@ def test_bytes_before_a_request_are_discarded(other: Board) -> None:
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])
 def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame with marks is also found if it started before the request; streams do not delay forces."""
     fields = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
     marked = {"mode": mode, "input": {"bytes": 14, "start": [7], "end": [9], "field": fields}}
     board = Board(described(frames=marked), monkeypatch)
@@ -500,7 +466,6 @@ PANTOGRAPH = {
 
 
 def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the links in line the torque is zero; elsewhere it is limited, with another counter."""
     board = Board(described(**PANTOGRAPH), monkeypatch)
     # both inner links outward along the line of their joints: their ends are 0.178 m apart, beyond the reach of the
     # outer links
@@ -521,7 +486,6 @@ def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: p
 
 
 def delta() -> Options:
-    """Options of a delta with three legs, without mounting."""
     legs = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
     torques = [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
     kinematics = {
@@ -533,7 +497,6 @@ def delta() -> Options:
 
 
 def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Legs of a delta that cannot meet give a position of NaN, for which the guard commands zero."""
     board = Board(delta(), monkeypatch)
     status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
     assert status == OK and np.isnan(sample[:3]).all()
@@ -543,7 +506,6 @@ def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPa
 
 
 def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    """tau . d(angles) = f . d(position), with the change of position from two samples."""
     board = Board(delta(), monkeypatch)
     angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
     ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]

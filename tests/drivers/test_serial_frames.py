@@ -36,7 +36,6 @@ def decode_all(given: Any, values: Any, usable: Any) -> None:
 
 @entry
 def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
-    """Process a stream in pieces; store the numbers of each piece's last frame in `found`. `scratch` has two rows."""
     at = came = 0
     newest = scratch[1]
     for size in sizes:
@@ -71,7 +70,6 @@ def encoded(*force: float) -> bytes:
 
 
 def expected(frame: bytes) -> list[float] | None:
-    """Return the numbers by a regular expression and Python's float, or None if the bytes are no frame."""
     match = FRAME.fullmatch(frame)
     if match is None or any(sum(48 <= c <= 57 for c in text) > frames.DIGITS_MAX for text in match.groups()):
         return None
@@ -89,7 +87,6 @@ def test_the_published_frame(end: bytes) -> None:
 
 
 def test_frames_to_the_device() -> None:
-    """A frame has rounded millinewtons, the command for forces, three zeros, blanks and a newline: 64 bytes."""
     assert encoded(0.1, -2.0, 3.3333) == framed(b"100 -2000 3333 2 0 0 0")
     assert encoded(0.0, -0.0, 0.0) == framed(b"0 0 0 2 0 0 0")
     assert encoded(-0.0004, 0.0006, 0.009) == framed(b"0 1 9 2 0 0 0")
@@ -98,7 +95,6 @@ def test_frames_to_the_device() -> None:
 
 @given(st.tuples(*[st.floats(-32.0, 32.0)] * 3))
 def test_forces_are_rounded_to_a_millinewton(force: tuple[float, float, float]) -> None:
-    """Any force within the options' range is rounded to the closest millinewton, in a frame of 64 bytes."""
     words = encoded(*force).split()
     assert [int(word) for word in words] == [*(floor(1e3 * f + 0.5) for f in force), 2, 0, 0, 0]
 
@@ -114,19 +110,16 @@ def test_forces_are_rounded_to_a_millinewton(force: tuple[float, float, float]) 
     ],
 )  # fmt: skip
 def test_invalid_frames_are_rejected(text: bytes) -> None:
-    """Values that are not finite, out of range or too long, a wrong count of values, and stray bytes are rejected."""
     assert not decoded(framed(text))[1].any()
     assert expected(framed(text)) is None
 
 
 def test_a_frame_ends_with_a_newline() -> None:
-    """64 bytes without a newline at the end are no frame."""
     assert not decoded(framed(PUBLISHED)[:-1] + b" ")[1].any()
 
 
 @pytest.mark.scaled
 def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
-    """Frames with random bytes are decoded within bounds or rejected; a part is compared with Python."""
     generator = np.random.default_rng(17)
     alphabet = np.frombuffer(b"0123456789" * 4 + b" .-+ .-+einfax,\n\r\0\xff\x80", np.uint8)
     base = np.frombuffer(framed(PUBLISHED) + framed(PUBLISHED + b"\n"), np.uint8).reshape(2, FRAME_BYTES)
@@ -160,9 +153,6 @@ def numbered(n: int) -> bytes:
 
 @pytest.mark.scaled
 def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) -> None:
-    """Frames with bytes removed, repeated, changed and inserted, in pieces of any size: each valid frame after a valid
-    frame is found, and no other is read. No two neighbours are damaged, and none by the length of a frame: if just 64
-    bytes of two frames remain, the format cannot detect it."""
     generator = np.random.default_rng(23)
     stream, whole, count = bytearray(), [], cases(4000, 20_000)
     for n in range(count):

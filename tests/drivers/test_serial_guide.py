@@ -27,7 +27,6 @@ PAGE = "devices/serial.md"
 
 
 def printed(folder: Path) -> Path:
-    """Save the rig of the page under its title."""
     ((_, title, text),) = [fence for fence in fences(PAGE) if fence[1]]
     path = folder / title
     path.write_text(text)
@@ -37,7 +36,6 @@ def printed(folder: Path) -> Path:
 def test_the_printed_rig_is_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each shell command of the page succeeds in the folder of the rig, and `check` prints the direction of motion."""
     printed(tmp_path)
     monkeypatch.chdir(tmp_path)
     lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]
@@ -54,7 +52,6 @@ def test_the_printed_rig_is_checked(
     ],
 )
 def test_check_prints_the_motion_of_a_device(rig: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """`check` prints the motion of devices with one and two degrees of freedom only."""
     assert main(["check", rig]) == 0
     assert words in capsys.readouterr().out
     assert main(["check", "woodenhaptics-v3"]) == 0
@@ -63,7 +60,6 @@ def test_check_prints_the_motion_of_a_device(rig: str, words: str, capsys: pytes
 
 @pytest.mark.real_time
 def test_the_printed_rig_runs(tmp_path: Path) -> None:
-    """The page's rig renders a floor: torque only in it, and none after the daemon has ended."""
     with GuideBoard() as board:
         board.angle = 0.3  # 24 mm up, and the fingertip has a radius of 10
         changes: dict[str, Any] = {
@@ -140,7 +136,6 @@ def opened_by(rig: Rig) -> Device:
 
 @pytest.mark.real_time
 def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
-    """Big-endian, with answers and two checksums: positions, forces and buttons are correct, no request is damaged."""
     out = np.deg2rad(60.0)
     with AskedBoard() as board:
         board.angles, board.buttons = (np.pi - out, out), 5
@@ -166,7 +161,6 @@ def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
 
 @pytest.mark.real_time
 def test_a_board_with_another_checksum_never_answers(tmp_path: Path) -> None:
-    """A board that rejects the checksum never answers, as if without power: the error contains the unanswered frame."""
     with AskedBoard() as board:
         with pytest.raises(DeviceTimeout, match=r"sends no frame within 0\.5 s.*has not answered 55 54 00 00 00 00 "):
             opened_by(asked_rig(tmp_path, board, "crc16-ccitt"))

@@ -23,7 +23,6 @@ SERIAL = [name for name in list_shipped(Rig) if 'driver = "serial"' in find(name
 
 @pytest.mark.parametrize("rig", SERIAL)
 def test_shipped_rigs_fit(rig: str) -> None:
-    """Each shipped serial rig fits its line at its rate."""
     config = load_rig(rig)
     registry.check(config.device, config.servo.rate_hz)
 
@@ -53,7 +52,6 @@ def test_shipped_rigs_fit(rig: str) -> None:
     ],
 )  # fmt: skip
 def test_frames_are_compared_with_the_line_rate(changes: dict[str, object], rate_hz: float, says: str) -> None:
-    """Compare a hapkit's frames with baud / 10 in each direction; accept ports without a line rate."""
     if not says:
         line.check(rig_options("hapkit", **changes), rate_hz, "rig")
         return
@@ -62,21 +60,18 @@ def test_frames_are_compared_with_the_line_rate(changes: dict[str, object], rate
 
 
 def test_a_link_has_the_line_rate_of_its_port(tmp_path: Path) -> None:
-    """A link such as those in /dev/serial/by-id has the line rate of its target."""
     link = tmp_path / "usb-board"
     link.symlink_to("/dev/ttyACM0")
     line.check(rig_options("hapkit", baud=9600, path=str(link)), 1000.0, "rig")
 
 
 def test_no_baud_rate_is_suggested_if_none_suffices() -> None:
-    """64 bytes at 8 kHz need more than 2 MBd."""
     text = rig_options("woodenhaptics-v3", vendor_id=None, product_id=None)
     with pytest.raises(ConfigError, match=r"arrive late: lower servo\.rate_hz"):
         line.check(text, 8000.0, "rig")
 
 
 def test_check_and_run_reject_a_slow_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`check` returns exit code 2, and opening raises before it looks for the port, also for a changed rate."""
     text = find("hapkit", Rig).read_text()
     slow, fits = tmp_path / "slow.toml", tmp_path / "fits.toml"
     slow.write_text(re.sub(r"^baud = 115200", "baud = 9600", text, flags=re.MULTILINE))

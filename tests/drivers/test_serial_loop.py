@@ -32,12 +32,10 @@ LIFT_M = 0.012
 
 
 def comes_to_rest(board: Board) -> bool:
-    """Return True if the board's force ends; the board may read the last zero after the daemon has ended."""
     return eventually(lambda: board.force == (0.0, 0.0, 0.0), 5.0)
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
-    """Load the shipped rig for an emulated board; a thread of a busy machine may answer late."""
     base = {
         "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
         "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
@@ -46,7 +44,6 @@ def rig(cable: Cable, **changes: Any) -> Rig:
 
 
 def test_closed_loop_through_the_daemon() -> None:
-    """Modes and forces equal the engine's, poses the board's; the forces support its hand, and the last is zero."""
     board = Board(stroke((0.0, 0.0, LIFT_M), 0.006, 0.02), early_end=True)
     scene = load_scene("paper-plane")
     with Cable(board) as cable:
@@ -94,7 +91,6 @@ def garble(cable: Cable) -> None:
     ],
 )
 def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    """A board unplugged, mute or garbled while it pushes ends the daemon with the matching error, without force."""
     board = Board(lambda _: (0.0, 0.0, 0.006))
     with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -107,7 +103,6 @@ def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], wo
 
 
 def test_the_command_line_on_a_port(tmp_path: Path) -> None:
-    """`run` uses the rig's port, a second run finds it in use, and a signal ends the first with zero force."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         mine = tmp_path / "rig.toml"

@@ -28,7 +28,6 @@ PUBLISHED = {"sum8": 0xDD, "xor8": 0x31, "crc8": 0xF4, "crc16-ccitt": 0x29B1, "c
 
 @entry
 def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: Any, found: Any) -> int:
-    """Process a stream in pieces, and store the last value of `a` of each piece with a frame. `how`: aligned, rows."""
     shape, fields, scratch, spare, newest = memory
     at = came = 0
     for size in sizes:
@@ -85,7 +84,6 @@ def build_fields(kind: str, offset: int, **more: Any) -> Any:
 @pytest.mark.parametrize(("kind", "code"), [("int16", "h"), ("uint32", "I"), ("float32", "f")])
 @pytest.mark.parametrize("big", [False, True])
 def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
-    """Each type is decoded like Python's struct in both byte orders."""
     order = ">" if big else "<"
     frame = InputFrame(bytes=6, start=(7,), end=(9,), field=build_fields(kind, 1))
     size = struct.calcsize(code)
@@ -94,7 +92,6 @@ def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
 
 
 def numbered(n: int) -> bytes:
-    """Return a frame with a mark and a CRC."""
     frame = Frame(bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5))
     data = np.frombuffer(b"\xa5" + struct.pack("<i", n) + b"\0", np.uint8).copy()
     packets.complete_frame_once(data, packets.make_shape(frame, False))
@@ -103,7 +100,6 @@ def numbered(n: int) -> bytes:
 
 @pytest.mark.scaled
 def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) -> None:
-    """Each valid frame after two valid ones is found; wrong ones are as rare as an 8 bit CRC implies."""
     rng = np.random.default_rng(41)
     stream, whole, count = bytearray(), [], cases(2500, 10_000)
     for n in range(count):
@@ -135,7 +131,6 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
 
 
 def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
-    """Exactly the bytes of an answer, in any pieces, are one; another length or a number out of range is none."""
     frame = InputFrame(bytes=9, start=(5,), field=build_fields("float32", 5, least=-4.0, most=4.0))
     answer = b"\x05" + struct.pack("<ff", 1.0, 0.5)
     assert found_in(frame, answer, [9], aligned=True) == [0.5]
@@ -151,7 +146,6 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
 
 @pytest.mark.scaled
 def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
-    """Random bytes in any pieces give no value outside a field's range, and with a checksum next to none."""
     rng = np.random.default_rng(43)
     count = cases(5000, 1_000_000)
     stream = rng.bytes(count)
@@ -202,7 +196,6 @@ CHANGES: list[tuple[str, Any, str]] = [
     ("path", "value", "message"), CHANGES, ids=[f"{path} {value}"[:40] for path, value, _ in CHANGES]
 )
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
-    """The error of a description names the key, the value and the expected value."""
     options = copy.deepcopy(dict(load_rig("hapkit").device.options))
     *way, last = path.split(".")
     at: Any = options

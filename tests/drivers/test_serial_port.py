@@ -20,7 +20,6 @@ from softfinger.drivers.system import discovery
 
 
 def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
-    """A missing path, a file, and a port in use by this or another process raise different errors with instructions."""
     with pytest.raises(DeviceNotFound, match=r"ttyACM9 cannot be opened: No such file.*plug"):
         open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
     for path in ("/dev/null", str(tmp_path / "file")):
@@ -61,7 +60,6 @@ except Exception as error:
 
 
 def test_a_port_without_permission() -> None:
-    """The error without permission contains the group to join or the command that grants it."""
     folder = tempfile.mkdtemp(dir="/tmp")
     node, user = Path(folder) / "ttyACM9", os.geteuid()
     try:
@@ -85,7 +83,6 @@ def test_a_port_without_permission() -> None:
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the rig's ids, or by serial number if there are several; a path of another device is rejected."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
@@ -112,7 +109,6 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Teensy with a generic product string needs a port or serial number; a Haply Inverse3 is never opened."""
     ports, one = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))

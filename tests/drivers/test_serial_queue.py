@@ -38,8 +38,6 @@ KINDS = ("uart", "modem", "chip")
 
 
 class Port:
-    """Simulated port with a line of `per_ms` bytes per millisecond to `board`."""
-
     def __init__(self, kind: str, per_ms: float, board: Any) -> None:
         self.kind, self.per_ms, self.board = kind, per_ms, board
         self.waiting: list[tuple[int, int, int]] = []
@@ -48,7 +46,6 @@ class Port:
         self._credit, self._sent_ms = 0.0, 0
 
     def advance(self, now: int) -> None:
-        """Advance by one millisecond."""
         self._credit += self.per_ms
         while self.waiting and self._credit >= 1.0 and not self.stalled:
             written, _, byte = self.waiting.pop(0)
@@ -96,7 +93,6 @@ class Reader:
         self.rest = b""
 
     def take(self, byte: int, age_ms: float) -> bytes:
-        """Parse one byte and return the answer of the board."""
         self.rest += bytes([byte])
         return self.parse(age_ms)
 
@@ -104,7 +100,6 @@ class Reader:
         raise NotImplementedError
 
     def streams(self) -> bytes:
-        """Return the bytes that the board sends without a request in one millisecond."""
         return b""
 
     @property
@@ -122,8 +117,6 @@ def crc8(data: bytes) -> int:
 
 
 class Hapkit(Reader):
-    """Parser of the sketch: shift by one byte until a frame fits. The board streams even if it does not read."""
-
     bytes = 4
 
     def parse(self, age_ms: float) -> bytes:
@@ -141,8 +134,6 @@ class Hapkit(Reader):
 
 
 class Haply2diy(Reader):
-    """Parser of the firmware: a command byte, then its payload; ignore other bytes."""
-
     bytes = 10
 
     def parse(self, age_ms: float) -> bytes:
@@ -157,8 +148,6 @@ class Haply2diy(Reader):
 
 
 class Woody(Reader):
-    """Parser of text frames: ignore lines of another length."""
-
     bytes = 64
 
     def parse(self, age_ms: float) -> bytes:
@@ -174,8 +163,6 @@ BOARDS: dict[str, type[Any]] = {"hapkit": Hapkit, "haply-2diy": Haply2diy, "wood
 
 
 class Run:
-    """Driver on a simulated port and clock; each tick commands 1 N."""
-
     def __init__(self, rig: str, kind: str, per_ms: float, patch: pytest.MonkeyPatch, **options: Any) -> None:
         self.reader = BOARDS[rig]()
         self.driver = Board(rig_options(rig, **{"timeout_s": 0.2, "quiet_s": 0.02, **options}), patch)
@@ -210,7 +197,6 @@ class Run:
         self.port.advance(self.clock.now)
 
     def ticks(self, count: int, wrench: tuple[float, ...] = PUSH) -> None:
-        """Run `count` ticks, or fewer if one fails."""
         for _ in range(count):
             self.sleep(0.001)
             status = self.driver.block.call(exchange.read, np.zeros(SAMPLE_SIZE))
@@ -221,7 +207,6 @@ class Run:
                 return
 
     def end(self) -> None:
-        """Exit as the servo does: write zero, then stop the device."""
         self.driver.write(*ZERO)
         self.device.stop()
 
@@ -232,25 +217,21 @@ class Run:
 
 
 def old_forces(run: Run) -> int:
-    """Count the forces older at arrival than the transmission time of three frames: two queued ones and their own."""
     longest = 3 * run.reader.bytes / run.port.per_ms + 2.0
     return sum(pushes and age > longest for pushes, age in run.reader.given)
 
 
 def slow(run: Run) -> None:
-    """Slow the line down to a fifth of the required rate."""
     run.port.per_ms = 0.2 * run.reader.bytes
     run.ticks(100)
 
 
 def dead(run: Run) -> None:
-    """Stop the board from reading; it may still stream."""
     run.port.stalled = True
     run.ticks(100)
 
 
 def stalls(run: Run) -> None:
-    """Stop the board from reading for 100 ms."""
     dead(run)
     run.port.stalled = False
     run.ticks(100)
@@ -279,7 +260,6 @@ ENDS = (stopped, disarmed)
 def test_no_old_force_is_played_and_the_last_is_zero(
     rig: str, kind: str, line: Callable[[Run], None], end: Callable[[Run], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The last force after an exit is zero; a USB chip, which cannot discard bytes, plays at most three old ones."""
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -300,7 +280,6 @@ def test_no_old_force_is_played_and_the_last_is_zero(
 def test_a_stop_reports_why_its_zero_is_not_confirmed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Bytes that do not leave, a full and a lost port are logged once; a later stop that succeeds clears the reason."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.stalled = True
@@ -325,7 +304,6 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(
 
 
 def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next read returns LOST, and the stop does not wait."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.error = EIO
@@ -339,7 +317,6 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two zeros replace three queued frames; forces resume once the port is empty, or the read returns TIMEOUT."""
     run = Run("hapkit", kind, 10.0, monkeypatch)
     run.ticks(20)
     assert set(run.statuses) == {OK} and run.device.warning() == ""
@@ -383,7 +360,6 @@ def test_a_board_that_stops_reading_is_given_up_in_time(
 
 
 def test_a_port_that_counts_nothing_is_no_queue(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A descriptor without TIOCOUTQ never withholds a force."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.word[AT.counts_unsent] = 0
     run.port.stalled = True
@@ -407,7 +383,6 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
 
 
 def test_discard_does_not_interrupt_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`discard` disarms while another thread writes, and returns 0 so that the caller repeats the call."""
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.word[BOARD.lock] = 1

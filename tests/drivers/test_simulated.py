@@ -34,7 +34,6 @@ def opened(rate_hz: float = 1000.0, **options: Any) -> SimulatedDevice:
 
 
 def test_a_force_moves_the_handle_until_stop() -> None:
-    """A mass of 0.5 kg under 1 N moves by t^2 m; after `stop` forces are withheld and its speed is constant."""
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
         servo, x = Servo(device), []
         for n in range(100):
@@ -52,7 +51,6 @@ def test_a_force_moves_the_handle_until_stop() -> None:
 
 
 def test_a_force_continues_until_the_next_write() -> None:
-    """Without a write the last force continues, as with motors."""
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
         servo = Servo(device)
         servo.read()
@@ -62,7 +60,6 @@ def test_a_force_continues_until_the_next_write() -> None:
 
 
 def test_free_hand_follows_its_recording() -> None:
-    """Without force, a stiff hand without friction follows position and orientation of its recording."""
     wanted = resample(load_poses("tap"), 1000.0)
     hand = {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}
     with opened(recording="tap", loop=False, hand=hand, **BARE) as device:
@@ -78,7 +75,6 @@ def test_free_hand_follows_its_recording() -> None:
 
 @pytest.mark.parametrize("preset", ["omega.3", "falcon"])
 def test_devices_without_a_wrist_sense_no_rotation(preset: str) -> None:
-    """Devices with three sensed degrees of freedom return the unit quaternion, though the recording rotates."""
     with opened(preset=preset) as device:
         servo = Servo(device)
         assert {tuple(servo.read()[1][3:7]) for _ in range(4000)} == {(1.0, 0.0, 0.0, 0.0)}
@@ -98,7 +94,6 @@ def test_sway_is_a_sinusoid_about_the_position() -> None:
 
 
 def test_two_runs_are_equal_to_the_bit() -> None:
-    """The same writes give identical samples and logs, with all effects of the preset."""
     runs = []
     for _ in range(2):
         with opened(preset="falcon", forces=None) as device:
@@ -112,7 +107,6 @@ def test_two_runs_are_equal_to_the_bit() -> None:
 
 
 def test_a_pushed_handle_returns_to_its_goal() -> None:
-    """After a push of 50 ticks the handle is at rest, as close to its goal as friction allows against the spring."""
     hand = build(Options, {}, "").hand
     with opened(preset="omega.6", position_m=AT, resolution_m=0.0) as device:
         servo, x = Servo(device), []
@@ -125,7 +119,6 @@ def test_a_pushed_handle_returns_to_its_goal() -> None:
 
 
 def test_forces_are_saved_on_close(tmp_path: Path) -> None:
-    """With `forces` closing saves the wrenches, in the format of a replay."""
     path = tmp_path / "forces.npz"
     with opened(position_m=AT, forces=str(path)) as device:
         servo = Servo(device)
@@ -147,7 +140,6 @@ def test_forces_are_saved_on_close(tmp_path: Path) -> None:
     ],
 )
 def test_unusable_options_name_key_and_range(options: dict[str, Any], words: list[str]) -> None:
-    """The error names the key, the value and the range or names."""
     with pytest.raises(ConfigError) as caught:
         build(Options, options, "rig.toml [device]")
     for word in words:
@@ -155,13 +147,11 @@ def test_unusable_options_name_key_and_range(options: dict[str, Any], words: lis
 
 
 def test_unknown_recording_is_refused() -> None:
-    """An unknown recording of the hand raises the error of a replay."""
     with pytest.raises(RecordingError, match="did you mean 'tap'"):
         opened(recording="tapp")
 
 
 def test_shipped_rigs_open_their_device() -> None:
-    """Each shipped rig of this driver without a puck opens with the limits of its preset."""
     devices = {name: load_rig(name).device for name in list_shipped(Rig)}
     single = {name: device for name, device in devices.items() if device is not None}
     names = [n for n, device in single.items() if device.driver == "simulated" and "puck" not in device.options]
@@ -174,7 +164,6 @@ def test_shipped_rigs_open_their_device() -> None:
 
 
 def test_read_neither_allocates_nor_raises() -> None:
-    """The compiled body calls only mathematical functions and returns 0: it never reaches numba's error path."""
     function = simulated._read
     code = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc).inspect_llvm()
     bodies = [part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0]]

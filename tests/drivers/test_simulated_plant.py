@@ -73,7 +73,6 @@ def moving(v: float) -> PlantState:
 
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_free_mass_under_constant_force(period):
-    """x = F t^2 / 2 m and v = F t / m at every tick, with a different mass for each axis."""
     mass, force = np.array([0.1, 0.3, 2.0]), np.array([1.0, -2.0, 0.5])
     trip = Journey(make_plant(period, Handle(tuple(mass))), np.tile(force, (500, 1)))
     t = period * np.arange(1, 501)[:, None]
@@ -82,7 +81,6 @@ def test_free_mass_under_constant_force(period):
 
 
 def test_damped_mass_runs_down():
-    """v = v0 exp(-b t / m) and x = v0 m / b (1 - exp(-b t / m)), also for b T / m = 40."""
     for b in (0.5, 5.0, 8000.0):
         trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
         t = T * np.arange(1, 201)
@@ -91,7 +89,6 @@ def test_damped_mass_runs_down():
 
 
 def test_hand_spring_swings_at_its_frequency():
-    """Released 10 mm from the goal: x = x0 exp(-c t / 2 m) (cos w t + ...), with handle and hand as one mass."""
     m, c, k, x0 = 0.2 + 0.1, 1.5, 300.0, 0.01
     plant = make_plant(T, Handle((0.2,) * 3), Impedance(mass=0.1, damping=c, stiffness=k))
     start = make_rest_state((0.0, 0.0, 0.0))._replace(position=(0.0, 0.0, x0))
@@ -104,7 +101,6 @@ def test_hand_spring_swings_at_its_frequency():
 
 
 def test_lag_is_of_first_order():
-    """The motors' force is F (1 - exp(-t / tau)), and the mass moves by its double integral."""
     m, tau, f = 0.2, 0.004, 2.0
     trip = Journey(make_plant(T, Handle((m,) * 3, lag=tau)), along_z(np.full(300, f)))
     t = T * np.arange(1, 301)
@@ -116,7 +112,6 @@ def test_lag_is_of_first_order():
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 7, DELAY_MAX])
 def test_force_acts_after_exactly_the_delay(delay):
-    """A force commanded only in tick 3 changes the velocity only in tick 3 + d."""
     commands = np.zeros((40, 3))
     commands[3] = 0.5, 1.0, -2.0
     trip = Journey(make_plant(T, Handle((0.2,) * 3, delay=delay)), commands)
@@ -126,7 +121,6 @@ def test_force_acts_after_exactly_the_delay(delay):
 
 
 def test_saturation_preserves_the_direction():
-    """A force beyond the motors' maximum is scaled to it; a smaller one is unchanged, bit for bit."""
     commands = np.array([[3.0, 0.0, 4.0], [30.0, 0.0, 40.0], [1e150, 0.0, 0.0]])
     trip = Journey(make_plant(T, Handle((0.2,) * 3, force_max=10.0)), commands)
     assert trip.force[0].tolist() == [3.0, 0.0, 4.0]
@@ -135,7 +129,6 @@ def test_saturation_preserves_the_direction():
 
 
 def test_encoders_round_to_their_nearest_step():
-    """The sensed position is a multiple of the step, at most half a step off; the true position is unaffected."""
     step = 1e-4
     fine = Journey(make_plant(T, Handle((0.2,) * 3)), along_z(np.full(300, 0.5)))
     coarse = Journey(make_plant(T, Handle((0.2,) * 3, resolution=step)), along_z(np.full(300, 0.5)))
@@ -198,7 +191,6 @@ def test_random_handles_agree_with_a_high_order_integration(seed):
 
 
 def test_nothing_gains_energy_without_a_command():
-    """The sum of kinetic and spring energy never increases without a force and with a constant goal of the hand."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         m, k, c = rng.uniform(0.05, 1.0), 10.0 ** rng.uniform(1, 4), rng.uniform(0.0, 5.0)
@@ -214,7 +206,6 @@ def test_nothing_gains_energy_without_a_command():
 
 
 def test_orientation_follows_directly_or_with_its_lag():
-    """Without lag the orientation equals the hand's; with lag tau the angle decreases as exp(-t / tau)."""
     angle, tau = 1.2, 0.02
     turned = (np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0)
     turns = np.array([STILL] + [turned] * 100)
@@ -240,13 +231,11 @@ def test_orientation_follows_directly_or_with_its_lag():
     ],
 )
 def test_impossible_numbers_are_refused(period, alone, hand):
-    """Zero mass, zero period or negative parameters raise ValueError."""
     with pytest.raises(ValueError, match="must"):
         make_plant(period, alone, hand)
 
 
 def test_matrix_exponential_agrees_with_scipy():
-    """Equality for matrices of any scale: growing, decaying, rotating and nilpotent."""
     rng = np.random.default_rng(1)
     for scale in (1e-6, 0.1, 1.0, 30.0):
         for matrix in (rng.normal(size=(7, 7)), np.triu(rng.normal(size=(5, 5)), 1), -np.eye(3)):
@@ -259,7 +248,6 @@ def test_matrix_exponential_agrees_with_scipy():
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("lag", [0.0, 0.02])
 def test_decaying_states_reach_zero(lag):
-    """After a push of 20 ms the state decays with the correct rate to exactly 0, without denormal numbers."""
     commands = np.zeros((20000, 3))
     commands[:20] = 0.3, -0.2, 0.1
     moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)

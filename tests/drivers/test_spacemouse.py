@@ -41,8 +41,6 @@ PAST = 350 - 15
 
 
 class PuckBench(Bench):
-    """Bench with a puck at a packet socket, which preserves reports; refusals come from a plain file."""
-
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 
     def __init__(self, node: RefusedNode) -> None:
@@ -117,7 +115,6 @@ def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
     [({"right": 350}, (1, 0, 0)), ({"right": -350}, (-1, 0, 0)), ({"away": 350}, (0, 1, 0)), ({"up": 350}, (0, 0, 1))],
 )
 def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direction: tuple[int, ...]) -> None:
-    """Full deflection moves the fingertip right, away or up with gain times counts beyond the deadband."""
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
@@ -139,7 +136,6 @@ def test_a_push_moves_the_fingertip(kind: Any, deflection: dict[str, int], direc
     ],
 )
 def test_a_twist_rotates_the_fingertip(kind: Any, deflection: dict[str, int], axis: tuple[int, ...]) -> None:
-    """Right-handed rotation vectors in the world: nose down about -x, roll about +y, clockwise about -z."""
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
@@ -152,7 +148,6 @@ def test_a_twist_rotates_the_fingertip(kind: Any, deflection: dict[str, int], ax
 
 
 def test_a_puck_in_its_deadband_does_not_move() -> None:
-    """Up to the deadband the speed is zero, one count beyond it has the speed of one count: no step in speed."""
     with puck(deadband=20.0) as (_, servo, end):
         end.send(emulated.combined(right=20, away=-20, clockwise=20)[0])
         _, displacement, table = over(servo)
@@ -164,7 +159,6 @@ def test_a_puck_in_its_deadband_does_not_move() -> None:
 
 
 def test_axes_can_be_inverted() -> None:
-    """`invert` changes the sign of the given axes only."""
     with puck(invert=[True, False, False, False, False, True]) as (_, servo, end):
         end.send(emulated.combined(right=350, up=350, clockwise=350)[0])
         _, displacement, table = over(servo)
@@ -173,7 +167,6 @@ def test_axes_can_be_inverted() -> None:
 
 
 def test_the_fingertip_remains_in_the_workspace() -> None:
-    """At the wall of its box the fingertip slides along, and leaves it at once when the puck is reversed."""
     box = {"workspace_min_m": [-1e-4, -0.1, 0.0], "workspace_max_m": [1e-4, 0.1, 0.1], "start_m": [0.0, 0.0, 0.03]}
     with puck(**box, gain_m_per_s=3e-3) as (_, servo, end):
         end.send(emulated.combined(right=350, away=100)[0])
@@ -186,7 +179,6 @@ def test_the_fingertip_remains_in_the_workspace() -> None:
 
 
 def test_buttons_and_lamp() -> None:
-    """The button mask is read without affecting the motion; the lamp is on while the device is open."""
     fd, end = ends()
     with end:
         with SpaceMouse(Options(), fd, RATE_HZ) as device:
@@ -207,7 +199,6 @@ def test_buttons_and_lamp() -> None:
 
 
 def test_a_silent_puck_stops_moving_the_fingertip() -> None:
-    """If reports stop, the fingertip moves for `hold_s` more; a button report does not extend that."""
     with puck(hold_s=0.05) as (_, servo, end):
         end.send(emulated.combined(right=350)[0])
         servo.read()
@@ -220,7 +211,6 @@ def test_a_silent_puck_stops_moving_the_fingertip() -> None:
 
 
 def test_a_pause_is_no_jump() -> None:
-    """After a long pause of the loop the fingertip moves by at most 50 ms of motion."""
     with puck() as (_, servo, end):
         end.send(emulated.combined(right=350)[0])
         before = servo.read()[1]
@@ -240,7 +230,6 @@ def test_reports_of_a_full_queue_are_ignored() -> None:
 
 
 def test_short_reports_and_foreign_ones() -> None:
-    """A truncated motion report is a protocol error; reports of another kind (battery) are ignored."""
     with puck() as (_, servo, end):
         end.send(b"\x17\x5a")
         assert servo.read()[0] == OK
@@ -250,7 +239,6 @@ def test_short_reports_and_foreign_ones() -> None:
 
 
 def test_random_reports_give_a_pose_or_a_fault() -> None:
-    """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
     generator = np.random.default_rng(5)
     seen = {OK: 0, PROTOCOL: 0}
     with puck() as (_, servo, end):
@@ -270,7 +258,6 @@ def test_random_reports_give_a_pose_or_a_fault() -> None:
 
 @numba.njit
 def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.ndarray, buttons: np.ndarray) -> Any:
-    """Return the number of reads per status, with -1 as the first for an invalid deflection or pose."""
     seen = np.zeros(3, np.int64)
     position, orientation = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     for n in range(len(counts)):
@@ -290,7 +277,6 @@ def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.nda
 
 @pytest.mark.scaled
 def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> None:
-    """Random reports give counts of int16, buttons exact in float64, and a valid pose in the box."""
     generator = np.random.default_rng(8)
     total = np.zeros(3, np.int64)
     deflection, buttons = np.zeros(6), np.zeros(1)
@@ -306,7 +292,6 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
 
 @pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led_by_puck], ids=["spacemouse", "simulated"])
 def test_read_calls_only_libc(function: Any) -> None:
-    """A newly compiled read calls nothing but system calls, the clock and libm: no allocator, no interpreter."""
     allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
     allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
     # without the wrapper that would report an exception, which `error_model="numpy"` never raises
@@ -318,7 +303,6 @@ def test_read_calls_only_libc(function: Any) -> None:
 
 
 def test_a_closed_device_reads_as_lost() -> None:
-    """A hung loop may call the C functions after `close`: they return LOST without accessing freed memory."""
     fd, end = ends()
     with end:
         device = SpaceMouse(Options(), fd, RATE_HZ)
@@ -329,7 +313,6 @@ def test_a_closed_device_reads_as_lost() -> None:
 
 @pytest.mark.real_time
 def test_a_puck_touches_a_scene() -> None:
-    """A push onto the plane through the servo loop makes contact; forces equal the engine's on the same poses."""
     scene, rig = load_scene("paper-plane"), load_rig("spacemouse")
     fd, end = ends()
     options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
@@ -361,7 +344,6 @@ FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "res
 
 @contextlib.contextmanager
 def led(**options: Any) -> Iterator[tuple[SimulatedDevice, Servo, socket.socket]]:
-    """Simulated device; a puck moves its hand."""
     fd, end = ends()
     built = build(SimulatedOptions, {"puck": {}, **options}, "test")
     with end, SimulatedDevice(built, RATE_HZ, (fd, "puck")) as device:
@@ -387,7 +369,6 @@ def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
 
 
 def test_a_force_displaces_the_hand_of_a_puck() -> None:
-    """A constant force displaces the handle by force over stiffness of the hand's spring."""
     with led(**FREE, hand={"stiffness_n_per_m": 500.0}) as (_, servo, _):
         for _ in range(2000):
             servo.read()
@@ -397,7 +378,6 @@ def test_a_force_displaces_the_hand_of_a_puck() -> None:
 
 
 def test_a_puck_does_not_rotate_a_device_without_a_wrist() -> None:
-    """A Falcon does not rotate, however the puck is twisted."""
     with led(preset="falcon") as (_, servo, end):
         end.send(emulated.combined(clockwise=350)[0])
         for _ in range(50):
@@ -406,7 +386,6 @@ def test_a_puck_does_not_rotate_a_device_without_a_wrist() -> None:
 
 
 def test_the_simulated_device_is_lost_with_its_puck() -> None:
-    """If the puck is unplugged, the device it leads is lost, and the reason names the puck."""
     with led() as (device, servo, end):
         servo.read()
         end.close()
@@ -415,7 +394,6 @@ def test_the_simulated_device_is_lost_with_its_puck() -> None:
 
 
 def test_a_puck_excludes_other_goals() -> None:
-    """A puck with a recording or a position, and a puck without a clock, are errors."""
     for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
         with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
@@ -425,7 +403,6 @@ def test_a_puck_excludes_other_goals() -> None:
 
 
 def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The only puck is selected, or the named one of several; without a puck the error lists the attached devices."""
     nodes = {
         "hidraw0": "0003:000016C0:00000486",
         "hidraw3": "0003:0000046D:0000C626",
@@ -463,6 +440,5 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
     ],
 )
 def test_wrong_options_are_named(wrong: dict[str, Any], said: str) -> None:
-    """A value out of range, a start outside the box, an inverted box and an unknown key are named in the error."""
     with pytest.raises(ConfigError, match=said):
         build(Options, wrong, "rig [device]")

@@ -24,18 +24,11 @@ beside = functools.partial(on_testbed, "puck_testbed.py")
 
 
 def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    """Run the daemon on an emulated puck."""
     return beside(case, *CLI, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off", *words)
 
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Path) -> None:
-    """A push down and to the right moves the daemon's fingertip into the plane, modes and forces equal the engine's on
-    the same poses, buttons are read, and the lamp is switched on and off.
-
-    It touches after some 1.4 s, and its force is clamped 0.8 s later: a pause of the emulated bus, after which the
-    force fades in for half a second, leaves ticks to compare.
-    """
     kept = tmp_path / "records.npy"
     case = {"reports": reports, "push": {"up": -80, "right": 40}, "buttons": 5}
     done, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "3000", str(kept))
@@ -52,14 +45,12 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
 
 
 def test_an_unplugged_puck_ends_the_run() -> None:
-    """If the puck that leads the fingertip is unplugged, the daemon ends with exit code 4 and instructions."""
     done, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
     assert done.returncode == 4, done.stderr
     assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in done.stderr
 
 
 def test_a_daemon_that_does_not_use_the_puck_logs_its_removal(tmp_path: Path) -> None:
-    """If a puck is unplugged while the daemon plays a recording, the daemon logs it as detached and runs to its end."""
     socket = tmp_path / "telemetry"
     done, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
     assert done.returncode == 0, done.stderr

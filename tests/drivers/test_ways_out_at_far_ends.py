@@ -30,8 +30,6 @@ SIGNALS = {signal.SIGTERM: 0, signal.SIGINT: 0, signal.SIGHUP: 129, signal.SIGQU
 
 
 def when_pressed(far: Far, act: Callable[[], object]) -> AbstractContextManager[list[float]]:
-    """Press once ticks are running, and call `act` once the device has a force."""
-
     def begin(over: threading.Event) -> None:
         while not over.wait(0.005) and len(far.given(0)) <= 50:
             pass
@@ -60,7 +58,6 @@ CASES = [
 def test_a_signal_in_contact_ends_the_force_within_a_second(
     number: signal.Signals, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The device received its last force within a second of the signal, followed by a zero."""
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
             code = main(words(far, tmp_path))
@@ -74,8 +71,6 @@ def test_a_signal_in_contact_ends_the_force_within_a_second(
 
 
 class Fault(NamedTuple):
-    """Action on a device in contact, exit code and error text; `zero` unless the device is then unreachable."""
-
     act: Callable[[Far], object]
     code: int
     says: str
@@ -94,7 +89,6 @@ def as_text(far: Far) -> None:
 
 
 def turned_round(far: Far) -> None:
-    """Turn the handle beyond its range as fast as a hand: the sketch misses half a turn if the sensor jumps."""
     slowly(lambda share: far.device.turn(0.05 + 1.95 * share))
 
 
@@ -126,8 +120,6 @@ silent or not in the list are in `test_haply_loop`, `test_serial_loop`, `test_se
 
 
 def late(far: Far, by_s: float) -> None:
-    """Delay the board's answers by `by_s`."""
-
     def wait(answer: bytes) -> bytes:
         time.sleep(by_s)
         return answer
@@ -143,7 +135,6 @@ def late(far: Far, by_s: float) -> None:
 def test_a_fault_in_contact_ends_the_run_without_force(
     name: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The run ends with one error that names the fault, its exit code, and zero at the device if that is reachable."""
     case = FAULTS[name][fault]
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: case.act(far)) as done:

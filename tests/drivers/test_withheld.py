@@ -74,8 +74,6 @@ def hid(through: str) -> Iterator[SerialChip]:
         return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 1, 0, 0, 0, 0, 0)
 
     class Slow(Api):
-        """A slow bus: hidapi's write returns when the report is sent."""
-
         def write(self, buff: bytes) -> int:
             time.sleep(wait[0])
             return super().write(buff)
@@ -107,7 +105,6 @@ def pulling(ramp_s: float) -> Tuning:
 
 @contextmanager
 def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
-    """Run the servo loop on a line. Each tick counts as one period, however late it is on a busy machine."""
     line.device.info = replace(line.device.info, own_clock=True)
     servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
     servo.compile()
@@ -122,14 +119,12 @@ def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
 
 
 def pulls(line: SerialChip) -> bool:
-    """Return True if the board has the full force now."""
     forces = line.forces()
     return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)
 
 
 @pytest.mark.parametrize("connection", CONNECTIONS)
 def test_a_force_ramps_up_after_a_silence(connection: str) -> None:
-    """After a zero at a stall of 60 ms the force ramps from zero, within the guard's slew limit."""
     ramp_s = 0.2
     with CONNECTIONS[connection]() as line, running(line, ramp_s):
         until(lambda: pulls(line))
@@ -153,7 +148,6 @@ def test_a_force_ramps_up_after_a_silence(connection: str) -> None:
 
 @pytest.mark.parametrize("connection", ["serial", "hid thread"])
 def test_a_force_that_waits_is_no_wider_step(connection: str) -> None:
-    """If each frame takes four ticks, the next force is within the slew limit of the previous one."""
     with CONNECTIONS[connection]() as line:
         line.late(0.004)
         with running(line, 0.01):

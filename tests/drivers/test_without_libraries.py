@@ -39,7 +39,6 @@ print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "l
 
 
 def hidden(*paths: Path | str) -> list[str]:
-    """Return a command prefix for which these files are empty."""
     script = "".join(f"mount --bind /dev/null '{path}' && " for path in paths) + 'exec "$@"'
     return [*NAMESPACE, "sh", "-c", script, "sh"]
 
@@ -67,7 +66,6 @@ def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
 
 
 def loaded(environ: dict[str, str]) -> tuple[bool, str]:
-    """Return the result of `LOADED`: if a libusb was found, and its files."""
     done = run_program([sys.executable, "-c", LOADED], env=environ, check=True)
     found, files = done.stdout.split("\n")[:2]
     return found == "True", files
@@ -75,13 +73,11 @@ def loaded(environ: dict[str, str]) -> tuple[bool, str]:
 
 @pytest.mark.parametrize("package", [True, False], ids=["package", "no package"])
 def test_the_systems_libusb_is_preferred(package: bool, tmp_path: Path) -> None:
-    """If the loader finds the system's libusb, no other is loaded."""
     environ = environment(tmp_path, system="there", package=package)
     assert loaded(environ) == (True, str((tmp_path / SONAME).resolve()))
 
 
 def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
-    """If the system's libusb cannot be loaded, libusb-package is used, and the search for a Falcon needs no other."""
     environ = environment(tmp_path, system="broken", package=True)
     assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
     code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
@@ -91,19 +87,16 @@ def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
 
 @pytest.fixture
 def bare(tmp_path: Path) -> tuple[list[str], dict[str, str]]:
-    """Empty command prefix, and an environment in which no libusb can be loaded."""
     environ = environment(tmp_path, system="broken", package=False)
     assert loaded(environ) == (False, ""), "libusb is still there"
     return [], environ
 
 
 def endpoints(folder: Path) -> list[str]:
-    """Return arguments of a daemon that needs no TCP port."""
     return ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
 
 
 def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
-    """Return the exit code and the output of a command, without the progress lines that a slow machine adds."""
     front, environ = bare
     done = run_program([*front, *COMMAND, *words, "--quiet"], env=environ)
     assert "Traceback" not in done.stderr + done.stdout
@@ -133,7 +126,6 @@ for rig in rigs:
 
 
 def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
-    """`run` of each rig ends with one line and an exit code other than 0."""
     front, environ = bare
     command = [*front, sys.executable, "-c", RUN_EACH, " ".join(endpoints(tmp_path)), *MISSING]
     done = run_program(command, env=environ, check=True)
@@ -146,7 +138,6 @@ def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str
 
 
 def test_no_libusb_at_all(tmp_path: Path) -> None:
-    """A missing libusb gives the same error as a broken one."""
     environ = environment(tmp_path, system="as it is", package=False)
     if loaded(environ)[0]:
         pytest.skip("this system has a libusb")
@@ -172,7 +163,6 @@ def test_makers_library_that_sees_no_device(
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
-    """`devices` lists the devices it can detect, and `doctor` reports the missing libusb."""
     code, said = said_by(bare, *words)
     if words[0] == "doctor":
         assert re.search(r"libusb: not found", said), said
@@ -184,7 +174,6 @@ def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str]
 @mounts
 @pytest.mark.parametrize("words", [("run", "--rig", "woodenhaptics-2019", "--duration", "1"), ("devices",)])
 def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) -> None:
-    """If the libraries bundled with hidapi are broken, `run` fails with one error and `devices` still works."""
     import hidraw
 
     bundled = list((Path(hidraw.__file__).parent / "hidapi.libs").glob("lib*"))

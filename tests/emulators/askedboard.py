@@ -16,7 +16,6 @@ from emulators.farterminal import FarTerminal
 
 
 def modbus(data: bytes) -> int:
-    """Compute bit by bit, least significant first: 0x8005 reflected."""
     crc = 0xFFFF
     for byte in data:
         for bit in range(8):
@@ -26,7 +25,6 @@ def modbus(data: bytes) -> int:
 
 
 def ccitt(data: bytes) -> int:
-    """Compute bit by bit, most significant first: 0x1021."""
     crc = 0xFFFF
     for byte in data:
         for bit in range(7, -1, -1):
@@ -46,7 +44,6 @@ class AskedBoard(FarTerminal):
         self._rest = b""
 
     def answer(self, request: bytes) -> bytes:
-        """Return the answer to eight bytes, or nothing if they are no request."""
         if request[:2] != b"\x55\x54" or struct.unpack(">H", request[6:])[0] != modbus(request[:6]):
             self.refused.append(request)
             return b""

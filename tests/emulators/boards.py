@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 
 class Interface(NamedTuple):
-    """HID interface: report descriptor, endpoints in and out, and their maximum packets."""
-
     descriptor: bytes
     end_in: int
     end_out: int
@@ -25,8 +23,6 @@ class Interface(NamedTuple):
 
 
 class Board(NamedTuple):
-    """USB ids, product string and interfaces in order; `arm` is the index of the arm's interface."""
-
     vendor: int
     product: int
     name: str
@@ -35,7 +31,6 @@ class Board(NamedTuple):
 
 
 def raw_hid(size: int) -> bytes:
-    """Return a descriptor of one input and one output report of `size` bytes, without ids, as in both sources."""
     head = bytes.fromhex("06abff 0a0002 a101 7508 1500 26ff00")
     return head + bytes([0x95, size, 0x09, 0x01, 0x81, 0x02, 0x95, size, 0x09, 0x02, 0x91, 0x02, 0xC0])
 

@@ -21,8 +21,6 @@ WRITE, SYNC_READ = 0x03, 0x82
 
 
 class Registers(NamedTuple):
-    """Addresses and sizes of the registers, and their values at power-up."""
-
     enable: int
     mode: int
     force: int
@@ -38,7 +36,6 @@ WATCHDOG_UNIT_S = 0.02
 
 
 def crc16(data: bytes) -> int:
-    """Compute bit by bit, most significant first: 0x8005, from 0."""
     crc = 0
     for byte in data:
         crc ^= byte << 8
@@ -48,8 +45,6 @@ def crc16(data: bytes) -> int:
 
 
 class Servo:
-    """One servo: its registers and the output of its motor."""
-
     def __init__(self, table: Registers, position: int) -> None:
         self.table, self.memory = table, bytearray(256)
         self.memory[table.mode] = table.force_mode
@@ -83,8 +78,6 @@ class Servo:
 
 
 class BusServos(FarTerminal):
-    """The chain; `servos` by id."""
-
     def __init__(
         self, table: Registers, positions: dict[int, int], baud: int = 1_000_000, delay_s: float = 0.0
     ) -> None:
@@ -138,7 +131,6 @@ class BusServos(FarTerminal):
         self.write(packet)
 
     def _packet(self) -> tuple[int, int, bytes, int] | None:
-        """Return id, instruction, parameters and size of the next request, or None if it is incomplete."""
         mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)
         while (start := self._rest.find(mark)) >= 0 and len(self._rest) >= start + head:
             self._rest = self._rest[start:]

@@ -27,7 +27,6 @@ PERIOD_S: Final = 0.001
 
 
 def device_table(path: str, mode: str) -> dict[str, Any]:
-    """Return the [device] table of its rig."""
     return {
         "path": path,
         "force_max_n": 3.0,

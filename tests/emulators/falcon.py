@@ -40,7 +40,6 @@ ELBOW = -1
 
 
 def encoders(place: Vector) -> tuple[int, int, int]:
-    """Return the true counts: 0 with an arm at 35 degrees."""
     per_count = 0.01425 / 0.110 * 360 / 1280
     a, b, c = (round((degrees(leg_angle(leg, place)) - 35) / per_count) for leg in LEGS)
     return a, b, c
@@ -106,20 +105,17 @@ class Falcon(Handle):
         return to_world((x, y, z))
 
     def unplugged(self) -> None:
-        """Unplug: the motors are off and the chip loses its settings."""
         self.motors, self.baud, self.latency_ms = (0, 0, 0), 0, 0
         self.stream.clear()
         self.reply.clear()
 
     def seen(self) -> dict[str, Any]:
-        """Return the state of the device and the packets it received."""
         return {
             "steps": self.steps, "motors": self.motors, "most": self.most, "state": self.state, "place": self.place,
             "runs": self.runs, "loads": self.loads, "requests": self.requests[:6], "found": self.found,
         }  # fmt: skip
 
     def request(self, kind: int, request: int, value: int, index: int) -> None:
-        """Handle a control request to the chip."""
         if (kind, index) != (0x40, 0):
             raise ValueError(f"no request of the chip: {kind:#x}, index {index}")
         self.requests.append((request, value))
@@ -138,7 +134,6 @@ class Falcon(Handle):
             self.loaded.clear()
 
     def write(self, data: bytes) -> None:
-        """Receive bytes from the host."""
         if not self.runs:
             self._load(data)
         elif self.baud == 0x0002:
@@ -146,7 +141,6 @@ class Falcon(Handle):
                 self._take(byte)
 
     def read(self, count: int) -> bytes:
-        """Return bytes for the host, after the two status bytes of the chip."""
         data = bytes(self.reply[: count - 2])
         del self.reply[: count - 2]
         return b"\x01\x60" + data
@@ -196,7 +190,6 @@ class Falcon(Handle):
 
 
 def to_world(of_device: Vector) -> Vector:
-    """Convert a vector from the device's frame to the world: x right, y away from the user, z up."""
     right, up, out = of_device
     return (right, -out, up)
 
@@ -225,8 +218,6 @@ def from_case(case: dict[str, Any]) -> Falcon:
 
 
 def homing(then: Callable[[float], Vector]) -> Callable[[float], Vector]:
-    """Return a hand that first pulls the knob out and pushes it in, in a second each, and continues with `then`."""
-
     def at(time_s: float) -> Vector:
         if time_s > 2.0:
             return then(time_s - 2.0)

@@ -46,7 +46,6 @@ NODES = "/dev/bus/usb/001/"
 
 
 def descriptors() -> bytes:
-    """Return the chip's device and configuration descriptors: one vendor interface, bulk in 0x81 and out 0x02."""
     device = bytes([18, 1, 0, 2, 0, 0, 0, 8]) + struct.pack("<HHH", 0x0403, 0xCB48, 0x0400) + bytes([1, 2, 3, 1])
     interface = bytes([9, 4, 0, 0, 2, 255, 255, 255, 0])
     ends = b"".join(bytes([7, 5, end, 2, 64, 0, 0]) for end in (0x81, 0x02))
@@ -55,7 +54,6 @@ def descriptors() -> bytes:
 
 
 def strings(serial: str) -> dict[int, bytes]:
-    """Return the string descriptors by index; 0 is the language."""
     texts = {1: "FTDI", 2: "FALCON HAPTIC", 3: serial}
     found = {n: bytes([2 + 2 * len(t), 3]) + t.encode("utf-16le") for n, t in texts.items()}
     return {0: bytes([4, 3, 9, 4]), **found}
@@ -71,8 +69,6 @@ class Opened:
 
 
 class Bed:
-    """The node and its faults; `port` distinguishes several on one testbed."""
-
     def __init__(self, case: dict, bed: object, port: int = 1) -> None:
         self.case, self.made = case, ""
         self.port, self.device, self.path = port, f"{PORT}{port}", f"{NODES}{1 + port:03d}"
@@ -157,7 +153,6 @@ class Bed:
         return 0
 
     def _spoil(self, before: int) -> None:
-        """Apply the faults to the latest replies."""
         falcon, late = self.falcon, self.case.get("late_every")
         if self.made == "timeout" or self._past("mute_after"):
             del falcon.reply[before:]
@@ -223,7 +218,6 @@ class Bed:
         return 0 if waiting else -EINVAL
 
     def answer(self, line: str) -> str:
-        """Execute one line of the program."""
         word, _, rest = line.partition(" ")
         if word == "displayed":
             return json.dumps(to_world((0.0, 0.0, 0.0) if self.lost else self.falcon.displayed))
@@ -246,12 +240,10 @@ class Bed:
         return "null"
 
     def seen(self) -> dict:
-        """Return the state of the device."""
         return {**self.falcon.seen(), "ioctls": self.ioctls}
 
 
 def serve(bed: Bed, path: str) -> None:
-    """Answer the program's lines, each in the thread that also answers libusb."""
     server = socket.socket(socket.AF_UNIX)
     server.bind(path)
     server.listen()

@@ -10,8 +10,6 @@ from typing import Self
 
 
 class FarTerminal:
-    """Call `turn` every `period_s` until the block ends; `path` is for the driver."""
-
     def __init__(self, period_s: float) -> None:
         self._far, self._near = os.openpty()
         tty.setraw(self._near)
@@ -22,7 +20,6 @@ class FarTerminal:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def turn(self) -> None:
-        """Run one period of the board."""
         raise NotImplementedError
 
     def read(self) -> bytes:
@@ -32,7 +29,6 @@ class FarTerminal:
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send bytes; they are lost if the host does not read."""
         with suppress(BlockingIOError):
             os.write(self._far, data)
 

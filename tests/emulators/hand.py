@@ -43,8 +43,6 @@ class Handle:
 
 
 def stroke(place: Vector, press: float, drag: float) -> Callable[[float], Vector]:
-    """Return a periodic motion: `press` m down in 0.3 s, `drag` m along x and back in 0.6 s, up in 0.3 s."""
-
     def smooth(share: float) -> float:
         return 0.5 - 0.5 * cos(pi * min(max(share, 0.0), 1.0))
 

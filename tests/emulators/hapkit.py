@@ -21,15 +21,12 @@ COUNTS_PER_HALF_TURN = 980.0
 
 
 def compile_sketch(path: Path) -> Path:
-    """Compile the sketch and its board as a shared library at `path`."""
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f'-DSKETCH="{SKETCH}"']
     subprocess.run([str(COMPILER), *flags, "-o", str(path), str(STUB)], check=True)
     return path
 
 
 class Hapkit:
-    """Board at the far end of a pseudo terminal; one at a time for each library."""
-
     def __init__(self, library: Path) -> None:
         self._code = ctypes.CDLL(str(library))
         self._code.board_torque.restype = ctypes.c_double
@@ -45,7 +42,6 @@ class Hapkit:
         self._thread.start()
 
     def turn(self, joint_rad: float) -> None:
-        """Turn the handle, and with it the motor's magnet."""
         motor = joint_rad * SECTOR_M / PULLEY_M
         self._code.board_turn(motor / 3.141592653589793 * COUNTS_PER_HALF_TURN)
 
@@ -53,7 +49,6 @@ class Hapkit:
         self._code.board_mute(int(yes))
 
     def torque(self) -> float:
-        """Return the motor's torque at the handle's joint, N m."""
         return 0.0 if self.pulled else float(self._code.board_torque()) * SECTOR_M / PULLEY_M
 
     def changes(self) -> list[tuple[float, float]]:
@@ -63,11 +58,9 @@ class Hapkit:
         return [(out[2 * k], out[2 * k + 1]) for k in range(count)]
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the host."""
         os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug it; may be called repeatedly."""
         if not self.pulled:
             self.pulled = True
             self._code.board_stop()

@@ -113,8 +113,6 @@ class Firmware:
 
 
 class Port:
-    """The board's end of the cable, and the thread that runs its firmware."""
-
     def __init__(self, board: Firmware) -> None:
         self.board = board
         self._far, self._near = os.openpty()
@@ -152,7 +150,6 @@ class Port:
         return self._came.pop(0) if self._came else -1
 
     def read_bytes(self, count: int) -> bytes:
-        """Return `count` bytes, or fewer after READ_WAIT_S without one."""
         out, until = b"", time.monotonic() + READ_WAIT_S
         while len(out) < count and time.monotonic() < until and not self._pulled.is_set():
             self._fill(0.002)
@@ -165,12 +162,10 @@ class Port:
             self.say(self.says(data))
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the host unchanged; they are lost if the buffer is full."""
         with suppress(OSError):
             os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug the board; may be called repeatedly."""
         if not self._pulled.is_set():
             self._pulled.set()
             self._thread.join()

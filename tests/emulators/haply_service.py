@@ -51,8 +51,6 @@ class Given(NamedTuple):
 
 
 class Inverse:
-    """A device: cursor position, forces of the sessions, and log of its motors."""
-
     def __init__(self, name: str) -> None:
         self.name = name
         self.position: Any = dict(CENTRE)
@@ -70,7 +68,6 @@ class Inverse:
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
     def force(self, now: float) -> tuple[float, float, float]:
-        """Return the sum over the sessions, without expired forces; the end of each is logged."""
         for session, given in sorted(self.given.items(), key=lambda one: one[1].until):
             if given.until <= now:
                 del self.given[session]
@@ -78,7 +75,6 @@ class Inverse:
         return self._sum()
 
     def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
-        """Apply a command of a session, which expires after `idle_s`."""
         self.force(now)
         self.given[session] = Given(force, now + idle_s)
         self.log.append((now, *self._sum()))
@@ -88,7 +84,6 @@ class Inverse:
             self.position = {axis: CENTRE[axis] + value for axis, value in place}
 
     def leave(self, session: int, now: float) -> None:
-        """End the session and its force."""
         self.force(now)
         if self.given.pop(session, None) is not None:
             self.log.append((now, *self._sum()))
@@ -117,8 +112,6 @@ class Inverse:
 
 
 class Service:
-    """Devices and grips by group and id, sessions, and faults for tests."""
-
     def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
         self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
         self.devices: dict[str, dict[str, Inverse]] = {}
@@ -187,7 +180,6 @@ class Service:
         return [device for group in self.devices.values() for device in group.values()]
 
     def hear(self, session: int, text: str) -> None:
-        """Handle a message of a client; unknown parts are ignored."""
         with self.lock:
             message, now = json.loads(text), time.monotonic()
             self.heard += 1
@@ -203,7 +195,6 @@ class Service:
                         device.take(session, given, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
-        """Return the inventory, or a state."""
         with self.lock:
             now = time.monotonic()
             shown: dict[str, Any] = {"session_id": session} if whole else {}
@@ -223,7 +214,6 @@ class Service:
             return json.dumps(shown).replace("Infinity", "null").replace("NaN", "null")  # as the maker's JSON library
 
     def answer_http(self, method: str, path: str, body: str) -> tuple[int, str]:
-        """Return status and body of a page."""
         with self.lock:
             self.asked.append(f"{method} {path} {body}".strip())
             if path in self.pages:
@@ -300,8 +290,6 @@ def _grip(group: str) -> dict[str, Any]:
 
 
 class Connection:
-    """One client: a page of HTTP, or a session."""
-
     def __init__(self, service: Service, end: socket.socket) -> None:
         self.service, self.end = service, end
         self.protocol = ServerProtocol()
@@ -374,7 +362,6 @@ class Connection:
             service.leave(session)
 
     def _break(self) -> bool:
-        """Send `raw` and end the connection by `end`; return True if nothing more can be read from it."""
         self.end.sendall(bytes.fromhex(self.service.raw or ""))
         if self.service.end == "fin":
             self.end.shutdown(socket.SHUT_WR)
@@ -388,8 +375,6 @@ class Connection:
 
 
 class Desk:
-    """Commands and queries of a test, a line of JSON each: `{"set": {...}}`, or a query."""
-
     def __init__(self, service: Service) -> None:
         self.service = service
 

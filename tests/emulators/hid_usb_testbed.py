@@ -25,8 +25,6 @@ GET_DESCRIPTOR, STRING, REPORT = 6, 3, 0x22
 
 
 class Stream:
-    """Transfers of one program that has the node open: each is an address in that program."""
-
     def __init__(self) -> None:
         self.done: list[object] = []
         self.waiting: list[tuple[object, object, int]] = []
@@ -39,8 +37,6 @@ class Stream:
 
 
 class UsbBed(testbed.Bed):
-    """The node on the bus and its faults."""
-
     node_path = NODE
 
     def _wire(self) -> None:
@@ -64,7 +60,6 @@ class UsbBed(testbed.Bed):
         self.bed.attach_ioctl(NODE, self.node)
 
     def _descriptors(self) -> bytes:
-        """Return device and configuration: HID interfaces, each with an interrupt endpoint in and one out."""
         body = b""
         for n, one in enumerate(self.board.interfaces):
             ends = bytes([7, 5, one.end_in, 3, one.bytes_in, 0, 1, 7, 5, one.end_out, 3, one.bytes_out, 0, 1])
@@ -80,7 +75,6 @@ class UsbBed(testbed.Bed):
         )
 
     def _report(self, interface: int) -> bytes:
-        """Return the report descriptor of an interface."""
         return self.descriptor if interface == self.board.arm else self.board.interfaces[interface].descriptor
 
     def _ioctl(self, _: object, client: object) -> bool:

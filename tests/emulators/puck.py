@@ -14,21 +14,17 @@ LED = {b"\x04\x01": True, b"\x04\x00": False}
 def words(
     right: int = 0, away: int = 0, up: int = 0, nose_down: int = 0, roll_right: int = 0, clockwise: int = 0
 ) -> tuple[int, ...]:
-    """Return the six numbers of the device, w0 to w5, for a deflection in counts."""
     return right, -away, -up, -nose_down, -roll_right, clockwise
 
 
 def split(**deflection: int) -> list[bytes]:
-    """Return the two reports of an older puck."""
     w = words(**deflection)
     return [struct.pack("<B3h", 1, *w[:3]), struct.pack("<B3h", 2, *w[3:])]
 
 
 def combined(**deflection: int) -> list[bytes]:
-    """Return the report of a newer puck."""
     return [struct.pack("<B6h", 1, *words(**deflection))]
 
 
 def buttons(mask: int) -> bytes:
-    """Return the report of a change of the buttons."""
     return struct.pack("<BI", 3, mask)

@@ -21,8 +21,6 @@ REPORT_PERIOD_MS = 16
 
 
 class PuckBed(testbed.Bed):
-    """A puck that is deflected from the start, and reports 60 times a second."""
-
     name = "SpaceNavigator"
 
     def __init__(self, case: dict) -> None:
@@ -69,7 +67,6 @@ class PuckBed(testbed.Bed):
         return True
 
     def seen(self) -> dict:
-        """Return the reports that the puck received."""
         return {"written": [data.hex() for data in self.written]}
 
 

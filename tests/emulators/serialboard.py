@@ -54,7 +54,6 @@ class Board(Handle):
         return (atan2(y, x + FOOT_M), atan2(z, hypot(x + FOOT_M, y)), *self.wrist)
 
     def answer(self, line: bytes) -> bytes:
-        """Process a line, and return the frame that answers it."""
         words = line.split()
         if line == b"\n":
             self.wakes += 1
@@ -69,7 +68,6 @@ class Board(Handle):
         return self.frame()
 
     def frame(self) -> bytes:
-        """Return the current frame: mm with three digits, rad with four."""
         x, y, z = (1e3 * p for p in self.place)
         a, b, d, e = self.angles()
         text = f"{x: 8.3f} {y: 8.3f} {z: 8.3f} {a: 7.4f} {b: 7.4f} {d: 7.4f} {e: 7.4f} {self.info}"
@@ -77,8 +75,6 @@ class Board(Handle):
 
 
 class Cable:
-    """A pseudo terminal with a board at its far end, in a thread."""
-
     def __init__(self, board: Board) -> None:
         self.board = board
         self._far, self._near = os.openpty()
@@ -118,28 +114,23 @@ class Cable:
                 self.heard += len(line)
 
     def sent_to(self) -> int:
-        """Return the number of bytes that the host has written so far, read by the board or not."""
         waiting = array("i", [0])
         fcntl.ioctl(self._far, termios.FIONREAD, waiting)
         return waiting[0] + self.came
 
     def hear(self, now: bool) -> None:
-        """Let the board read or not; it reads nothing more once this has returned."""
         with self._reading:
             self._deaf = not now
 
     def hush(self) -> None:
-        """Silence the board: it sends nothing once this has returned, until `mute` is cleared."""
         with self._saying:
             self.mute.set()
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the host unchanged; they are lost if the buffer is full."""
         with suppress(BlockingIOError):
             os.write(self._far, data)
 
     def pull(self) -> None:
-        """Unplug the board; may be called repeatedly."""
         if not self._pulled.is_set():
             self._pulled.set()
             self._thread.join()

@@ -32,8 +32,6 @@ _WRITTEN, _GONE, _FLUSHED, _HEEDED, _TERMINAL = range(5)
 
 
 class SlowLine:
-    """Line from `path`, which the driver opens, to the terminal `board`. `folder` contains the shared file."""
-
     def __init__(self, board: str, baud: int, folder: Path) -> None:
         self._far, near = os.openpty()
         tty.setraw(near)
@@ -64,15 +62,12 @@ class SlowLine:
 
     @property
     def waiting(self) -> int:
-        """Length of the queue to the board."""
         return len(self._queue)
 
     def queued(self) -> bytes:
-        """Return a copy of the queue of a stalled line."""
         return bytes(byte for _, byte in list(self._queue))
 
     def environment(self, stub: Path) -> dict[str, str]:
-        """Return the environment of the program under test; `stub` is the compiled `stubs/uart.c`."""
         return {**os.environ, "LD_PRELOAD": str(stub), "SLOW_LINE": str(self.shared)}
 
     def _run(self) -> None:

@@ -39,8 +39,6 @@ DEVICE = "/devices/pci0000:00/0000:00:14.0/usb1/1-1"
 
 
 class Bed:
-    """The node and its faults."""
-
     node_path = "/dev/hidraw0"
 
     def __init__(self, case: dict) -> None:
@@ -80,7 +78,6 @@ class Bed:
         self.terminal = self.bed.get_dev_fd(f"/dev/hidraw{self.board.arm}")
 
     def hidraw_table(self) -> tuple[str, ...]:
-        """Return the device, its interfaces and their nodes as the system lists them."""
         vendor, product = self.ids
         texts = [
             f"P: {DEVICE}\nE: DEVTYPE=usb_device\nE: SUBSYSTEM=usb\nA: idVendor={vendor:04x}\\n\n"
@@ -155,7 +152,6 @@ class Bed:
         return True
 
     def take(self, data: bytes) -> bool:
-        """Process a report of the host with its id; return True if it was answered."""
         answer = self.woody.answer(data)
         answered = not self._past("mute_after")
         if answered:
@@ -163,7 +159,6 @@ class Bed:
         return answered
 
     def seen(self) -> dict:
-        """Return the state of the arm and the reports it received."""
         w = self.woody
         return {
             "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place, "silences": w.silences,

@@ -41,8 +41,6 @@ AMPLIFIERS_OFF_S = 0.5
 
 
 class Arm:
-    """Kinematics of one row of the table."""
-
     def __init__(self, name: str) -> None:
         capstan, self.link, body, self.origin, self.torque_constant, self.counts_per_turn, calibration, aligned = TABLE[
             name
@@ -59,7 +57,6 @@ class Arm:
         return (across * cos(a) - self.origin[0], across * sin(a) - self.origin[1], up - self.origin[2])
 
     def angles(self, position: Vector) -> Vector:
-        """Return the joint angles of a position in reach: the triangle of links b and c by the law of cosines."""
         la, lb, lc = self.link
         x, y, z = (p + o for p, o in zip(position, self.origin, strict=True))
         across, up = hypot(x, y), z - la
@@ -69,7 +66,6 @@ class Arm:
         return (atan2(y, x), b, both - b)
 
     def counts(self, position: Vector) -> tuple[int, int, int]:
-        """Return the encoder counts after calibration."""
         per_radian = self.counts_per_turn / (2 * pi)
         n = [round(angle / r * per_radian) for angle, r in zip(self.angles(position), self.ratio, strict=True)]
         return (n[0], n[1], n[2])
@@ -128,7 +124,6 @@ class Woody(Handle):
         """Numbers of every report of the host."""
 
     def answer(self, report: bytes) -> bytes:
-        """Process a report with its id, and return the report that answers it, without an id."""
         if len(report) != self.report_bytes + 1 or report[0] != 0:
             raise ValueError(
                 f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
@@ -151,7 +146,6 @@ class Woody(Handle):
         return self.report()
 
     def report(self) -> bytes:
-        """Return the current report."""
         a, b, c = (n + z for n, z in zip(self.arm.counts(self.place), self.zero, strict=True))
         if self.generation == 1:
             return struct.pack("<3hH", -a, b, c, 0)

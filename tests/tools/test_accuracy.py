@@ -34,7 +34,6 @@ TORUS = model.Torus(0.05, 0.02, 1.0)
 
 
 def options(*words: str) -> argparse.Namespace:
-    """The parsed command line."""
     return make_parser().parse_args(["accuracy", *words])
 
 
@@ -46,7 +45,6 @@ def test_the_options_name_every_surface_and_method() -> None:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Output of `--json` for a plane and a torus, with the plot."""
     words = ["accuracy", "--quick", "--json", "--surface", "plane", "torus", "--rate", "8", "16", "32", "1000"]
     methods = ["euler_zxz", "rotation_vector", "midpoint", "montana_rk4"]
     plot = tmp_path_factory.mktemp("accuracy") / "front.png"
@@ -59,12 +57,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
-    """Rows of the trade that have these values."""
     return [row for row in result["trade"] if all(row[key] == value for key, value in values.items())]
 
 
 def test_json_has_the_documented_keys(result: dict[str, Any]) -> None:
-    """Sections and keys are those that other programs read; every method appears on every surface that it supports."""
     assert {"motion", "method", "max_error_mm"} <= result["paper"][0].keys()
     speed = {"classical_ns_per_step", "euler_zxz_ns_per_step", "rotation_vector_ns_per_step", "ratio"}
     assert speed <= result["speed"].keys()
@@ -91,7 +87,6 @@ PAPER = [
 
 @pytest.mark.parametrize(("motion", "method", "largest_mm"), PAPER)
 def test_paper_rows(result: dict[str, Any], motion: str, method: str, largest_mm: tuple[float, float]) -> None:
-    """The paper's experiment gives the known differences, as the table of docs/measured/accuracy.md."""
     (row,) = (row for row in result["paper"] if (row["motion"], row["method"]) == (motion, method))
     # Known to 1e-5 mm.
     assert row["max_error_mm"] == pytest.approx([*largest_mm, 0.0], abs=0.6e-5)
@@ -108,7 +103,6 @@ def test_exact_methods_are_exact_in_the_paper(result: dict[str, Any]) -> None:
 
 
 def test_the_experiment_is_the_published_one() -> None:
-    """Steps, their time and their angles are the paper's."""
     table = published()
     assert (table["radius"], table["sampling_time"]) == (R, paper.STEP_S)
     assert table["duration"] == paper.STEPS * paper.STEP_S
@@ -116,7 +110,6 @@ def test_the_experiment_is_the_published_one() -> None:
 
 
 def test_reference_paths_of_the_paper() -> None:
-    """The integrated reference is a straight line, or an arc, as elementary calculus has it."""
     (x, y, z), k = paper.TURN_RAD, np.arange(paper.STEPS + 1)
     straight = R * complex(y, -x)
     for motion, path in (("world", straight * k), ("contact_frame", straight * (np.exp(1j * z * k) - 1) / (1j * z))):
@@ -126,7 +119,6 @@ def test_reference_paths_of_the_paper() -> None:
 
 
 def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
-    """The ratio is that of the two times; ODE45 takes its ten sub-steps of six evaluations, and one to begin."""
     speed = result["speed"]
     assert speed["ratio"] == speed["classical_ns_per_step"] / speed["euler_zxz_ns_per_step"]
     classical = speed["classical"]
@@ -138,7 +130,6 @@ def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
 
 
 def test_classical_way_on_a_torus() -> None:
-    """Montana's equations under ODE45 stay on the reference path to the tolerance of ODE45, in both kinds of axes."""
     at = montana.Coordinates(0.0, 0.0, 0.3, 0.4, 0.2)
     here = montana.chart(TORUS, at.u_o, at.v_o)
     center, w = np.array(here.point) + R * np.array(here.z), np.array([3.0, 2.0, 5.0])
@@ -177,7 +168,6 @@ def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> Non
 
 
 def test_orders(result: dict[str, Any]) -> None:
-    """Measured orders equal the theoretical ones; if the rate changes within a step, no method exceeds order 2."""
     found = {(row["surface"], row["motion"], row["method"]): row["order"] for row in result["orders"]}
     # The next order's share at the steps from 1/32 to 1/8 s, of up to a quarter of a radian.
     for key, order in {
@@ -203,7 +193,6 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
-    """The orientations begin at none, and their difference quotient is the angular velocity given to the reference."""
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
     path = cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
     assert cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
@@ -219,7 +208,6 @@ def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
 
 
 def test_turns_lead_from_pose_to_pose() -> None:
-    """The rotations between orientations, applied one after the other, lead from the first to each."""
     rng = np.random.default_rng(51)
     q = rng.normal(size=(20, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
@@ -246,7 +234,6 @@ def test_impossible_cases_are_left_out() -> None:
 
 @pytest.mark.parametrize("surface", [name for name in cases.SURFACES if name != "plane"])
 def test_curvature_ratio_scales_the_surface(surface: str) -> None:
-    """A surface of curvature ratio 0.1 has its own proportions, and a size of ten fingertip radii."""
     own, _, _ = cases.contact(surface, None)
     shape, center, normal = cases.contact(surface, 0.1)
     scale = 10 * R / cases.SURFACES[surface].size
@@ -258,7 +245,6 @@ def test_curvature_ratio_scales_the_surface(surface: str) -> None:
 
 
 def point(method: str, ns: float, error: float, rate: float = 1000.0, **more: Any) -> dict[str, Any]:
-    """A row of the trade, as far as the fronts look at it."""
     row = {"surface": "s", "motion": "constant", "method": method, "ns_per_step": ns, "max_error_m": error}
     row |= {"rate_hz": rate, "step_s": 1 / rate, "given_ratio": None, "turn_rate_rad_per_s": 2.0, "spin_ratio": 0.5}
     return row | more
@@ -282,7 +268,6 @@ def test_front_of_hand_made_points() -> None:
 
 
 def test_fronts_and_orders_look_at_the_ladder_only() -> None:
-    """Rows of another rotation rate, curvature ratio or spin ratio are no part of a front."""
     made = [point("a", 10, 1e-4), point("a", 1, 1e-9, turn_rate_rad_per_s=1.0)]
     made += [point("a", 1, 1e-9, spin_ratio=0.0), point("a", 1, 1e-9, given_ratio=0.1)]
     assert front.fronts(made) == made[:1]
@@ -295,7 +280,6 @@ def test_fronts_and_orders_look_at_the_ladder_only() -> None:
 
 
 def test_recommendations() -> None:
-    """The cheapest method that keeps the error; if there is none, the report states the smallest error available."""
     made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
     found = front.recommendations(made, (1e-5, 1e-7, 1e-12))
     assert [row["method"] for row in found] == ["fast", "fine", None]
@@ -314,7 +298,6 @@ def test_recommendations() -> None:
     ],
 )
 def test_bad_values_are_named(words: list[str], message: str) -> None:
-    """A value that cannot be used gets one error, with the option, the value and the range."""
     with pytest.raises(ConfigError, match=message):
         verb.run(options(*words))
 
@@ -327,7 +310,6 @@ def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    """An unknown surface ends with exit code 2 and the list of known ones."""
     with pytest.raises(SystemExit) as stop:
         main(["accuracy", "--surface", "cone"])
     assert stop.value.code == 2
@@ -336,7 +318,6 @@ def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.mark.exhaustive
 def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
-    """Each figure is text without a date and not large, and drawn again from the same data it is the same."""
     drawn = {}
     for name, draw in figures.FIGURES.items():
         draw(result, tmp_path / name)
@@ -348,7 +329,6 @@ def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) 
 
 
 def test_report_has_every_section(result: dict[str, Any], tmp_path: Path) -> None:
-    """The text report has the machine, the paper's numbers, the front and the recommendations."""
     write_report(result, tmp_path / "report.txt")
     text = (tmp_path / "report.txt").read_text(encoding="utf-8")
     assert "0.00387   0.00393" in text

@@ -56,9 +56,6 @@ def test_rolling_over_edges_does_not_depend_on_the_tick(name: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", CASES)
 def test_paths_go_askew_over_edges(name: str) -> None:
-    """Each path passes at least four facets with different normals, even on coarse meshes: a path on a single facet
-    cannot show errors at edges. Its angles sum up to that of the path, r d(theta) = |dc|, with c on the surface grown
-    by r."""
     vertices, triangles = CASES[name].triangles(FINENESS[1])
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
@@ -74,7 +71,6 @@ def test_paths_go_askew_over_edges(name: str) -> None:
 
 
 def test_triangles_are_wound_outward_and_join() -> None:
-    """Each edge has two triangles in opposite directions; the volume is that of the solid."""
     for name in ("ball", "torus"):
         vertices, triangles = CASES[name].triangles(8)
         edges = [tuple(edge) for t in triangles.tolist() for edge in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))]

@@ -10,7 +10,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_the_paths_lie_on_the_hills() -> None:
-    """They satisfy the surface's equation, and their normals are its gradient, by differences."""
     for way in paths(20):
         x, y, z = way.points.T
         np.testing.assert_allclose(z, HILLS.height(x, y), rtol=0, atol=1e-12)
@@ -24,7 +23,6 @@ def test_the_paths_lie_on_the_hills() -> None:
 
 
 def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
-    """The middle is the origin, columns lie along x."""
     _, _, z = grid(0.01)
     assert z.shape == (13, 13) and z[6, 6] == HILLS.amplitude
     assert z[6, 7] == pytest.approx(HILLS.height(0.01, 0.0)) and z[7, 6] == pytest.approx(HILLS.height(0.0, 0.01))
@@ -32,7 +30,6 @@ def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
 
 @pytest.mark.exhaustive
 def test_a_height_map_is_of_higher_order_than_a_mesh_of_its_pixels() -> None:
-    """Halving the pitch shows orders four and three for heights and slopes of the spline, two and one for triangles."""
     ways = paths(1000)
     found = {(kind, pitch): compare(kind, pitch, ways) for kind in KINDS for pitch in (0.004, 0.002)}
 

@@ -15,7 +15,6 @@ pytestmark = pytest.mark.real_time
 
 
 def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The force returns after each change of scene, no faster than the guard allows."""
     drawing = tmp_path / "memory.svg"
     words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
     assert cli.main(["bench", "commands", *words, "--json"]) == 0
@@ -31,7 +30,6 @@ def test_bench_sees_every_set_and_no_torn_one(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_torn_parameter_set_is_detected() -> None:
-    """Stiffness and force of two pairs give another sum; ticks changed by the guard do not count."""
     rows = np.zeros((4, 6))
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
     rows[3, 3] = 2.0

@@ -11,7 +11,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_each_finger_has_the_device_of_its_own_hand() -> None:
-    """Of the rig of its scene, in the order of the fingers; a rig with one device shares it."""
     scene = load_scene("lift-a-box")
     with devices_of(load_rig("simulated-lift-a-box"), scene) as (thumb, index):
         assert thumb is not index and thumb.info.name == index.info.name == "simulated omega.6"

@@ -10,7 +10,6 @@ from softfinger.server.cli import main
 
 @pytest.mark.exhaustive
 def test_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Smooth and bumpy, as JSON and plot: the distance is that of all triangles, few are examined."""
     words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--json", "--plot", str(tmp_path / "cost.png")]
     assert main(["bench", "mesh", *words]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
@@ -23,6 +22,5 @@ def test_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.parametrize("words", [["--levels", "0"], ["--levels", "10"], ["--ticks", "5"], ["--fingertip", "1.0"]])
 def test_words_out_of_range(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """One line with the possible values."""
     assert main(["bench", "mesh", *words]) == 2
     assert "--" in capsys.readouterr().err

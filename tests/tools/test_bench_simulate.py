@@ -12,7 +12,6 @@ from softfinger.server import cli
 
 @pytest.mark.exhaustive
 def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each format has a time and the ratio to real time that follows from it; a figure is drawn; no file remains."""
     folder, drawing = tmp_path / "files", tmp_path / "times.svg"
     folder.mkdir()
     words = ["--ticks", "2000", "--rounds", "1", "--folder", str(folder), "--plot", str(drawing)]
@@ -28,7 +27,6 @@ def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_an_untimable_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Too few ticks, or a scene that a single recording cannot run on: an error with the message of simulate."""
     assert cli.main(["bench", "simulate", "--ticks", "10"]) == 2
     assert "1000 or more" in capsys.readouterr().err
     words = ["--ticks", "1000", "--scene", "pinch", "--folder", str(tmp_path)]

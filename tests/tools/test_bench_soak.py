@@ -16,7 +16,6 @@ HOURS = np.linspace(0.0, 2.0, 7200)
 
 
 def noisy(slope: float) -> np.ndarray:
-    """MB of a process that gains so much an hour, with an allocator's steps of 4 MB to and fro."""
     random = np.random.default_rng(3)
     return 100.0 + slope * HOURS + 4.0 * (random.random(len(HOURS)) < 0.2)
 
@@ -28,14 +27,12 @@ def soaked(memory: np.ndarray, lost: int = 0) -> Soaked:
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
 def test_growth_is_found_in_noise(slope: float) -> None:
-    """Within 0.1 MB an hour of the truth, and the bound is below it."""
     found, at_least = growth(HOURS, noisy(slope))
     assert found == pytest.approx(slope, abs=0.1)
     assert at_least <= found
 
 
 def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
-    """A lost tick is one, too; a single step, a process that was away for a while, and a stall are none."""
     assert evaluate(soaked(noisy(0.3)))["faults"] == []
     (fault,) = evaluate(soaked(noisy(2.0)))["faults"]
     assert fault.startswith("daemon: resident_mb grows by 2.0")
@@ -47,14 +44,12 @@ def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
 
 
 def test_a_length_that_is_none_is_refused() -> None:
-    """Below six seconds there is nothing to see."""
     assert cli.main(["bench", "soak", "--minutes", "0"]) == ConfigError.exit_code
 
 
 @pytest.mark.exhaustive
 @pytest.mark.real_time
 def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Daemon, publisher, page and subscribers are there, ticks went on at their rate, and a figure is drawn."""
     drawing = tmp_path / "soak.svg"
     cli.main(["bench", "soak", "--minutes", "0.2", "--json", "--plot", str(drawing)])
     content = json.loads(capsys.readouterr().out)

@@ -19,7 +19,6 @@ pytestmark = pytest.mark.real_time
 @pytest.mark.exhaustive
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_bench_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Ticks went on in all; a viewer has used a processor, a page has drawn; a figure is there."""
     drawing = tmp_path / "late.svg"
     words = ["--viewers", "2", "--browsers", "1", "--seconds", "1", "--plot", str(drawing)]
     assert cli.main(["bench", "view", *words, "--json"]) == 0
@@ -33,14 +32,12 @@ def test_bench_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No viewers at all are no measurement, and pages need a Chromium."""
     monkeypatch.setenv("PATH", "/nowhere")
     assert cli.main(["bench", "view", "--browsers", "1"]) == ConfigError.exit_code
     assert cli.main(["bench", "view", "--viewers", "0"]) == ConfigError.exit_code
 
 
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
-    """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
     ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
     told = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
     assert told["missed_of_1000"] == pytest.approx(400.0)

@@ -48,14 +48,12 @@ Here = Callable[..., str]
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    """Return the home of a user; the name must not appear in a report."""
     folder = tmp_path / USER
     folder.mkdir()
     return folder
 
 
 def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[str]:
-    """Run the verb as that user, from the home folder."""
     return run_program(
         [*COMMAND, "--device-report", *words], stdin=subprocess.DEVNULL, cwd=home, env=environment(home), **popen
     )
@@ -63,7 +61,6 @@ def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[st
 
 @pytest.fixture
 def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
-    """Run the verb in this process as that user, check its exit code and return its output."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -81,7 +78,6 @@ def environment(home: Path) -> dict[str, str]:
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
-    """Return a report after checking its keys and that it does not identify the user or the machine."""
     text = file.read_text(encoding="utf-8")
     content: dict[str, Any] = json.loads(text)
     assert content.keys() == KEYS
@@ -96,7 +92,6 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
 
 
 def rig_file(home: Path, name: str, *more: str) -> str:
-    """Copy a shipped rig to the home, with additional keys in its [device] table."""
     text = (ROOT / "config" / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     path = home / f"my-{name}.toml"
     path.write_text(text.replace("[device]\n", "\n".join(["[device]", *more, ""])), encoding="utf-8")
@@ -104,7 +99,6 @@ def rig_file(home: Path, name: str, *more: str) -> str:
 
 
 def test_a_recording_is_reported(here: Here, home: Path) -> None:
-    """A recording in the user's home gives a complete report without questions: device, times, counters and machine."""
     (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
     rig = home / "mine.toml"
     rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
@@ -123,7 +117,6 @@ def test_a_recording_is_reported(here: Here, home: Path) -> None:
 
 
 def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, home: Path) -> None:
-    """A hand at rest is pushed along +x, +y, +z; the range of motion equals the pushes; --json prints the report."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
     words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
@@ -141,7 +134,6 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    """An omega on the stub: serial numbers are shortened, TIMEGUARD returns are counted."""
     rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
     result = run(home, "--rig", rig, "--seconds", "0.3")
     assert result.returncode == 0, result.stderr
@@ -160,7 +152,6 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
-    """With ids, descriptor and counters; after unplugging with the fault and its exit code."""
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
     rig = Path(rig_file(home, "woodenhaptics-2019"))
@@ -193,7 +184,6 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
 def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
-    """A Falcon behind libusb and a puck behind its node give complete reports with ids, measurements and counters."""
     file = home / "report.json"
     if driver == "falcon":
         rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
@@ -211,7 +201,6 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 
 def test_a_puck_is_not_pushed() -> None:
-    """A push of a device without motors raises ConfigError with its name."""
     rig = load_rig("spacemouse")
     left, right = socket.socketpair()
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
@@ -220,7 +209,6 @@ def test_a_puck_is_not_pushed() -> None:
 
 
 def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A missing device is an error of a second, not of the minute that the compilation takes."""
     monkeypatch.chdir(home)
     monkeypatch.setattr("softfinger.tools.exchange.exchange_loop", None)
     for words in (["doctor", "--device-report"], ["devices", "--probe"], ["bench", "device"]):
@@ -228,7 +216,6 @@ def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: 
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
-    """The fault without the searched home, and the open questions, which only the file has; exit code 4."""
     result = run(home, "--rig", "omega-3", "--seconds", "0.3")
     assert result.returncode == 4 and "not answered" not in result.stdout
     content = checked(home / "softfinger-forcedimension-report.json", home)
@@ -242,7 +229,6 @@ def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
 def test_an_interrupted_report_is_written(number: signal.Signals, part: str, home: Path) -> None:
-    """It has the measurements so far and `ended`, and the last force is zero."""
     rig = home / "kept.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(
@@ -269,7 +255,6 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
 
 
 def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
-    """Each motion is requested, recorded after Enter and compared; the simulated device does not rotate."""
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
     main, side = pty.openpty()
@@ -310,7 +295,6 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
 def test_bad_words_give_one_clear_error(
     words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An invalid force, duration or file is refused with its limit, and no report is written."""
     monkeypatch.chdir(home)
     assert main(["doctor", "--device-report", *words]) == 2
     errors = capsys.readouterr().err

@@ -30,7 +30,6 @@ COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
 
 
 def write(root: Path, **files: str) -> Path:
-    """Files of another machine, `__` for a slash in their names."""
     for name, text in files.items():
         path = root / name.replace("__", "/")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -65,7 +64,6 @@ def named(result: dict[str, Any], name: str) -> dict[str, str]:
 
 
 def test_every_check_is_made(result: dict[str, Any]) -> None:
-    """Each has a name, a state, found and required value, and a remedy unless it is good."""
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
     real_time = {
@@ -82,7 +80,6 @@ def test_every_check_is_made(result: dict[str, Any]) -> None:
 
 
 def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
-    """The error names the endpoint; the exit code is that of Unfit, whose message names every bad check."""
     check = named(result, "telemetry endpoint")
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"]
@@ -103,7 +100,6 @@ def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> Non
 
 
 def test_settings_are_really_made_and_given_back() -> None:
-    """Each setting is a check with the message of realtime; afterwards this thread has its previous scheduling."""
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
     checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}
@@ -114,7 +110,6 @@ def test_settings_are_really_made_and_given_back() -> None:
 
 @pytest.mark.parametrize(("mode", "state"), [("auto", "could be better"), ("require", "bad")])
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
-    """A processor that there is not is refused, with the advice of realtime."""
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
     (check,) = (one for one in loop.settings(rig) if one.name == "real time, affinity")
     assert check.state == state
@@ -127,7 +122,6 @@ def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: st
     ("value", "state"), [(0.1, "good"), (0.11, "could be better"), (0.5, "could be better"), (0.51, "bad")]
 )
 def test_a_number_is_graded_by_its_thresholds(value: float, state: str) -> None:
-    """A threshold itself still belongs to the better state."""
     assert grade(value, 0.1, 0.5) == state
 
 
@@ -146,8 +140,6 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
 
 
 def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The share grows with each step, and within the measurements."""
-
     def measured(*words: Any) -> Any:
         with progress("measuring", 2) as done:
             done(1)
@@ -189,7 +181,6 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A missing required package is named in the command that installs it; extras are not required."""
     assert {"numpy", "numba", "pyzmq"} <= machine.versions().keys()
     assert not {"viser", "pytest"} & machine.versions().keys()
     required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
@@ -201,7 +192,6 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
-    """A device that may not be opened is bad for its rig and worth a remark for another; its absence is bad."""
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.devices(load_rig("spacemouse"), [puck])
     (other,) = attached.devices(load_rig("replay"), [puck])
@@ -217,7 +207,6 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
 
 
 def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A missing vendor library is bad for a rig of Force Dimension and irrelevant for others."""
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -247,7 +236,6 @@ def test_the_text_has_a_remedy() -> None:
 def test_bad_words_give_one_clear_error(
     words: list[str], pieces: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error for a wrong value has the value, the option and the range, before anything is measured."""
     assert main(["doctor", *words]) == 2
     output, errors = capsys.readouterr()
     assert output == ""

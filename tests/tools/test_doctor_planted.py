@@ -24,14 +24,12 @@ Look = Callable[[], Check]
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """One that every user may enter."""
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         Path(name).chmod(0o755)
         yield Path(name)
 
 
 def system(folder: Path, **files: str) -> Path:
-    """Files of the machine below a folder, with `__` for a slash in their names."""
     for name, text in files.items():
         path = folder / name.replace("__", "/")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -41,7 +39,6 @@ def system(folder: Path, **files: str) -> Path:
 
 @contextmanager
 def as_nobody() -> Iterator[None]:
-    """Run as a user other than root, to whom file modes apply."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(65534)
@@ -52,7 +49,6 @@ def as_nobody() -> Iterator[None]:
 
 
 def device(rig: Rig, node: Path) -> Check:
-    """Return the report on a puck at a device node."""
     (check,) = attached.devices(rig, [SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(node))])
     return check
 
@@ -64,12 +60,10 @@ def of_settings(**servo: object) -> Check:
 
 
 def figures(missed: int, late_s: float) -> dict[str, object]:
-    """A run of 1000 ticks at 1 kHz."""
     return {"rate_hz": 1000.0, "servo": {"ticks": 1000, "missed": missed, "late": {"p99": late_s}}}
 
 
 def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest.MonkeyPatch) -> tuple[Look, Look]:
-    """The check without a problem, and with it."""
     well, ill = folder / "well", folder / "ill"
     cpu = "sys__devices__system__cpu__cpu0__cpufreq__scaling_governor"
     clock = "sys__devices__system__clocksource__clocksource0__current_clocksource"
@@ -160,7 +154,6 @@ def sound_and_planted(problem: str, folder: Path, keep: ExitStack, patch: pytest
 def test_a_planted_problem_is_found(
     problem: str, state: str, seen: str, remedy: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is named with its remedy; without it the same check is better."""
     with ExitStack() as keep:
         sound, planted = sound_and_planted(problem, folder, keep, monkeypatch)
         before = sound()

@@ -17,7 +17,6 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_every_driver_is_measured(tmp_path: Path) -> None:
-    """Each tick reads and writes completely; its time is that of the direct calls plus the driver's own."""
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
     done = run_program(command)

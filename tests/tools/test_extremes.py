@@ -24,7 +24,6 @@ def _numbers_of_any_size():
 @pytest.mark.sampled(14)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.name}: {case.given}" for case in CASES])
 def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
-    """The mode is one of three, refused values are named, and the expectations of the case hold."""
     finding = extremes.judge(case, extremes.run_case(case))
     assert finding.wrong == ""
     assert finding.ticks == len(case.samples) > 0
@@ -32,7 +31,6 @@ def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
 
 @pytest.mark.scaled
 def test_garbage_never_leaves_the_rules(cases):
-    """Random NaN, infinities, subnormal, huge and zero numbers and time jumps: no tick breaks a rule."""
     for row in hostile.try_hostile(cases(400, 60_000)):
         assert row["broken"] == 0
         # A quarter of the samples have at least one corrupted number, with 1 - (7/8)^7 = 61 %; half of these numbers
@@ -67,7 +65,6 @@ PERIOD = 0.001
     ],
 )
 def test_judge_sees_every_broken_rule(at, value):
-    """A last tick that breaks one rule is counted; without it none is."""
     records = sound_records()
     assert extremes.count_violations(records, PERIOD) == 0
     records[-1, at] = value
@@ -75,7 +72,6 @@ def test_judge_sees_every_broken_rule(at, value):
 
 
 def test_judge_detects_wrongly_accepted_and_refused_poses():
-    """A broken pose that is taken, and a good one that is refused, are both wrong."""
     good = next(case for case in CASES if not case.refused)
     records = sound_records()
     assert extremes.judge(good._replace(expects=lambda _: ""), records).wrong == ""
@@ -86,7 +82,6 @@ def test_judge_detects_wrongly_accepted_and_refused_poses():
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
 def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
-    """Wrenches that no contact gives meet its rules and the expectations of the case."""
     (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
     assert wrong == ""
 
@@ -95,7 +90,6 @@ plain_guard = getattr(guard_wrench, "py_func", guard_wrench)
 
 
 def unchecked(guard, guarded, force, torque, dt, period):
-    """A guard without its check for finite numbers."""
     force = tuple(0.0 if math.isnan(x) else x for x in force)
     torque = tuple(0.0 if math.isnan(x) else x for x in torque)
     return plain_guard(guard, guarded, force, torque, dt, period)
@@ -121,7 +115,6 @@ def with_force_ramp_alone(guard, guarded, force, torque, dt, period):
 
 @pytest.mark.parametrize("broken", [unchecked, without_slew, without_ramp, with_late_slew, with_force_ramp_alone])
 def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
-    """Without the check, the slew limit, the ramp or a share of them, `stability --extremes` fails."""
     monkeypatch.setattr(wrenches, "guard_many", getattr(wrenches.guard_many, "py_func", wrenches.guard_many))
     monkeypatch.setattr(wrenches, "guard_wrench", plain_guard)
     assert all(wrong == "" for *_, wrong in wrenches.try_wrenches())

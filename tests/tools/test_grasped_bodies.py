@@ -16,7 +16,6 @@ CELL = CellResult("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4
 
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
-    """Forces on fingers and body are opposite, nothing slips, and the hands did work against the dampers."""
     cell = Cell("hold", 0.1, 1000.0)
     there = bodies.approach_path(cell)
     way = np.concatenate([there, there[::-1]])
@@ -31,7 +30,6 @@ def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("case", ["drag", "hold"])
 def test_a_body_comes_to_rest(case: str) -> None:
-    """A second after a knock."""
     found = bodies.measure(Cell(case, 0.1, 1000.0))
     assert (found.verdict, found.slips) == ("rests", 0)
     assert found.left is not None and found.left < bodies.AT_REST
@@ -40,7 +38,6 @@ def test_a_body_comes_to_rest(case: str) -> None:
 
 @pytest.mark.exhaustive
 def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
-    """An undamped plate whose centre is h above a ball of radius r rolls with omega^2 = g (r - h) / (I / m + h^2)."""
     cell, h = Cell("balance", 0.01, 3000.0), bodies.PLATE_HALF_M
     engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.approach_path(cell)[:1], 100, axis=0)
     engine.run(bodies.poses_of(hold))
@@ -59,7 +56,6 @@ def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """1 g between fingers of 3000 N/m, without substeps: omega T is 2.4, and past 2 nothing is stable."""
     monkeypatch.setattr(bodies, "LIGHT_SUBSTEPS", 1)
     assert bodies_table.wrong([bodies.measure(Cell("hold", 0.001, 3000.0))])
 
@@ -74,14 +70,12 @@ def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    """A body is classified as at rest, growing or lost."""
     found = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
     assert found.verdict == verdict
     assert bool(found.reason) == (verdict != "rests")
 
 
 def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
-    """Of each case the worst."""
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
     gone = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
     found = [rests, rests._replace(**stiff), gone, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
@@ -94,6 +88,5 @@ def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
 
 
 def test_a_panel_is_drawn_for_each_case(tmp_path: Path) -> None:
-    """Also where nothing is left to be drawn of a cell."""
     bodies_table.draw(tmp_path / "bodies.svg", [CELL, CELL._replace(case="drag", left=None)])
     assert "hold" in (tmp_path / "bodies.svg").read_text() and "drag" in (tmp_path / "bodies.svg").read_text()

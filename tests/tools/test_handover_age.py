@@ -18,7 +18,6 @@ SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_every_driver_is_measured() -> None:
-    """Of each driver there are ages of new poses and of forces that arrived, in their order, and shares of both."""
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
     done = run_program(command)
     assert done.returncode == 0, done.stderr
@@ -33,7 +32,6 @@ def test_every_driver_is_measured() -> None:
 
 
 def test_a_force_is_found_by_its_size() -> None:
-    """From the last write to the first arrival; a force that never arrived has no age."""
     tool = importlib.import_module("handover_age")
     written = np.array([1.0, 1.001, 1.002, 1.003])
     first, third = tool.LOWEST_N, tool.LOWEST_N + 2 * tool.STEP_N

@@ -20,7 +20,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_a_stall_spoils_the_percentiles_of_one_block_only() -> None:
-    """Five blocks of 1 to 100, one of them a hundred times as long: it changes the overall value, but no median."""
     block = np.arange(1.0, 101.0)
     # the remainder is not a block
     found = quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
@@ -30,13 +29,11 @@ def test_a_stall_spoils_the_percentiles_of_one_block_only() -> None:
 
 
 def test_fewer_values_than_a_block_are_one() -> None:
-    """Then the median over blocks is the percentile itself."""
     found = quantiles(np.array([3.0, 1.0, 2.0]), 100)
     assert found.pop("blocks") == found == {"p50": 2.0, "p99": 2.98, "p999": 2.998, "max": 3.0}
 
 
 def test_deadlines_missed_before_a_measurement_do_not_count() -> None:
-    """Two runs whose counters start at 7 and 3 and end at 9 and 4 have three missed deadlines."""
     rows = np.full((6, 4), 1e-5)
     rows[:, 3] = [7.0, 7.0, 9.0, 3.0, 4.0, 4.0]
     result = evaluate({"servo": rows}, 1000.0)["servo"]
@@ -44,19 +41,16 @@ def test_deadlines_missed_before_a_measurement_do_not_count() -> None:
 
 
 def test_deadlines_that_the_c_loop_missed_are_counted_as_those_of_the_servo() -> None:
-    """Ticks of 1 ms that end 0.5 ms, 1.2 ms and 3.5 ms after they were due: one deadline passed, and three."""
     rows = np.array([[1e-4, 1e-5, 4e-4], [1e-4, 1e-5, 1.1e-3], [3.4e-3, 1e-5, 1e-4]])
     assert count_missed_by_c(rows, 1e-3) == 4
 
 
 def test_a_scene_of_more_geoms_has_the_same_code(tmp_path: Path) -> None:
-    """A scene of 20 geoms is the same type as one of 8."""
     scenes = [build_scene(load_scene(scene_of_geoms(count, 1000.0, tmp_path))) for count in (8, 20)]
     assert numba.typeof(scenes[0]) == numba.typeof(scenes[1])
 
 
 def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
-    """So many geoms and no more, each touched by the finger, and they stay where they are."""
     described = scene_of_geoms(8, 1000.0, tmp_path)
     objects = [(thing.name, thing.shape) for thing in load_scene(described).object]
     assert [name for name, _ in objects] == [f"{kind}-{n}" for n, kind in enumerate(2 * list(KINDS))]

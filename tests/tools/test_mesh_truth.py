@@ -36,7 +36,6 @@ def test_a_ball_is_true(tmp_path: Path) -> None:
 
 
 def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
-    """With a mesh larger than the rendered one, the proxy is reported to be inside; the mesh itself has no errors."""
     ball = meshes.geodesic(8, 0.05)
     scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
     true, larger = balls_of(*ball), balls_of(1.01 * ball.vertices, ball.triangles)
@@ -61,7 +60,6 @@ def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None
 
 
 def test_a_path_through_a_sheet_is_detected() -> None:
-    """A path from one side of a sheet to the other is detected; a path that avoids the sheet is not."""
     balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
     over, under, beside = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
     assert mesh_truth.goes_through(balls, over, under, R)

@@ -31,7 +31,6 @@ STARTS = [(0.3, 0.2), (-1.2, -0.5), (2.5, 0.0)]
 
 
 def scaled(name: str, u: float, v: float) -> tuple[float, float]:
-    """Coordinates on the shape: lengths where the chart has lengths."""
     return (0.02 * u, 0.02 * v) if name == "plane" else (u, 0.02 * v if "cylinder" in name else v)
 
 
@@ -60,7 +59,6 @@ def turned(w: Any) -> Any:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_gauss_frame_against_differences(name: str) -> None:
-    """Metric, curvature and torsion of each chart equal numerical derivatives of its frame."""
     shape, h = SHAPES[name], 1e-5
     for u, v in STARTS:
         u, v = scaled(name, u, v)
@@ -98,7 +96,6 @@ def roll_coordinates(
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", SHAPES)
 def test_both_forms_agree(name: str) -> None:
-    """Rolled by 0.4 rad, charts and contact angle give the centre and the orientation that the plain form gives."""
     shape, rng = SHAPES[name], np.random.default_rng(41)
     for u, v in STARTS:
         at = start(shape, *scaled(name, u, v), psi=rng.uniform(-3, 3))
@@ -120,7 +117,6 @@ def test_both_forms_agree(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_slip_and_spin(name: str) -> None:
-    """With slip, both contact points move by (W_o + I / r) u_o = w x n + v / r; spin without roll turns psi only."""
     shape, rng = SHAPES[name], np.random.default_rng(42)
     u, v = scaled(name, *STARTS[0])
     at = start(shape, u, v, psi=0.7)

@@ -16,7 +16,6 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.mark.exhaustive
 def test_the_moving_picture_shows_a_box_that_hangs_and_one_that_swings(tmp_path: Path) -> None:
-    """With torsion it turns by less than 5 degrees, without by more than 90; both are lifted; every value is there."""
     moving.draw(tmp_path / "lift.svg")
     assert (tmp_path / "lift.svg").stat().st_size < 60_000
     moves = list(ElementTree.parse(tmp_path / "lift.svg").iter(f"{SVG}animateTransform"))

@@ -31,7 +31,6 @@ Probing = Callable[..., str]
 
 @pytest.fixture
 def probing(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Probing:
-    """Run the verb with short parts and these lines typed, or without a terminal; return its output."""
     for name, value in environment(home).items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(home)
@@ -59,7 +58,6 @@ def rig(home: Path, driver: str, *lines: str) -> str:
 
 
 def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
-    """Five consecutive parts with zero force give rate, noise, range and buttons; there are no prompts."""
     output = probing("--rig", rig(home, "replay", 'recording = "tap"', "loop = true", 'forces = "forces.npz"'))
     found = checked(home / "softfinger-replay-report.json", home)
     assert found["complete"] and not found["guided"]
@@ -75,7 +73,6 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
 
 
 def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) -> None:
-    """Enter starts, each motion is judged, and after each push of 0.2 N the answer is recorded."""
     still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
     output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
     found = checked(home / "mine.json", home)
@@ -89,7 +86,6 @@ def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) ->
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
-    """Without --push its motors stay at zero; with it 0.2 N in both directions of each axis, then zero."""
     named = rig(home, "openhaptics", f'library_file = "{hd.path}"', "force_age_max_s = 0.1")
     hd["buttons"] = 2
     probing("--rig", named)
@@ -119,7 +115,6 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
 def test_bad_words_give_one_clear_error(
     words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is refused before a device is opened, and no report is written."""
     monkeypatch.chdir(home)
     assert main(["devices", *words]) == 2
     errors = capsys.readouterr().err
@@ -130,7 +125,6 @@ def test_bad_words_give_one_clear_error(
 def test_a_rig_with_a_limit_below_the_push_is_refused(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before the device is opened."""
     monkeypatch.chdir(home)
     file = home / "weak.toml"
     file.write_text('[device]\ndriver = "simulated"\n[guard]\nforce_max_n = 0.1\n')
@@ -139,7 +133,6 @@ def test_a_rig_with_a_limit_below_the_push_is_refused(
 
 
 def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first attached device that has a shipped rig is used; without one the error asks for a rig."""
     ports: list[SystemDevice] = [SystemDevice("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
     with pytest.raises(DeviceNotFound, match="name yours with --rig"):
@@ -149,7 +142,6 @@ def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.Mon
 
 
 def test_the_picture_shows_wrong_motions() -> None:
-    """The plot has an arrow from each requested motion to the axis that moved."""
     moves: list[dict[str, Any]] = [
         {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},
         {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},

@@ -35,7 +35,6 @@ CASES = [
 def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     way: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0.2 N in both directions of each axis, and a report even if a push is interrupted or the cable pulled."""
     for key, value in environment(home).items():
         monkeypatch.setenv(key, value)
     monkeypatch.chdir(home)

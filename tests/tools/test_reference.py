@@ -20,6 +20,5 @@ def test_a_page_equals_the_generated_one(name: str) -> None:
 
 
 def test_the_folder_has_only_these_pages(tmp_path: Path) -> None:
-    """The program writes every page of the folder."""
     assert reference.main([str(tmp_path)]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in FOLDER.iterdir()}

@@ -31,7 +31,6 @@ PREFIX = "softfinger-report/"
 def test_the_archive_has_every_part_and_no_private_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Name, home, host and a serial number are removed from each part; unreadable files are omitted."""
     private = [str(Path.home()), platform.node(), "SN1234567", "Project-X", "study", sys.prefix, str(CACHE_DIR)]
     words = f"{Path.home()}/study/hand.toml on {platform.node()}: serial number SN1234567, user {getpass.getuser()}"
     words += f"; Project-X/my-scene.toml, {sys.prefix}/bin/python"
@@ -76,7 +75,6 @@ def test_the_archive_has_every_part_and_no_private_data(
 
 
 def test_a_user_without_a_home_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a container there are no black boxes, but everything else."""
     forget_user(monkeypatch)
     out = tmp_path / "report.tar.gz"
     assert main(["report", "--out", str(out), "--seconds", "0.3"]) == 0

@@ -38,7 +38,6 @@ def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.nda
     ],
 )
 def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen: str) -> None:
-    """The motion is the difference between the handle's last and first position; positions in between do not matter."""
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
     result = motions.move("ask", "translation", "+x", poses(path))
@@ -62,7 +61,6 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
 
 
 def test_noise_at_rest_and_range_of_known_rows() -> None:
-    """Standard deviations per axis of a known noise; rows that are no numbers are counted and left out."""
     random = np.random.default_rng(1)
     noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
     rows = poses(noise + np.array([0.0, 0.01, 0.0]))
@@ -81,7 +79,6 @@ def test_noise_at_rest_and_range_of_known_rows() -> None:
 
 
 def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> np.ndarray:
-    """A handle of one mass on spring and damper along y, pushed along z by `sign` times the force that is written."""
     seconds, hertz = 3.0, 1.0
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
 
@@ -107,7 +104,6 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
     ],
 )  # fmt: skip
 def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
-    """Of an integrated mass on a spring; a free mass with the wrong sign looks like a held one with the right."""
     for sign, said in ((1.0, plus), (-1.0, minus)):
         result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
         assert result is not None
@@ -117,7 +113,6 @@ def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str,
 
 
 def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
-    """A hand that moves by itself makes the result undetermined, and a handle that does not move gives none."""
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
     result = motions.push(2, 1.0, RATE_HZ, rows)

@@ -22,7 +22,6 @@ USER: Final = "zaphodb"
 
 @pytest.fixture
 def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy:
-    """Return the function that removes personal data of user zaphodb, on any machine."""
     monkeypatch.setenv("HOME", f"/home/{USER}")
     monkeypatch.setenv("USER", USER)
     (tmp_path / "My Project").mkdir()
@@ -60,30 +59,25 @@ def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy
     ],
 )
 def test_identifying_words_are_removed(text: str, clean: str, somebody: privacy.Privacy) -> None:
-    """Home, user and serial numbers are removed anywhere in a text; other text does not change."""
     assert somebody.text(text) == clean
 
 
 def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Privacy) -> None:
-    """Texts in lists and tables are cleaned; numbers, keys, and the name of the driver stay as they are."""
     dirty = {"driver": USER, "a": [USER, {"b": f"on {platform.node()}"}], USER: 1.5, "none": None}
     assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
 
 
 def test_options_keep_no_folder() -> None:
-    """Files lose their folders, a serial number all but its end; nodes stay."""
     given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
     want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
     assert privacy.options(given) == want
 
 
 def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Privacy) -> None:
-    """It has a space here: no pattern shows where such a path ends in a text."""
     assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
 
 
 def test_scenes_and_rigs_keep_no_folder(somebody: privacy.Privacy) -> None:
-    """Nor do they keep a file name that no pattern distinguishes from other words: with spaces, or without a suffix."""
     dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
     want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
     assert somebody.clean(dirty) == want
@@ -91,13 +85,11 @@ def test_scenes_and_rigs_keep_no_folder(somebody: privacy.Privacy) -> None:
 
 
 def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither HOME nor a name in the environment, nor an entry in passwd, as the user of a container."""
     forget_user(monkeypatch)
     assert privacy.Privacy().text("~ and /srv/x/y.toml") == "~ and y.toml"
 
 
 def test_the_questions_are_well_formed() -> None:
-    """Ids are unique, drivers exist, answers belong to questions; only drivers for hardware have them."""
     ids = [question.id for question in questions()]
     assert len(set(ids)) == len(ids)
     drivers = {driver for question in questions() for driver in question.drivers}
@@ -107,7 +99,6 @@ def test_the_questions_are_well_formed() -> None:
 
 
 def test_measurements_answer_their_questions() -> None:
-    """Motions, pushes and buttons answer; a missing measurement leaves the question open."""
     empty, _ = report.begun(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {

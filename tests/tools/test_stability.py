@@ -32,7 +32,6 @@ FOUND = 1e-3
 
 
 def random_cases(count: int, seed: int, **more: float) -> list[WallCase]:
-    """Linear cases; every second one has wall damping, up to the largest that leaves a stable wall."""
     random = np.random.default_rng(seed)
     cases = []
     while len(cases) < count:
@@ -51,7 +50,6 @@ CASES = random_cases(50, seed=4)
 
 
 def jury(mass: float, damping: float, period: float) -> float:
-    """Limit of an undamped wall without delay: Jury's conditions of z^2 + a1 z + a0, a0 < 1 and 1 - a1 + a0 > 0."""
     fading = np.exp(-damping * period / mass)
     way = -np.expm1(-damping * period / mass) * mass / damping  # x after a tick per unit of speed
     speed = -np.expm1(-damping * period / mass) / damping  # v after a tick per unit of force
@@ -110,7 +108,6 @@ def crossings(loop: LinearLoop) -> list[float]:
     ],
 )
 def test_linear_limit_is_the_first_crossing_of_the_unit_circle(loop: LinearLoop) -> None:
-    """Eigenvalues of the state and the frequency response agree where the loop first turns unstable."""
     first = crossings(loop)[0]
     assert linear_limit(loop) == pytest.approx(first, rel=1e-6)  # as above
     below, above = spectral_radius(loop, first * np.array([1.0 - 1e-5, 1.0 + 1e-5]))
@@ -155,7 +152,6 @@ def test_passive_limit_is_that_of_colgate_and_schenkel(delay: int, tau: float) -
 
 @pytest.mark.plain
 def test_the_searched_wall_equals_a_scene_file() -> None:
-    """The compiled search builds the same tree as the same plane and weight in a scene."""
     mapping = {
         "fingertip": {"radius_m": 0.01},
         "coupling": {"stiffness_n_per_m": 1.0, "damping_ns_per_m": 0.0},
@@ -175,13 +171,11 @@ def test_the_searched_wall_equals_a_scene_file() -> None:
 
 
 def test_found_limits_are_the_linear_ones() -> None:
-    """On 50 random cases, 500 Hz to 8 kHz and up to two ticks late, search and eigenvalues agree."""
     for row in find_limits(CASES):
         assert row["limit_n_per_m"] == pytest.approx(row["predicted_n_per_m"], rel=FOUND), row
 
 
 def test_hand_and_filter_are_in_both() -> None:
-    """With a hand on the handle and a filtered velocity the loop is still linear, and the limits agree."""
     more = {"hand_mass_kg": 0.1, "hand_damping_ns_per_m": 3.0, "hand_stiffness_n_per_m": 400.0}
     for row in find_limits(random_cases(8, seed=5, velocity_time_constant_s=0.002, **more)):
         assert row["limit_n_per_m"] == pytest.approx(row["predicted_n_per_m"], rel=FOUND), row
@@ -190,7 +184,6 @@ def test_hand_and_filter_are_in_both() -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if "encoder" not in name])
 def test_no_passive_wall_is_unstable(variant: str) -> None:
-    """Within the passivity bound no disturbance grows, for any grip of the device; beyond the linear limit it does."""
     for case in CASES[::5]:  # walls without damping are passive up to some stiffness
         held = msgspec.structs.replace(case, **VARIANTS[variant])
         damped = msgspec.structs.replace(held, wall_damping_ns_per_m=0.5 * held.damping_ns_per_m)
@@ -203,20 +196,17 @@ def test_no_passive_wall_is_unstable(variant: str) -> None:
 
 
 def test_friction_of_the_mechanism_stabilises_stiffer_walls() -> None:
-    """Coulomb friction of the mechanism makes stiffer walls stable, more of it still stiffer ones."""
     limits = [row["limit_n_per_m"] for row in find_limits([WallCase(friction_n=f) for f in (0.0, 0.02, 0.05)])]
     assert limits[0] * 1.2 < limits[1] and limits[1] * 1.2 < limits[2]
 
 
 def test_oscillations_of_encoder_steps_are_not_instability() -> None:
-    """An oscillation of a few encoder steps does not count; the limit stays near that of a fine encoder."""
     coarse, fine = find_limits([WallCase(resolution_m=20e-6), WallCase()])
     # Within the describing function of a quantiser, which is 1 to 1.27 at twenty steps' swing and less.
     assert coarse["limit_n_per_m"] == pytest.approx(fine["limit_n_per_m"], rel=0.27)
 
 
 def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    """Then no wall is unstable: the limit is none in the text and null in JSON."""
     words = ["--friction", "10", "--damping", "1000", "--mass", "0.001", "--resolution", "1e-5"]
     assert stability(capsys, *words)["cases"][0]["limit_n_per_m"] is None
     assert main(["stability", *words]) == 0
@@ -224,7 +214,6 @@ def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_an_undamped_loop_has_no_stable_wall() -> None:
-    """Without any damping the sampled spring feeds energy in at every stiffness: both limits are 0."""
     (row,) = find_limits([WallCase(damping_ns_per_m=0.0)])
     # The search ends a million times below its start, which is a millionth of m / T^2.
     assert row["predicted_n_per_m"] == 0.0 and row["limit_n_per_m"] < 1e-6 * 0.2e6
@@ -232,7 +221,6 @@ def test_an_undamped_loop_has_no_stable_wall() -> None:
 
 @pytest.mark.exhaustive  # that the schedulers give the same bits is shown of any function in test_sweep.py
 def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
-    """Threads and processes find the same bits, in any block size, also from a file."""
     expected = find_limits(CASES[:6])
     results = tmp_path / "limits.mcap"
     assert run_cases(find_limits, CASES[:6], label="test", block=1, results=results) == expected
@@ -241,7 +229,6 @@ def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
 
 
 def test_random_runs_do_not_diverge_on_passive_walls() -> None:
-    """Of random runs some grow out of reach, but none on a passive wall; the same seed gives the same runs."""
     blocks = [RunBlock(number, 300, 1000, 0) for number in range(4)]
     found = run_blocks(blocks)
     assert found == run_blocks(blocks[:2]) + run_blocks(blocks[2:])
@@ -258,7 +245,6 @@ def stability(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
 
 
 def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
-    """The values of the command line come back with the three limits."""
     words = ["--mass", "0.3", "--damping", "1", "--wall-damping", "0.25", "--rate", "1000", "--delay", "1"]
     (row,) = stability(capsys, *words)["cases"]
     assert (row["mass_kg"], row["damping_ns_per_m"], row["wall_damping_ns_per_m"]) == (0.3, 1.0, 0.25)
@@ -271,7 +257,6 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.exhaustive
 def test_maps_are_reproducible(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A map has its rows, and its SVG is identical to the byte if made again from stored results."""
     first, again, kept = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
     words = ["--map", "all", "--points", "3", "--results", kept]
     rows = stability(capsys, *words, "--plot", str(first))["cases"]
@@ -283,7 +268,6 @@ def test_maps_are_reproducible(capsys: pytest.CaptureFixture[str], tmp_path: Pat
 
 
 def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Runs are counted and timed; taken from a file they have no rate."""
     words = ["--cases", "1500", "--ticks", "50", "--results", str(tmp_path / "runs.mcap")]
     runs = stability(capsys, *words)["runs"]
     assert runs["runs"] == 1500 and runs["ticks"] <= 1500 * 50 and runs["passive_left"] == 0
@@ -305,14 +289,12 @@ def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     ],
 )
 def test_command_line_errors_name_the_range(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """One message with the flag, the value and the range."""
     assert main(["stability", *words]) == 2
     assert re.search(message, capsys.readouterr().err)
 
 
 @pytest.mark.plain
 def test_every_figure_of_the_page_has_a_command() -> None:
-    """The page's commands are commands, and every figure has the one that made it; small and undated."""
     page = (ROOT / "docs" / "measured" / "stability.md").read_text()
     commands = re.findall(r"^    softfinger (stability[^#\n]*)", page, re.MULTILINE)
     plots = {str(make_parser().parse_args(command.split()).plot) for command in commands}

@@ -15,7 +15,6 @@ PAGE = "before\n<!-- study: drift -->\n| old |\n<!-- end -->\nafter <!-- study: 
 
 
 def test_only_marked_tables_are_replaced():
-    """The table between its marks is replaced; a repetition changes nothing."""
     page = study.insert(PAGE, {"drift": "| new |\n", "orders": "| 2 |\n"})
     assert "| old |" not in page
     assert page.startswith("before\n<!-- study: drift -->\n\n| new |\n\n<!-- end -->\nafter ")
@@ -23,24 +22,20 @@ def test_only_marked_tables_are_replaced():
 
 
 def test_a_mark_without_a_table_is_an_error():
-    """An unknown name gives an error with the known ones."""
     with pytest.raises(ConfigError, match="study: orders -->: no such table; there are drift"):
         study.insert(PAGE, {"drift": "| new |"})
 
 
 def test_table_becomes_markdown():
-    """Headings, a rule and a line for each row, in order."""
     made = table("title", ("surface", "over_euler"), [("plane", "1"), ("torus", "2")], 1)
     assert study.markdown(made) == "| surface | over_euler |\n| --- | --- |\n| plane | 1 |\n| torus | 2 |\n"
 
 
 def test_every_table_has_its_place_in_the_pages():
-    """Each table is in one page, and each page marks only tables that are made."""
     marked = [match["name"] for page in DOCS.rglob("*.md") for match in study.BLOCK.finditer(page.read_text())]
     assert sorted(marked) == sorted(study.TABLES)
 
 
 def test_a_folder_without_pages_is_refused(tmp_path, capsys):
-    """Nothing is measured for a folder that has nothing to put it in."""
     assert study.main([str(tmp_path)]) == ConfigError.exit_code
     assert "contains no pages" in capsys.readouterr().err

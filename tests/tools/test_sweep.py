@@ -38,7 +38,6 @@ def roots(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
 
 
 def failing(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
-    """`roots`, but for case 11."""
     if any(case["n"] == 11 for case in cases):
         raise ArithmeticError("case 11")
     return roots(cases)
@@ -57,27 +56,23 @@ def forget() -> None:
 
 
 def test_results_are_in_case_order_whatever_the_block() -> None:
-    """Threads return the result of each case, bit by bit, in blocks of one, five or all."""
     expected = bits(roots(CASES))
     for block in (None, 1, 5, 1000):
         assert bits(run_cases(roots, CASES, label="test", block=block)) == expected
 
 
 def test_equal_cases_are_computed_once() -> None:
-    """A case that occurs three times has three results from one computation."""
     assert bits(run_cases(roots, [CASES[0]] * 3, label="test")) == bits(roots([CASES[0]]) * 3)
     assert computed == [0, 0]
 
 
 @pytest.mark.exhaustive
 def test_a_local_cluster_gives_the_same_bits() -> None:
-    """Processes of a dask cluster on this machine return the same results as threads."""
     assert bits(run_cases(roots, CASES, label="test", scheduler="local", block=4)) == bits(roots(CASES))
 
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Address and process of a dask scheduler with two workers, each in its own process."""
     where = tmp_path / "scheduler.json"
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     common = [sys.executable, "-m", "dask"]
@@ -123,10 +118,6 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 def test_a_dask_scheduler_resumes_with_the_same_bits(
     cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half of the cases are computed by threads into a file, the others by workers: the results equal those of one run.
-
-    Then the scheduler is killed during a longer run, and the error explains how to continue.
-    """
     scheduler, process = cluster
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES[::2], label="test", results=results)
@@ -147,7 +138,6 @@ def test_a_dask_scheduler_resumes_with_the_same_bits(
 
 
 def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
-    """If a case fails, earlier cases are not computed again."""
     results = tmp_path / "cases.mcap"
     with pytest.raises(ArithmeticError, match="case 11"):
         run_cases(failing, CASES, label="test", results=results, block=3)
@@ -160,7 +150,6 @@ def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["cut in a row", "cut at the end", "a bit flipped"])
 def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Cases before the damage are reused, the others computed again, and the file is complete afterwards."""
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES, label="test", results=results, block=1)
     data = bytearray(results.read_bytes())
@@ -182,7 +171,6 @@ def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, ca
 
 
 def test_another_file_is_not_overwritten(tmp_path: Path) -> None:
-    """A file with other contents is refused and not changed."""
     results = tmp_path / "notes.txt"
     results.write_text("not a sweep")
     with pytest.raises(RecordingError, match=r"notes\.txt: not a file of sweep results.*name another"):
@@ -191,7 +179,6 @@ def test_another_file_is_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_two_runs_do_not_share_a_file(tmp_path: Path) -> None:
-    """A second run on the same file ends with a message instead of spoiling the first."""
     results = tmp_path / "cases.mcap"
 
     def nested(cases: Sequence[dict[str, float]]) -> list[dict[str, float]]:
@@ -203,7 +190,6 @@ def test_two_runs_do_not_share_a_file(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
-    """The message names the file and the reason."""
     with pytest.raises(RecordingError, match=r"cases\.mcap: cannot be used for results: No such file or directory"):
         run_cases(roots, CASES, label="test", results=tmp_path / "nowhere" / "cases.mcap")
 
@@ -216,21 +202,18 @@ def test_a_file_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_scheduler_is_reported(scheduler: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error names the address and the command to start a scheduler."""
     monkeypatch.setattr(sweep, "CONNECT_S", 0.3)
     with pytest.raises(ConfigError, match=f"--scheduler {scheduler}: {message}"):
         run_cases(roots, CASES, label="test", scheduler=scheduler)
 
 
 def test_a_worker_of_another_version_is_refused() -> None:
-    """Results of a worker with other sources are refused, with the name of the worker."""
     with pytest.raises(ConfigError, match="another version of softfinger: its sources have the hash"):
         sweep._compute("0" * 64, roots, CASES)
     assert not computed
 
 
 def test_keys_differ_by_case_function_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A key depends on the values in any order, on the function and on the sources."""
     key = case_key(roots, {"x": 0.1, "n": 1})
     assert case_key(roots, {"n": 1, "x": 0.1}) == key
     others = [case_key(roots, {"x": math.nextafter(0.1, 1.0), "n": 1}), case_key(bits, {"x": 0.1, "n": 1})]
