@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -35,7 +36,6 @@ from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.loop import compile_reference, run_reference
 from softfinger.tools.bench.telemetry import await_messages, source
-from softfinger.tools.bench.view import viewer
 from softfinger.tools.measure import Array, show
 
 if TYPE_CHECKING:
@@ -206,6 +206,28 @@ def end_after(words: list[str]) -> Iterator[subprocess.Popen[str]]:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+@contextmanager
+def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run `softfinger view` with arguments; yields the process and the address of its page.
+
+    Raises ConfigError with the output of the process if there is no page.
+    """
+    command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
+        assert process.stderr is not None
+        try:
+            output = ""
+            while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
+                line = process.stderr.readline()
+                if not line:
+                    raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
+                output += line
+            yield process, match[1]
+        finally:
+            process.terminate()
+            process.communicate(timeout=30.0)
 
 
 @contextmanager

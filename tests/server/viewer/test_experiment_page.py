@@ -12,7 +12,7 @@ from helpers.experiment_page import RATING, STUDY, session
 from softfinger.server.experiment.experiment import results
 from softfinger.server.recording.run import load_run
 from softfinger.server.viewer.prompt import assign_keys
-from softfinger.tools.bench.view import viewer
+from softfinger.tools.bench.soak import viewer
 
 WAIT_S = 120.0
 
