@@ -111,7 +111,6 @@ class DeviceInfo:
 
 
 def names(devices: Iterable[Device]) -> str:
-    """Return the names of devices for a message."""
     return ", ".join(device.info.name for device in devices)
 
 

@@ -224,7 +224,6 @@ def _await(driver: Any, handle: int) -> int:
 
 @jit
 def read_once(driver: Any, handle: int, sample: Any) -> int:
-    """Implement `read` of a driver."""
     at = int64_at(handle)
     if at[BOARD.fd] < 0:
         return LOST
@@ -265,7 +264,6 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
 
 @jit
 def write_once(driver: Any, handle: int, wrench: Any) -> int:
-    """Implement `write` of a driver."""
     at = int64_at(handle)
     # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
     if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:

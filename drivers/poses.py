@@ -114,7 +114,6 @@ def load_poses(recording: str | Path, finger: str = "") -> Poses:
 
 
 def list_shipped_recordings() -> list[str]:
-    """Return the names of the shipped recordings."""
     return sorted(path.stem for path in SHIPPED.glob("*.csv"))
 
 

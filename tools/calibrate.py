@@ -114,7 +114,6 @@ class HoldController:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; returns the exit code."""
     if not MASS_KG[0] <= args.mass <= MASS_KG[1]:
         raise ConfigError(f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: use another weight")
     rig = load_rig(args.rig)

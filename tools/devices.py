@@ -9,7 +9,6 @@ from softfinger.server.verbs import devices
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the devices or probe one; returns the exit code."""
     if args.probe is not None:
         from softfinger.tools.doctor import probe  # compiles the exchange's loop, which a list does without
 

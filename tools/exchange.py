@@ -175,7 +175,6 @@ def exchange_once(
 
 @jit
 def fill_row(row: Array, begun: int, woke: int, late: int, exchanged: Exchanged, sample: Array) -> None:
-    """Store the times of a tick, the status of the device, the force and the sample."""
     row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
     row[READ], row[WRITE] = (exchanged.read - woke) / NS_PER_S, (exchanged.wrote - exchanged.before) / NS_PER_S
     row[EMPTY_READ] = (exchanged.empty_read - exchanged.wrote) / NS_PER_S
@@ -384,12 +383,10 @@ class Exchange:
 
 
 def check_seconds(seconds: float) -> None:
-    """Raise ConfigError for a part that cannot be recorded."""
     if not SECONDS.low <= seconds <= SECONDS.high:
         raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
 def make_disarmed_guard(rig: Rig) -> Guard:
-    """Return a guard that passes no force."""
     guard = rig.guard
     return Guard(0.0, 0.0, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 0.0)

@@ -79,7 +79,6 @@ def histogram(values: Array) -> list[list[float]]:
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """Format the figures of a paced part."""
     lines = [
         "  us; in brackets the median over blocks of 1 s; empty: functions that do nothing, in the same ticks",
         f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
@@ -100,7 +99,6 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def burst_line(result: dict[str, Any]) -> str:
-    """Format the figures of a part without pauses."""
     return (
         f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "
         f"{result['new_samples_hz']:.0f} with a new sample"

@@ -27,7 +27,6 @@ def quantiles(values: Array, block: int) -> dict[str, Any]:
 
 
 def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str]) -> None:
-    """Print a result: as JSON for machines, or as lines for people."""
     print(json.dumps(result, indent=2) if as_json else "\n".join(lines))
 
 

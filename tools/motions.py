@@ -43,7 +43,6 @@ def press_roll_spin_drag() -> list[Move]:
 
 
 def roll_follow() -> list[Move]:
-    """Return a roll of 1 rad that the hand follows fully, so that nothing may slide; it is reversed in the air."""
     return [
         hold(0.2),
         press(0.6),
@@ -138,7 +137,6 @@ def open_a_drawer() -> list[Move]:
 
 
 def open_a_door() -> list[Move]:
-    """Return a motion straight against the door, a pause, and the return motion; the door follows."""
     push = (0.0, 0.085, 0.0)
     return [hold(0.3), Move(1.4, push), hold(0.6), Move(1.4, opposite(push)), hold(1.0)]
 

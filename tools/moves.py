@@ -52,6 +52,5 @@ def drag(distance: float, speed: float) -> Move:
 
 
 def opposite(travel: Vector) -> Vector:
-    """Return the opposite of a travel."""
     x, y, z = travel
     return (-x, -y, -z)

@@ -18,13 +18,11 @@ REPORT: Final = "softfinger-report.tar.gz"
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--json` and `--plot`, which every measurement has."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="plot the result (.png, .svg; extra plots)")
 
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--scheduler` and `--results`, which every command of many cases has."""
     group = parser.add_argument_group("computation and storage")
     group.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a dask scheduler, or 'local' for local processes"

@@ -60,7 +60,6 @@ def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
 
 
 def record_case(case: TouchCase) -> Array:
-    """Return the records of a case."""
     tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
     return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
 
@@ -72,7 +71,6 @@ def over(objects: list[dict[str, Any]]) -> TouchCase:
 
 
 def plane() -> TouchCase:
-    """Return the plane that the seam is compared with."""
     return over([{"name": "floor", "shape": "plane", "material": GRIP}])
 
 
@@ -147,7 +145,6 @@ def drags_table() -> Any:
 
 
 def draw_patches(path: Path) -> None:
-    """Draw the three cases and save them as `path`."""
     drawing = figure(8.0, 6.5)
     for axes, (name, case) in zip(
         drawing.subplots(3, 1), {"seam": seam(), "groove": groove(), "pinch": pinch()}.items(), strict=True

@@ -66,7 +66,6 @@ RECORDINGS: Final[dict[str, Script]] = {
 
 
 def to_csv(script: Script) -> str:
-    """Return the poses of a script as CSV text."""
     position, moves = script.start, script.moves()
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     lines, row = [HEADER], 0
@@ -81,7 +80,6 @@ def to_csv(script: Script) -> str:
 
 
 def write(folder: Path) -> list[Path]:
-    """Write every recording into `folder`, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.csv" for name in RECORDINGS]
     for path, script in zip(paths, RECORDINGS.values(), strict=True):

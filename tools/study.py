@@ -67,7 +67,6 @@ def run(*words: str) -> bytes:
 
 
 def command(*words: str) -> dict[str, Any]:
-    """Return the result of a command that measures."""
     result: dict[str, Any] = json.loads(run(*words, "--json"))
     return result
 

@@ -79,7 +79,6 @@ def _process_events(handle: int, wait_us: int) -> int:
 
 @jit
 def _store_error(handle: int, error: int) -> int:
-    """Store libusb's error and return LOST."""
     int64_at(handle)[AT.error] = error
     return LOST
 

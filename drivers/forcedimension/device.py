@@ -280,12 +280,7 @@ class ForceDimension(BlockDevice):
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
-    """Return the library's description of the device that the options select, or of the first; switches no force on.
-
-    USB does not identify which of several attached devices is `device`: select one in the options.
-
-    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
-    """
+    """Describe the device that the options select: USB does not identify which of several attached ones is `device`."""
     call = selection.load(options.library_file)
     number, model = selection.find(call, options)
     try:
@@ -300,10 +295,6 @@ def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bo
 
 
 def open_device(options: Options, rate_hz: float) -> ForceDimension:
-    """Open a device of Force Dimension.
-
-    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
-    """
     return ForceDimension(options, rate_hz)
 
 

@@ -97,14 +97,12 @@ LIBRARY: Final = MakersLibrary(
 
 
 def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
-    """Load the library, like `makers_library.load`."""
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
     note = f" ({', '.join(unset)})" if unset else ""
     return makers_library.load(LIBRARY, named, patterns(environ), note)
 
 
 def error_text(library: ctypes.CDLL) -> str:
-    """Return the library's text for this thread's last error."""
     text = library.dhdErrorGetLastStr()
     number = library.dhdErrorGetLast()
     return f"{text.decode(errors='replace')} (error {number})" if text else f"error {number}"

@@ -167,7 +167,6 @@ _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 def read_inventory(message: bytes) -> Inventory:
-    """Decode an inventory. Raises Malformed."""
     return _decode(_INVENTORIES, message)  # type: ignore[no-any-return]
 
 
@@ -213,7 +212,6 @@ def parse_version(version: str) -> tuple[int, int]:
 
 
 def force_key(version: tuple[int, int]) -> str:
-    """Return the key of a force in a message."""
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
@@ -232,7 +230,6 @@ def is_identity(mount: dict[str, Any]) -> bool:
 
 
 def excerpt(message: bytes) -> str:
-    """Return the start of a message, for an error."""
     return repr(message[:EXCERPT_CHARS])[1:] + ("..." if len(message) > EXCERPT_CHARS else "")
 
 

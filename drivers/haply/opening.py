@@ -87,7 +87,6 @@ def find(options: Options) -> Connection:
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
-    """Return version, devices and grips of the service."""
     until = time.monotonic() + OPEN_S
     version_info = version or _version(port, until)
     parse_version(version_info)

@@ -11,7 +11,6 @@ from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 
 
 def report_lengths(reports: Reports) -> ReportLengths:
-    """Return the reports that a rig describes."""
     return ReportLengths({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
 
 

@@ -206,11 +206,9 @@ def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """Return additional rows for `softfinger check`."""
     return subspace_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:
-    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     link = open_link(options)
     return HidDevice(options, link.fd, link.threads, link.node)

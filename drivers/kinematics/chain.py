@@ -47,8 +47,6 @@ class Chain(NamedTuple):
 
 
 def make_chain(chain_options: options.Chain) -> Chain:
-    """Return the arm that a rig describes."""
-
     def to_vec3(values: list[float]) -> Vec3:
         return (float(values[0]), float(values[1]), float(values[2]))
 

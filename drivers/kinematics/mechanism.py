@@ -72,7 +72,6 @@ NO_MECHANISM: Final = Mechanism(
 
 
 def kind_of(spec: options.Kinematics, has_orientation: bool) -> int:
-    """Return the kind of a rig's kinematics; `has_orientation`: True if the device senses an orientation."""
     kinds = {
         options.Cartesian: CARTESIAN, options.Chain: CHAIN, options.Paddle: PADDLE,
         options.Pantograph: PANTOGRAPH, options.Delta: DELTA,
@@ -81,7 +80,6 @@ def kind_of(spec: options.Kinematics, has_orientation: bool) -> int:
 
 
 def make_mechanism(spec: options.Kinematics, force_max_n: float) -> Mechanism:
-    """Return the mechanism that a rig describes."""
     mechanism = NO_MECHANISM._replace(force_max=float(force_max_n))
     if isinstance(spec, options.Chain):
         return mechanism._replace(chain=chain.make_chain(spec))

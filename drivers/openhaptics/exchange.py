@@ -73,7 +73,6 @@ LISTENED_NS: Final = 10_000_000
 
 @jit
 def status_of(code: int) -> int:
-    """Return the status for an error of the library."""
     if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
         return LOST
     if hd.WARM_MOTORS <= code <= hd.FORCE_ERROR:
@@ -117,7 +116,6 @@ def _store_errors(handle: int) -> None:
 
 @jit
 def _read_state(handle: int) -> None:
-    """Query the state of the device in this frame."""
     word, frames = int64_at(handle), int64_at(handle)[AT.frames]
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_POSITION), handle + 8 * AT.position))
     call_void(word[AT.get_doubles], (np.int32(hd.CURRENT_TRANSFORM), handle + 8 * AT.matrix))
@@ -212,7 +210,6 @@ def _make_pose(handle: int, new_pose: Any) -> None:
 
 @c_function(types.uint32(types.int64))
 def callback(handle: int) -> int:
-    """Run a frame; the library's thread calls it."""
     word = int64_at(handle)
     if word[AT.open] == 0:
         return DONE

@@ -147,7 +147,6 @@ LIBRARY: Final = MakersLibrary(
 
 
 def load(named: str | None) -> ctypes.CDLL:
-    """Load the library, like `makers_library.load`."""
     return makers_library.load(LIBRARY, named, [folder / "libHD.so*" for folder in FOLDERS])
 
 

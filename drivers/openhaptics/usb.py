@@ -17,5 +17,4 @@ def list_attached() -> list[SystemDevice]:
 
 
 def how_to_permit(device: SystemDevice) -> str:
-    """Return the message for a device that this user may not write to."""
     return f"{device} may not be opened by this user: {rules.how_to_permit(device.vendor, device.product)}"

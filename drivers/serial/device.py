@@ -234,7 +234,6 @@ def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
 
 
 def rows(options: Options) -> list[tuple[str, str]]:
-    """Return additional rows for `softfinger check`."""
     return subspace_rows(options.kinematics, options.mounting)
 
 
@@ -244,5 +243,4 @@ def check(options: Options, rate_hz: float, where: str) -> None:
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:
-    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return SerialDevice(options, *open_port(options))

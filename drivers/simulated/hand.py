@@ -125,7 +125,6 @@ class HandWriter:
         self._publish_request(MODE_HOLD, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def release(self) -> None:
-        """Return the hand to its configured intention."""
         self._publish_request(MODE_OWN, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
 
     def intends(self) -> tuple[Vec3, Quaternion]:

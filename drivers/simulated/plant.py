@@ -162,7 +162,6 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
 
 
 def make_rest_state(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> PlantState:
-    """Return the state of a handle at rest at the position that the hand intends."""
     zero, (x, y, z), (qw, qx, qy, qz) = (0.0, 0.0, 0.0), position, orientation
     position_floats = (float(x), float(y), float(z))  # ints would be another type, and compile again
     return PlantState(position_floats, zero, zero, position_floats, (float(qw), float(qx), float(qy), float(qz)), 0.0)

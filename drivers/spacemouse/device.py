@@ -130,14 +130,12 @@ def read_setup(handle: int) -> PuckParameters:
 
 @jit
 def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
-    """Return the fingertip's position (3,) m and orientation."""
     state = float64_at(handle + 8 * AT.state)
     return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
 
 
 @jit
 def button_mask(handle: int) -> float:
-    """Return the buttons, one bit each."""
     return float(float64_at(handle + 8 * AT.state)[MASK])
 
 
@@ -198,7 +196,6 @@ class Puck:
         self._light(LED_ON)
 
     def close(self) -> None:
-        """Switch the lamp off and close the node. May be called repeatedly, but not while the loop reads."""
         fd = int(self._word[AT.fd])
         if fd >= 0:
             self._light(LED_OFF)
@@ -237,6 +234,7 @@ class SpaceMouse(LoggedDevice):
         return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
 
     def close(self) -> None:
+        """Close the node. May be called repeatedly, but not while the loop reads."""
         super().close()
         self._puck.close()
 
@@ -273,6 +271,5 @@ def find(options: Options) -> SystemDevice:
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:
-    """Open the puck that a rig describes; raises DeviceError or a subclass if it cannot be used."""
     fd, name = open_puck(options)
     return SpaceMouse(options, fd, rate_hz, name)

@@ -84,7 +84,6 @@ class PuckParameters(NamedTuple):
 
 
 def make_parameters(options: Options) -> PuckParameters:
-    """Return `options` converted for kernels."""
     signs = [-1.0 if is_inverted else 1.0 for is_inverted in options.invert]
     v, w = options.gain_m_per_s, options.gain_rad_per_s
     x0, y0, z0 = (float(a) for a in options.workspace_min_m)
@@ -100,7 +99,6 @@ def make_parameters(options: Options) -> PuckParameters:
 
 @jit
 def _axis(report: Any, at: int) -> float:
-    """Return a little-endian int16."""
     value = int(report[at]) + 256 * int(report[at + 1])
     return float(value - 65536 if value > 32767 else value)
 

@@ -58,7 +58,6 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
-    """Return the address of a function for the loop."""
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 

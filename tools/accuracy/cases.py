@@ -126,7 +126,6 @@ class Track(NamedTuple):
 
 
 def ticks(case: RollingCase) -> int:
-    """Return the number of steps of the motion."""
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 

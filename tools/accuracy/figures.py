@@ -28,7 +28,6 @@ def colour(method: str) -> str:
 
 
 def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[Any]]:
-    """Return a drawing with a panel for each name, with shared axes."""
     rows = -(-len(names) // columns)
     drawing = figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
     axes_list = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()

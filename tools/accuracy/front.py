@@ -50,7 +50,6 @@ def front(rows: Sequence[Row]) -> list[Row]:
 
 
 def fronts(rows: Iterable[Row]) -> list[Row]:
-    """Return the front of each surface and motion, over all methods and rates."""
     return [row for _, group in group_by(standard(rows), "surface", "motion") for row in front(group)]
 
 
@@ -98,7 +97,6 @@ def recommendations(rows: Iterable[Row], targets_m: Sequence[float]) -> list[Row
 
 
 def sentence(surface: str, motion: str, rate: float, target: float, best: Row | None, group: Sequence[Row]) -> str:
-    """Return the recommendation as a sentence."""
     question = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
     if best is None:
         least = min(group, key=lambda row: row["max_error_m"])

@@ -93,7 +93,6 @@ def _reference_path(track: Track) -> Any:
 
 
 def run_case(case: RollingCase) -> dict[str, Any]:
-    """Return a row of the table: the case, its errors and its time."""
     track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
     dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
@@ -120,7 +119,6 @@ def run_case(case: RollingCase) -> dict[str, Any]:
 
 
 def run_block(some: Sequence[RollingCase]) -> list[dict[str, Any]]:
-    """Run `run_case` for each case."""
     return [run_case(case) for case in some]
 
 
@@ -153,5 +151,4 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
 
 
 def run_drift_block(some: Sequence[DriftCase]) -> list[dict[str, Any]]:
-    """Run `run_drift` for each case."""
     return [run_drift(case) for case in some]

@@ -138,7 +138,6 @@ CASES: Final = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
     with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as update:
         for name in CASES:

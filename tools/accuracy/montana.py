@@ -174,7 +174,6 @@ def rolling_rates(radius: float, shape: Any, at: Coordinates, w: Vec3) -> Coordi
 
 @jit
 def advance(at: Coordinates, h: float, by: Coordinates) -> Coordinates:
-    """Return at + h by."""
     return Coordinates(
         at.u_f + h * by.u_f, at.v_f + h * by.v_f, at.u_o + h * by.u_o, at.v_o + h * by.v_o, at.psi + h * by.psi
     )

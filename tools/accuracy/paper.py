@@ -81,7 +81,6 @@ def times() -> Array:
 
 
 def steps() -> Array:
-    """Return the rotations of the experiment (STEPS, 4), all equal."""
     return np.tile(rotations.exp(TURN_RAD), (STEPS, 1))
 
 

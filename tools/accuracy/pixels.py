@@ -90,7 +90,6 @@ def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
     with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as update:
         ways = paths(TICKS)
@@ -112,7 +111,6 @@ def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """Draw a panel for each measure: both kinds against the pitch."""
     drawing = figure(10.0, 3.5)
     for axes, key in zip(drawing.subplots(1, len(MEASURES), sharex=True), MEASURES, strict=True):
         for kind in KINDS:

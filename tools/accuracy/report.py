@@ -18,7 +18,6 @@ WIDTH: Final = 120
 
 
 def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
-    """Print all sections as tables, to the terminal or to a file."""
     from rich.console import Console
 
     console = Console(highlight=False, file=file)
@@ -36,7 +35,6 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
 
 
 def write_report(result: dict[str, Any], path: Path) -> None:
-    """Write the report as a text file."""
     text = io.StringIO()
     print_report(result, text)
     with new_file(path) as file:

@@ -107,7 +107,6 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine on which the times were measured."""
     return {
         "processor": llvm.get_host_cpu_name(),
         "processors": os.cpu_count(),

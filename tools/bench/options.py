@@ -117,7 +117,6 @@ def configure_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen measurement and return its exit code."""
     module = importlib.import_module(f"softfinger.tools.bench.{args.kind.replace('-', '_')}")
     code: int = module.run(args)
     return code

@@ -93,7 +93,6 @@ class Soaked(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; raises Unfit if something grows or a tick was lost."""
     if not 0.1 <= args.minutes <= 10_000.0:
         raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
@@ -108,7 +107,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def soak(rig: Rig, seconds: float) -> Soaked:
-    """Run everything for `seconds` and sample it once a second."""
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
         folder = Path(folder_name)
         commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
@@ -185,12 +183,10 @@ def sizes(name: str, pid: int) -> Sizes:
 
 
 def change(client: Client, number: int) -> None:
-    """Set one of three stiffnesses."""
     client.set_params({"object.table.material.stiffness_n_per_m": 900.0 + 100.0 * (number % 3)})
 
 
 def newest(endpoint: str) -> tuple[int, int]:
-    """Return the latest tick and the deadlines missed until then."""
     with subscribe(endpoint, timeout_s=30.0) as samples:
         tick = next(iter(samples))
         return tick.tick, tick.servo.missed
@@ -340,7 +336,6 @@ def stop_on_sigterm() -> threading.Event:
 
 
 def receive(endpoint: str) -> None:
-    """Run a subscriber that counts the ticks it did not receive and prints them on SIGTERM."""
     stopped, lost_ticks = stop_on_sigterm(), 0
     with subscribe(endpoint) as samples:
         while not stopped.is_set():

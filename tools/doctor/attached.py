@@ -20,7 +20,6 @@ OVER_HID: Final = ("hid", "spacemouse")
 
 
 def checks(rig: Rig) -> list[Check]:
-    """Return all checks; a missing part that the rig does not need is at worst "could be better"."""
     results = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
     if single_device(rig).driver == "haply":
         results.append(inverse_service(rig))

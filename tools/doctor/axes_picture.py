@@ -31,7 +31,6 @@ def picture(report: Report) -> list[str]:
 
 
 def _motions(report: Report) -> list[str]:
-    """Format each requested motion with an arrow to the axis and sense that moved."""
     motions = []
     for move in report["moves"]:
         if move["kind"] == "translation":

@@ -24,7 +24,6 @@ def grade(value: float, fair: float, bad: float) -> State:
 
 
 def lines(checks: list[Check]) -> list[str]:
-    """Format the checks for people: state and observation, and below them the remedy."""
     text = []
     for check in checks:
         text.append(f"  {check.state:<16}{check.name}: {check.seen}")

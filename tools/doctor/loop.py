@@ -68,7 +68,6 @@ def _apply(rig: Rig) -> list[realtime.Setting]:
 
 
 def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
-    """Check whether compiled kernels are cached, and compile the missing ones."""
     bare = without_device(rig)
     begun = time.monotonic()
     with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
@@ -142,7 +141,6 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 
 def endpoint(rig: Rig) -> Check:
-    """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
     where, wanted = rig.telemetry.endpoint, "free to be bound"
     try:
         Publisher(where).close()

@@ -29,12 +29,10 @@ CONTAINER_WORDS: Final = re.compile(r"docker|containerd|kubepods|libpod|lxc")
 
 
 def checks(root: Path = ROOT) -> list[Check]:
-    """Return all checks, in the order of their display."""
     return [python(), packages(), kernel(root), virtual(root), processors(root), frequency(root), clock(root)]
 
 
 def text(path: Path) -> str:
-    """Return the stripped contents of a system file, empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip("\0\n ")
     except OSError:

@@ -37,7 +37,6 @@ distinguished.
 
 
 def finite(rows: Array) -> Array:
-    """Return the rows with a finite pose."""
     return rows[np.isfinite(rows[:, SAMPLE : SAMPLE + 7]).all(axis=1)]
 
 
@@ -70,7 +69,6 @@ def by_itself(rows: Array) -> Array:
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
-    """Return the range of the handle: smallest and largest coordinates, m."""
     valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
         return None
@@ -78,7 +76,6 @@ def reach(rows: Array) -> dict[str, list[float]] | None:
 
 
 def masks(rows: Array) -> list[int]:
-    """Return the button masks in the rows."""
     return sorted({int(value) for value in rows[:, SAMPLE + SAMPLE_BUTTONS] if np.isfinite(value)})
 
 
@@ -89,7 +86,6 @@ def rotation(before: Array, after: Array) -> Array:
 
 
 def translation_of(rows: Array) -> Array:
-    """Return the displacement (3,) m of the handle from the start of a part to its end."""
     valid = finite(rows)
     count = max(1, round(ENDS * len(valid)))
     displacement: Array = np.median(valid[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(

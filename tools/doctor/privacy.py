@@ -89,7 +89,6 @@ class Privacy:
         return self.clean(value)
 
     def text(self, text: str) -> str:
-        """Return a text, such as a message, cleaned."""
         for folder, name in self._folders:
             text = folder.sub(name, text)
         for pattern in (_QUOTED, _PATH):

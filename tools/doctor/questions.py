@@ -25,7 +25,6 @@ class Question(NamedTuple):
 
 @cache
 def questions() -> tuple[Question, ...]:
-    """Return all questions, in the order of the file."""
     rows = tomllib.loads(FILE.read_text(encoding="utf-8"))["question"]
     return tuple(Question(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
 

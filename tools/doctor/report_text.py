@@ -12,7 +12,6 @@ Report = Mapping[str, Any]
 
 
 def lines(report: Report, file: Path) -> list[str]:
-    """Return the short text; `file` is the path of the complete report."""
     text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
     if report["fault"] is not None:
         text.append(f"  fault: {report['fault']['message']}")

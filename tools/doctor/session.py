@@ -137,7 +137,6 @@ class DeviceSession:
         return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
     def _translations(self) -> list[Asked]:
-        """Return the motions that the handle can make."""
         axes = [motions.along(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
         return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
 

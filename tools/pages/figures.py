@@ -43,13 +43,11 @@ def poses(*corners: tuple[float, float, float], ticks: int = 200) -> Array:
 
 
 def run(objects: list[dict[str, Any]], path: Array, **tables: Any) -> Any:
-    """Return the records of a spherical fingertip along the poses."""
     mapping = {"fingertip": {"radius_m": RADIUS_M}, "object": objects, **tables}
     return Engine(build(Scene, mapping, "a figure")).run(path)
 
 
 def plane(**material: Any) -> dict[str, Any]:
-    """Return the plane z = 0."""
     return {"name": "plane", "shape": "plane", "material": GRIP | material}
 
 
@@ -201,7 +199,6 @@ STATE_FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] =
 
 
 def draw(name: str, path: Path) -> None:
-    """Draw one figure and save it."""
     draw, legends = (FIGURES | STATE_FIGURES)[name]
     count = len(legends)
     drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)

@@ -60,7 +60,6 @@ GIVEN_UP_S: Final = {
 
 
 def by_driver(seconds: Mapping[str, float]) -> str:
-    """Return durations as text, each with its drivers."""
     spans = sorted({*seconds.values()})
     return "; ".join(
         f"{span:g} s of {', '.join(name for name, duration in seconds.items() if duration == span)}" for span in spans

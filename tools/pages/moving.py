@@ -67,7 +67,6 @@ def _scale_gap(gap: Array) -> Array:
 
 
 def picture() -> str:
-    """Return the text of the SVG."""
     halves = [_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * WIDTH} {HEIGHT}" width="{2 * WIDTH}" '
@@ -97,12 +96,10 @@ def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
 
 
 def _pixels(places: Array) -> list[str]:
-    """Convert positions (n, 2) m, to the right and up, to points of a half."""
     return [f"{WIDTH / 2 + PIXELS_PER_M * y:.1f} {FLOOR - PIXELS_PER_M * z:.1f}" for y, z in places.tolist()]
 
 
 def _animate(kind: str, values: list[str], seconds: float, shape: str) -> str:
-    """Return a shape that moves from value to value in a loop."""
     return (
         f'<g transform="{kind}({values[STILL_FRAME]})"><animateTransform attributeName="transform" type="{kind}" '
         f'dur="{seconds:g}s" repeatCount="indefinite" values="{";".join(values)}"/>{shape}</g>\n'
@@ -110,5 +107,4 @@ def _animate(kind: str, values: list[str], seconds: float, shape: str) -> str:
 
 
 def draw(path: Path) -> None:
-    """Simulate both and save the picture."""
     path.write_text(picture(), encoding="ascii", newline="\n")

@@ -34,7 +34,6 @@ Units are SI and end each key. Neither a file nor a flag widens a range. A text 
 
 
 def scenes() -> str:
-    """Return the page with every key of a scene, and the shipped scenes."""
     head = f"""\
 # Scenes: every key
 
@@ -45,7 +44,6 @@ folder."""
 
 
 def rigs() -> str:
-    """Return the page with every key of a rig, and the shipped rigs."""
     head = f"""\
 # Rigs: every key
 
@@ -56,7 +54,6 @@ tables as JSON Schema. {_KEYS}"""
 
 
 def drivers() -> str:
-    """Return the page with every key of every driver; tables shared by two drivers are printed once."""
     head = """\
 # Drivers: every key
 
@@ -72,7 +69,6 @@ Keys of a rig's `[device]` besides `driver`; several devices have a table `[devi
 
 
 def experiments() -> str:
-    """Return the page with every key of an experiment, and the files of its folder."""
     head = f"""\
 # Experiments: every key
 
@@ -104,7 +100,6 @@ _FOLDER_FILES: Final = {
 
 
 def record() -> str:
-    """Return the page of the record of a tick."""
     head = """\
 # The record of a tick
 
@@ -125,7 +120,6 @@ unused one is -1."""
 
 
 def telemetry() -> str:
-    """Return the page with every key of every message."""
     head = f"""\
 # Telemetry: every key
 
@@ -170,7 +164,6 @@ def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
 
 
 def commands_page() -> str:
-    """Return the page with every method, its parameters and result, and every error."""
     head = """\
 # Commands: every method
 
@@ -195,7 +188,6 @@ messages. Units are SI. A key in brackets may be left out. `object` and `finger`
 
 
 def states_page() -> str:
-    """Return the page of the states of the daemon."""
     head = """\
 # States: every transition
 
@@ -208,7 +200,6 @@ says who arms; [Safety](../safety.md) says what a fault is."""
 
 
 def faults_page() -> str:
-    """Return the page of the fault model, with the results of the tests."""
     head = """\
 # Faults: every hazard
 
@@ -272,7 +263,6 @@ def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
 
 
 def materials_page() -> str:
-    """Return the page of the library of materials and fingertips, with its sources."""
     head = """\
 # Materials and fingertips: every entry
 
@@ -319,7 +309,6 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 
 def keys_table(keys: Iterable[Key]) -> str:
-    """Format the keys of a message as a Markdown table."""
     rows = [[f"`{key.name}`", _format_type(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
     return schema.grid(["key", "type", "meaning"], rows)
 

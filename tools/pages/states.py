@@ -21,7 +21,6 @@ _ALOFT: Final = 0.14
 
 
 def tables() -> tuple[str, str]:
-    """Return the table of states with their meaning, and the table of transitions with their causes."""
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
     ways: dict[tuple[Any, DaemonState], list[str]] = {}
     for (before, trigger), after in _ways():
@@ -37,7 +36,6 @@ def _ways() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
 
 
 def draw(axes: Any) -> None:
-    """Draw a box for each state, and an arrow for each transition."""
     (axes,) = axes
     for (before, trigger), after in _ways():
         start, end = PLACES[before], PLACES[after]

@@ -156,7 +156,6 @@ def force(cell: Cell) -> float:
 
 
 def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
-    """Return the scene of a cell, with its model written into the folder."""
     steps = substeps(cell.mass)
     (folder / "body.xml").write_text(
         MODEL.format(
@@ -228,14 +227,12 @@ def speed_of(engine: Engine) -> float:
 
 
 def poses_of(path: Array) -> dict[str, Array]:
-    """Return unrotated poses (n, 7) of each finger for centres (n, 2, 3)."""
     poses = np.zeros((*path.shape[:2], 7))
     poses[:, :, :3], poses[:, :, 3] = path, 1.0
     return {name: poses[:, at] for at, name in enumerate(FINGERS)}
 
 
 def play(engine: Engine, path: Array) -> Played:
-    """Move the fingertips along centres (n, 2, 3)."""
     poses = poses_of(path)
     played = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
@@ -251,12 +248,10 @@ def play(engine: Engine, path: Array) -> Played:
 
 
 def slips(mode: Array) -> int:
-    """Count the starts of slip: modes (n, 2)."""
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 
 def measure(cell: Cell) -> CellResult:
-    """Run a cell twice."""
     result = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
     if result.depth_m > 2.0 * RADIUS_M:
         return result._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
@@ -301,7 +296,6 @@ def judge(result: CellResult, touching: bool) -> CellResult:
 def measure_all(
     cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
 ) -> list[CellResult]:
-    """Measure every cell."""
     results, cells = [], [Cell(*values) for values in product(cases, masses, stiffnesses)]
     with progress("bodies", len(cells)) as update:
         for number, cell in enumerate(cells):

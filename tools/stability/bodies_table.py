@@ -29,7 +29,6 @@ def mass_text(row: CellResult) -> str:
 
 
 def lines(results: Sequence[CellResult]) -> list[str]:
-    """Format one cell per line, for a terminal."""
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
     text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
     text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")

@@ -165,7 +165,6 @@ def cases() -> Iterator[ExtremeCase]:
 
 
 def on_a_plane() -> Iterator[ExtremeCase]:
-    """Yield motions, parameters and times."""
     yield ExtremeCase(
         "no rotation",
         "a drag without any turn",
@@ -215,7 +214,6 @@ def on_a_plane() -> Iterator[ExtremeCase]:
 
 
 def with_damaged_poses() -> Iterator[ExtremeCase]:
-    """Yield broken and distant poses on a plane."""
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         broken = press(0.001)
         broken[100:300:7, 1] = value
@@ -242,7 +240,6 @@ def with_damaged_poses() -> Iterator[ExtremeCase]:
 
 
 def on_other_objects() -> Iterator[ExtremeCase]:
-    """Yield curvature, edges, and several contacts at once."""
     for radius, object_radius in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
         poses = press(0.1 * min(radius, object_radius), radius, 0.1 * min(radius, object_radius))
@@ -283,7 +280,6 @@ def tuning_of(mapping: dict[str, Any]) -> Tuning:
 
 
 def run_case(case: ExtremeCase) -> Array:
-    """Return the records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
     samples, rows = case.samples[:, None], records[:, None]
@@ -292,7 +288,6 @@ def run_case(case: ExtremeCase) -> Array:
 
 
 def judge(case: ExtremeCase, records: Array) -> ExtremeResult:
-    """Return the result of a case, with its fault."""
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     modes = np.unique(records[:, AT.contact_mode])
     bits = int(np.bitwise_or.reduce(records[:, AT.servo_guard].astype(np.int64)))
@@ -329,7 +324,6 @@ def count_violations(records: Array, period: float) -> int:
 
 
 def try_extremes() -> list[ExtremeResult]:
-    """Run every case, in order, and then the tests of the guard."""
     results, todo = [], list(cases())
     with progress("extremes", len(todo)) as update:
         for number, case in enumerate(todo):
@@ -343,7 +337,6 @@ def try_extremes() -> list[ExtremeResult]:
 
 
 def table(results: Sequence[ExtremeResult]) -> str:
-    """Format the findings as a Markdown table."""
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"

@@ -59,7 +59,6 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
 
 
 def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Format the runs with garbage as a Markdown table."""
     lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
     lines += [
         f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"

@@ -89,7 +89,6 @@ class WallCase(CaseOptions, frozen=True, kw_only=True):
         return period_ns(self.rate_hz) / NS_PER_S
 
     def linear(self) -> LinearLoop:
-        """Return the linear part of the case: all but friction and encoder."""
         return LinearLoop(
             self.mass_kg + self.hand_mass_kg,
             self.damping_ns_per_m,
@@ -102,7 +101,6 @@ class WallCase(CaseOptions, frozen=True, kw_only=True):
         )
 
     def plant(self) -> Plant:
-        """Return the simulated device and hand."""
         handle = Handle(
             mass=(self.mass_kg,) * 3,
             damping=(self.damping_ns_per_m,) * 3,

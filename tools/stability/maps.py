@@ -81,7 +81,6 @@ def axis(name: str, case: WallCase, points: int) -> Array:
 
 
 def cases_of(name: str, case: WallCase, points: int = POINTS) -> list[WallCase]:
-    """Return the cases of a map."""
     key = MAPS[name].key
     is_integer = key == "delay_ticks"
     return [vary(case, key, int(value) if is_integer else value) for value in axis(name, case, points).tolist()]
