@@ -20,7 +20,6 @@ from helpers.usb_stub import (
     UsbStub,
     child_environment,
     left_behind,
-    options,
     stub,
     usb_library,
     word,
@@ -30,7 +29,7 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon.block import AT as WORDS
-from softfinger.drivers.falcon.device import Falcon, open_device
+from softfinger.drivers.falcon.device import Falcon
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
@@ -158,23 +157,6 @@ def test_faults_leave_no_transfer_pending(
             stub[name] = -1
         assert stub["steps"] == steps
     else:
-        assert not any(stub.motors())
-
-
-def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
-    with open_device(options(), RATE_HZ) as device:
-        servo = Servo(device, arm=False)
-        servo.read()
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert not any(stub.motors())
-        time.sleep(0.3)
-        device.arm()
-        assert any(servo.read()[0] >= 0 and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK for _ in range(10))
-        assert any(stub.motors())
-        device.stop()
-        device.arm()
-        servo.read()
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(stub.motors())
 
 

@@ -18,10 +18,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
 import pytest
-from helpers.compiled_code import called_in, functions
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
 from helpers.waits import fresh
 
@@ -31,11 +29,9 @@ from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.drivers import switch_interval
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
 from softfinger.server.verbs import devices
@@ -348,31 +344,6 @@ def test_warnings_of_the_service_are_reported(service: Service) -> None:
                 time.sleep(0.001)
 
 
-def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    allowed = {"write", "clock_gettime", "__errno_location", "sqrt"}
-    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
-    for function in (exchange.read, exchange.write):
-        bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
-        called = {name for body in bodies.values() for name in called_in(body)}
-        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-        assert "clock_gettime" in outside
-        assert outside <= allowed
-
-
-def test_two_devices_of_one_service_run_at_once() -> None:
-    with (
-        Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both,
-        opened(both, device_id=ID) as one,
-        opened(both, device_id="0A11", models=None) as other,
-    ):
-        for device, force in ((one, 0.5), (other, 1.0)):
-            servo = Servo(device)
-            fresh(servo)
-            servo.write(0.0, 0.0, force, 0.0, 0.0, 0.0)
-            settle(device)
-        assert (both.force(ID)[2], both.force("0A11")[2]) == (0.5, 1.0)
-
-
 def test_the_lock_is_for_one_service() -> None:
     with Service() as one, Service() as other, opened(one), opened(other):
         for service in (one, other):
@@ -392,38 +363,6 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         given = [row[3] for row in service.log() if row[0] >= begun]
         assert 1.0 in given
         fresh(servo)
-
-
-def test_silence_ends_the_force_then_times_out(service: Service) -> None:
-    with opened(service, quiet_s=0.02, timeout_s=0.3) as device:
-        servo = Servo(device)
-        fresh(servo)
-        service.set(mute=True)
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (OK, WITHHELD)
-        while (status := servo.read()[0]) >= 0:
-            silent_write = servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-            time.sleep(0.001)
-        assert (status, silent_write) == (TIMEOUT, WITHHELD)
-        assert not any(service.force())
-        device.stop()
-        assert "has not answered" in device.zero_failure()
-
-
-def test_no_force_for_late_poses(service: Service) -> None:
-    with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
-        servo = Servo(device)
-        fresh(servo)
-        service.set(late_s=0.1)
-        fresh(servo)
-        fresh(servo)
-        time.sleep(0.03)
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        service.set(late_s=0.0)
-        end = time.monotonic() + 5.0
-        while servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
-            servo.read()
-            assert time.monotonic() < end
-            time.sleep(0.001)
 
 
 @pytest.mark.parametrize(
@@ -506,21 +445,6 @@ def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
         assert "wireless_verse_grip 7 is no longer in the service's list" in device.reason()
 
 
-def test_a_service_that_restarts_in_contact_is_a_loss() -> None:
-    with Service() as before:
-        device = opened(before)
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device)
-        before.kill()
-        assert first_failure(servo) == LOST
-        assert "closed the connection" in device.reason() or "broke" in device.reason()
-        device.close()
-        with Service(port=before.port) as after, opened(after) as again:
-            fresh(Servo(again))
-
-
 def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
@@ -560,11 +484,6 @@ def test_stop_while_the_loop_writes(service: Service) -> None:
         writer.join()
         settle(device)
         assert all(not any(row[1:]) for row in service.log() if row[0] > stopped)
-
-
-def test_devices_of_the_service_are_listed(service: Service) -> None:
-    said = identify(BOARD, rig_options(service.port))
-    assert said == {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
 
 
 def test_the_service_of_a_rig_is_queried_without_usb(

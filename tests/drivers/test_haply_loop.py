@@ -21,12 +21,10 @@ from helpers.haply_devices import ID, RIG, Service, opened
 from helpers.programs import Program, run_program
 from helpers.waits import until
 
-from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
-from softfinger.server.app import Daemon
 from softfinger.server.verbs.check import examine_file
 from softfinger.tools.doctor import attached
 
@@ -66,40 +64,6 @@ def test_closed_loop_through_the_daemon() -> None:
     assert not given[-1].any()
 
 
-def vanish(service: Service) -> None:
-    service.do("vanish", id=ID)
-
-
-def mute(service: Service) -> None:
-    service.set(mute=True)
-
-
-def garble(service: Service) -> None:
-    service.set(spoil="<html>")
-
-
-@pytest.mark.parametrize(
-    ("fault", "error", "words"),
-    [
-        (vanish, DeviceLost, "inverse3 049D is no longer in the service's list"),
-        (Service.kill, DeviceLost, "closed the connection|broke"),
-        (mute, DeviceTimeout, "no answer to a read in time"),
-        (garble, DeviceLost, r"not in its protocol .*the service answered '<html>'"),
-    ],
-)
-def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    with Service() as service:
-        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
-        with Daemon(rig(service), load_scene("paper-plane")) as daemon:
-            daemon.start()
-            pushes(service)
-            fault(service)
-            with pytest.raises(error, match=words):
-                daemon.wait(20.0)
-        if service.process.poll() is None:
-            assert not any(service.force())
-
-
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
     mine = folder / "rig.toml"
     text = find(RIG, Rig).read_text()
@@ -119,29 +83,16 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
         yield running
 
 
-@pytest.mark.parametrize(
-    ("sent", "code"),
-    [
-        pytest.param(signal.SIGTERM, 0, marks=pytest.mark.exhaustive),  # also in test_ways_out_at_far_ends.py
-        (signal.SIGKILL, -signal.SIGKILL),
-        (signal.SIGSTOP, None),
-        pytest.param(signal.SIGINT, 0, marks=pytest.mark.exhaustive),
-        pytest.param(signal.SIGHUP, 128 + signal.SIGHUP, marks=pytest.mark.exhaustive),
-        pytest.param(signal.SIGQUIT, 128 + signal.SIGQUIT, marks=pytest.mark.exhaustive),
-    ],
-)
-def test_signals(sent: signal.Signals, code: int | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_daemon_that_sends_no_zero(sent: signal.Signals, tmp_path: Path) -> None:
     with (
         Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
         pushing_daemon(service, tmp_path) as running,
     ):
         running.send_signal(sent)
-        if code is not None:
-            said = running.communicate(timeout=60)[1]
-            assert running.returncode == code, said
-            assert code < 0 or "force is zero" in said
-            assert code < 0 or not any(service.commands()[-1][1])
-            opened(service).close()
+        if sent is signal.SIGKILL:
+            running.wait(60)
+            opened(service).close()  # no lock is left
         until(lambda: not any(service.force()))
 
 

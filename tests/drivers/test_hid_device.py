@@ -17,24 +17,21 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
 import pytest
 from emulators.haply2diy import LINKS, Firmware, place
 from emulators.woodenhaptics import Arm, Woody
-from helpers.compiled_code import called_in, functions
 from helpers.described_boards import REST, TO_WORLD, force_of
 from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
-from softfinger.drivers.base import LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
-from softfinger.drivers.hid import exchange
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, WITHHELD, Device
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
 from softfinger.drivers.hid.link import find_device
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
-from softfinger.drivers.system.libc import IO_SIGNATURE, write_fd
+from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
@@ -189,27 +186,6 @@ def test_wrist_buttons_and_mounting() -> None:
         assert device.info.sensed_dof == 6
 
 
-@pytest.mark.parametrize("through", ["node", "thread"])
-def test_silence_is_kicked_and_then_given_up(through: str) -> None:
-    with woody(through=through, timeout_s=0.1) as (device, arm, answering):
-        servo = Servo(device, arm=False)
-        servo.read()
-        begun, before = time.monotonic(), device.counts()["kicks"]
-        while servo.read()[0] != OK:  # the answer after `begun`, from which the silence counts at the earliest
-            time.sleep(0.0001)
-        answering.mute.set()
-        time.sleep(0.011)
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        answering.settle(device)
-        assert not any(arm.sent[-1])
-        while (status := servo.read()[0]) >= 0:
-            time.sleep(0.001)
-        assert status == TIMEOUT and device.reason() == ""
-        lasted = time.monotonic() - begun
-        assert lasted > 0.1
-        assert 2 <= device.counts()["kicks"] - before <= lasted / 0.01 + 1  # no kick follows another within 10 ms
-
-
 def test_unplugging_is_a_loss() -> None:
     with woody() as (device, _, answering):
         servo = Servo(device)
@@ -333,34 +309,6 @@ def test_a_failed_calibration_raises_an_error() -> None:
         HidDevice(options, fd)
 
 
-def test_a_described_device() -> None:
-    heard: list[bytes] = []
-
-    def answer(data: bytes) -> bytes:
-        heard.append(data)
-        return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 0, 0, 0, 2, 2, 25)
-
-    fd, end = ends()
-    with Answering(end, answer) as answering, HidDevice(build(Options, described(), "rig"), fd) as device:
-        servo = Servo(device, arm=False)
-        end.send(b"\x07not ours")  # another report of the same device
-        status, sample = servo.read()
-        assert status == OK
-        assert sample[:3] == pytest.approx((0.01, -0.02, 0.005), abs=1e-9)  # float32 of millimetres
-        assert sample[3:7] == [0, 0, 0, 1]
-        assert sample[8:] == [2, 0.25]
-        assert servo.write(1.5, 0.0, -0.25, 0.0, 0.0, 0.0) == OK
-        assert servo.write(0.0, 0.0, 40.0, 0.0, 0.0, 0.0) == STALE
-        answering.settle(device)
-        assert heard[-2] == b"\x04" + struct.pack("<3i", 1500, 0, -250)
-        assert heard[-1] == b"\x04" + struct.pack("<3i", 0, 0, 4000)
-        assert device.counts()["foreign"] == 1
-        servo.read()
-        for bad in ((math.nan, 0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 0, 0, 0)):
-            end.send(b"\x03" + struct.pack("<7fBB", *bad, 0, 0))
-            assert servo.read()[0] == PROTOCOL
-
-
 @entry
 def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, out: Any) -> None:
     """Read after each report of `sizes` (n,) bytes, the n-th from byte n of `stream` on, and count results.
@@ -442,19 +390,6 @@ def test_a_node_without_permission() -> None:
 def test_a_device_that_is_not_attached() -> None:
     with pytest.raises(DeviceNotFound, match="no HID device fffe:fffd is attached: plug it in"):
         find_device(rig_options("woodenhaptics-2019", vendor_id=0xFFFE, product_id=0xFFFD))
-
-
-def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    allowed = {"read", "write", "poll", "clock_gettime", "__errno_location", "sin", "cos", "sqrt", "acos", "atan"}
-    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
-    for function in (exchange.read, exchange.write):
-        ir = numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm()
-        # without the wrapper that would report an exception, which `error_model="numpy"` never raises
-        bodies = functions(ir)
-        called = {name for body in bodies.values() for name in called_in(body)}
-        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-        assert "clock_gettime" in outside
-        assert outside <= allowed
 
 
 def test_a_pantograph_on_hid() -> None:

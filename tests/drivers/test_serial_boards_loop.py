@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,9 @@ from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port
 from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
-from helpers.called import called
 from helpers.described_boards import force_of, settled
 from helpers.programs import Program
 
-from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
@@ -57,45 +54,6 @@ def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
             time.sleep(0.002)
         assert settled(lambda: force_of(board)[2], lambda up: up > 0.2, 20.0) > 0.2
         yield daemon, board, port
-
-
-def pull(port: Port) -> None:
-    port.pull()
-
-
-def hush(port: Port) -> None:
-    port.mute.set()
-
-
-def nan(port: Port) -> None:
-    port.says = lambda answer: answer[:1] + b"\xff\xff\xff\x7f" + answer[5:]
-
-
-def tear(port: Port) -> None:
-    port.says = lambda answer: answer[:5]
-
-
-@pytest.mark.parametrize(
-    ("fault", "error", "words"),
-    [
-        (pull, DeviceLost, r"serial at /dev/pts/\d+ is gone"),
-        (hush, DeviceTimeout, "no answer to a read in time: check cable and power"),
-        (nan, DeviceLost, r"not in its protocol \(status -3 on read\) \(its last bytes are "),
-        (tear, DeviceError, "no answer to a read in time|not in its protocol"),
-    ],
-)
-def test_faults_in_contact_end_the_daemon_without_force(
-    fault: Callable[[Port], None], error: type[DeviceError], words: str
-) -> None:
-    with pressing() as (daemon, board, port):
-        begun = time.monotonic()
-        fault(port)
-        with pytest.raises(error, match=words):
-            daemon.wait(20.0)
-        ended = time.monotonic()
-        assert settled(lambda: any(board.torques), lambda on: not on) is False
-        off, *_ = board.log[-1]
-        assert begun <= off <= ended + 1.0
 
 
 def test_a_late_board_continues() -> None:
@@ -137,39 +95,6 @@ def command(
     words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
     with Program(words, stderr=subprocess.PIPE, text=True, env=environment, kill_at_end=True) as process:
         yield process
-
-
-SIGNALS = [
-    pytest.param(signal.SIGTERM, 0),
-    pytest.param(signal.SIGINT, 0, marks=pytest.mark.exhaustive),
-    pytest.param(signal.SIGHUP, 129, marks=pytest.mark.exhaustive),
-    pytest.param(signal.SIGQUIT, 131, marks=pytest.mark.exhaustive),
-    pytest.param(signal.SIGUSR1, 138, marks=pytest.mark.exhaustive),
-    pytest.param(signal.SIGXCPU, 152, marks=pytest.mark.exhaustive),
-]
-
-
-@pytest.mark.parametrize(("number", "code"), SIGNALS)
-def test_a_signal_in_contact_leaves_no_force(number: signal.Signals, code: int, tmp_path: Path) -> None:
-    board = Firmware()
-    with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
-        press(board, process)
-        if number == signal.SIGTERM:
-            elsewhere = tmp_path / "second"
-            elsewhere.mkdir()
-            second = called(*words_of("haply-2diy", port.path, elsewhere))
-            assert second.returncode == 4
-            said = second.stderr
-            assert re.search(rf"{port.path} is used by process {process.pid} \(python.*\): end that process", said), (
-                said
-            )
-            assert any(board.torques)
-        sent = time.monotonic()
-        process.send_signal(number)
-        said = process.communicate(timeout=60)[1]
-        assert process.returncode == code, said
-        assert board.torques == [0.0, 0.0]
-        assert board.log[-1][0] > sent
 
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:

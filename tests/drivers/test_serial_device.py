@@ -15,23 +15,18 @@ import time
 from collections.abc import Callable, Iterator
 from typing import ClassVar
 
-import numba
 import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
-from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.serial_devices import PLACE, board, opened, rig_options, settle
 from helpers.waits import fresh, until
-from numba import types
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.serial import exchange
 from softfinger.drivers.serial.device import SerialDevice, open_device
-from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
 
@@ -335,38 +330,3 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
 def test_invalid_options_are_rejected(key: str, value: object, message: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(message)):
         rig_options(**{key: value})
-
-
-def test_the_exchange_allocates_nothing_and_calls_only_libc() -> None:
-    allowed = {
-        "read",
-        "write",
-        "poll",
-        "ioctl",
-        "clock_gettime",
-        "__errno_location",
-        "sin",
-        "cos",
-        "sqrt",
-        "acos",
-        "atan",
-    }
-    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
-    functions_of = {
-        exchange.read: IO_SIGNATURE,
-        exchange.write: IO_SIGNATURE,
-        exchange._send: types.int64(types.int64, types.UniTuple(types.float64, 3)),
-        exchange._read_packets: types.UniTuple(types.int64, 2)(types.int64, types.int64),
-    }
-    found = set[str]()
-    for function, signature in functions_of.items():
-        ir = numba.cfunc(signature, error_model="numpy")(function.__wrapped__).inspect_llvm()
-        # without the wrapper that would report an exception, which `error_model="numpy"` never raises
-        bodies = functions(ir)
-        called = {name for body in bodies.values() for name in called_in(body)}
-        outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-        units = {name for name in outside if name.startswith("softfinger_unit_")}
-        assert outside - units <= allowed
-        assert all(re.match("softfinger_unit_(_send|_read_packets)_", name) for name in units)
-        found |= outside
-    assert "clock_gettime" in found and "write" in found

@@ -18,12 +18,10 @@ from helpers.programs import Program, run_program
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import eventually, until
 
-from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
-from softfinger.server.app import Daemon
 
 pytestmark = pytest.mark.real_time
 
@@ -68,38 +66,6 @@ def test_closed_loop_through_the_daemon() -> None:
     assert depth == pytest.approx(300.0 / (300.0 + stiffness), rel=0.15)  # it drags at the same time
     assert not reached[-1].any()
     assert comes_to_rest(board)
-
-
-def pull(cable: Cable) -> None:
-    cable.pull()
-
-
-def mute(cable: Cable) -> None:
-    cable.hush()
-
-
-def garble(cable: Cable) -> None:
-    cable.spoil = lambda frame: frame.replace(b".", b",")
-
-
-@pytest.mark.parametrize(
-    ("fault", "error", "words"),
-    [
-        (pull, DeviceLost, r"serial 16c0:0483 at /dev/pts/\d+ is gone"),
-        (mute, DeviceTimeout, "no answer to a read in time: check cable and power"),
-        (garble, DeviceLost, r"not in its protocol \(status -3 on read\) \(its last bytes are b'.*,"),
-    ],
-)
-def test_faults_end_the_daemon_in_order(fault: Any, error: type[HapticError], words: str) -> None:
-    board = Board(lambda _: (0.0, 0.0, 0.006))
-    with Cable(board) as cable, Daemon(rig(cable), load_scene("paper-plane")) as daemon:
-        daemon.start()
-        until(lambda: board.force[2] >= 0.5)
-        fault(cable)
-        with pytest.raises(error, match=words):
-            daemon.wait(20.0)
-        if not cable.pulled:
-            assert comes_to_rest(board)
 
 
 def test_the_command_line_on_a_port(tmp_path: Path) -> None:

@@ -15,20 +15,17 @@ import numpy as np
 import pytest
 from emulators import puck as emulated
 from helpers.blocks import whole
-from helpers.compiled_code import called_in, functions
 from helpers.hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, Device
-from softfinger.drivers.simulated import device as simulated
 from softfinger.drivers.simulated.device import Options as SimulatedOptions
 from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
 from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
-from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
@@ -288,18 +285,6 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
         total += wild(reports, counts, make_parameters(Options()), deflection, buttons)
     assert total.sum() == number * 100_000
     assert total.min() > number * 1_000
-
-
-@pytest.mark.parametrize("function", [spacemouse.read, simulated._read_led_by_puck], ids=["spacemouse", "simulated"])
-def test_read_calls_only_libc(function: Any) -> None:
-    allowed = {"read", "clock_gettime", "__errno_location", "sin", "cos", "atan2"}
-    allowed.add("NRT_MemInfo_call_dtor")  # destructor of a view on foreign memory: never reached
-    # without the wrapper that would report an exception, which `error_model="numpy"` never raises
-    bodies = functions(numba.cfunc(IO_SIGNATURE, error_model="numpy")(function.__wrapped__).inspect_llvm())
-    called = {name for body in bodies.values() for name in called_in(body)}
-    outside = {name for name in called if not name.startswith("llvm.") and name not in bodies}
-    assert {"read", "clock_gettime"} <= outside
-    assert outside <= allowed
 
 
 def test_a_closed_device_reads_as_lost() -> None:
