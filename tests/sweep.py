@@ -77,7 +77,7 @@ PARTS: Final = {
     "haply": Part(("drivers/haply/exchange.py",), ("drivers/test_haply_exchange", "drivers/test_haply_device")),
     "falcon": Part(
         ("drivers/falcon/exchange.py",),
-        ("drivers/test_falcon_exchange", "drivers/test_falcon_stub", "drivers/test_falcon_withheld"),
+        ("drivers/test_falcon_exchange", "drivers/test_falcon_stub", "drivers/test_withheld"),
     ),
     "forcedimension": Part(
         ("drivers/forcedimension/exchange.py",), ("drivers/test_forcedimension_exchange", "drivers/test_forcedimension")

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import Stub, StubBench, bench, plugged_in, stub, stub_library
 from helpers.forgotten import forget_user
 from helpers.garbage import exchange_garbage
+from helpers.plain_by_call import matrix, turned
 from helpers.programs import Program
 
 from softfinger.config.errors import (
@@ -432,17 +432,6 @@ def test_the_process_that_uses_the_device_is_named(stub: Stub, bench: StubBench)
 # --- exchange ---
 
 
-def matrix_of(q: Any) -> np.ndarray:
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBench) -> None:
     assert np.linalg.det(TURN) == 1.0
     stub.update(**SIGMA_7, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
@@ -454,12 +443,8 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: StubBen
                 assert status == OK
                 # The weight of 0.25 kg hangs on 1e6 N/m.
                 np.testing.assert_allclose(sample[:3], TURN @ [0.01, 0.02, 0.03], atol=3e-6)
-                about = np.zeros(3)
-                about[axis] = 1.0
-                cross = np.cross(about, np.eye(3)).T
-                theirs = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
                 # Rounding of sines of half and of full angles.
-                np.testing.assert_allclose(matrix_of(sample[3:7]), TURN @ theirs @ TURN.T, atol=1e-14)
+                np.testing.assert_allclose(matrix(sample[3:7]), TURN @ turned(axis, angle) @ TURN.T, atol=1e-14)
                 assert sample[3] >= 0.0
                 assert Servo(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
                 assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
-from helpers.waits import fresh
+from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
@@ -97,26 +97,12 @@ def service() -> Iterator[Service]:
         yield running
 
 
-def until_status(servo: Servo, wanted: int) -> None:
-    end = time.monotonic() + 10.0
-    while (status := servo.read()[0]) != wanted:
-        assert status >= 0 and time.monotonic() < end, f"the last status was {status}"
-        time.sleep(0.001)
-
-
 def at_rest(service: Service) -> None:
-    end = time.monotonic() + 5.0
-    while any(service.force()):
-        assert time.monotonic() < end
-        time.sleep(0.001)
+    until(lambda: not any(service.force()), 5.0)
 
 
 def first_failure(servo: Servo) -> int:
-    end = time.monotonic() + 10.0
-    while (status := servo.read()[0]) >= 0:
-        assert time.monotonic() < end
-        time.sleep(0.001)
-    return status
+    return int(eventually(lambda: min(servo.read()[0], 0), 10.0))
 
 
 def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
@@ -338,10 +324,7 @@ def test_warnings_of_the_service_are_reported(service: Service) -> None:
             ({"power_supply": True, "calibrated": True}, ""),
         ):
             service.do("status", id=ID, to=status)
-            end = time.monotonic() + 5.0
-            while told not in device.warning() or bool(told) != bool(device.warning()):
-                assert time.monotonic() < end, device.warning()
-                time.sleep(0.001)
+            until(lambda told=told: told in device.warning() and bool(told) == bool(device.warning()), 5.0)
 
 
 def test_the_lock_is_for_one_service() -> None:
@@ -358,7 +341,7 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         begun = time.monotonic()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         settle(device)
-        until_status(servo, WITHHELD)
+        until(lambda: servo.read()[0] == WITHHELD, 10.0)
         at_rest(service)
         given = [row[3] for row in service.log() if row[0] >= begun]
         assert 1.0 in given
@@ -381,10 +364,7 @@ def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
             assert first_failure(servo) == PROTOCOL
             assert "out of range" in device.reason()
             return
-        end = time.monotonic() + 5.0
-        while not math.isnan(servo.read()[1][0]):
-            assert time.monotonic() < end
-            time.sleep(0.001)
+        until(lambda: math.isnan(servo.read()[1][0]), 5.0)
 
 
 BAD: dict[str, tuple[Any, int, str]] = {
@@ -474,9 +454,7 @@ def test_stop_while_the_loop_writes(service: Service) -> None:
 
         writer = threading.Thread(target=push)
         writer.start()
-        end = time.monotonic() + 5.0
-        while not any(service.force()):
-            assert time.monotonic() < end
+        until(lambda: any(service.force()), 5.0)
         device.stop()
         stopped = time.monotonic()
         time.sleep(0.05)

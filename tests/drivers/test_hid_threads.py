@@ -236,6 +236,7 @@ def test_calibration_at_opening(rig: str) -> None:
             np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
             assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
             assert sum(words[3] for words in arm.sent) == (options.reports.preset is not None)
+            assert (arm.zero == (0, 0, 0)) == (options.reports.preset is not None)  # the device has stored the counts
 
 
 def test_a_failed_calibration_closes_the_device() -> None:

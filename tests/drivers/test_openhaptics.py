@@ -17,6 +17,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.garbage import exchange_garbage
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
+from helpers.plain_by_call import matrix, turned
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
@@ -116,22 +117,12 @@ def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, h
     place = np.array([11.0, 22.0, -33.0])
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    turned = np.eye(3)
-    turned[a, a] = turned[b, b] = np.cos(angle)
-    turned[b, a], turned[a, b] = np.sin(angle), -np.sin(angle)
     with bench.open() as device:
         servo = Servo(device)
         status, sample = servo.read()
         assert status == OK
         np.testing.assert_allclose(sample[:3], TURN @ place / 1000, atol=1e-9)
-        w, x, y, z = sample[3:7]
-        matrix = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
-        np.testing.assert_allclose(matrix, TURN @ turned @ TURN.T, atol=1e-12)
+        np.testing.assert_allclose(matrix(sample[3:7]), TURN @ turned(axis, angle) @ TURN.T, atol=1e-12)
         until(lambda: servo.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK and any(bench.displayed()))
         force, torque = np.split(np.array(hd.wrench()), 2)
         np.testing.assert_allclose(TURN @ force, [0.1, -0.2, 0.3], atol=1e-15)

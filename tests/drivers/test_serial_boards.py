@@ -18,7 +18,6 @@ from helpers.waits import fresh
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.config.load import load_rig
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
@@ -227,11 +226,6 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert any(board.torques)  # the motors retain their force
         device.close()
         assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
-
-
-def rig_kinematics(rig: str) -> dict[str, Any]:
-    kinematics: dict[str, Any] = dict(load_rig(rig).device.options["kinematics"])
-    return kinematics
 
 
 def test_a_described_rig_without_a_port_is_rejected() -> None:

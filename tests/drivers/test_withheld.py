@@ -1,4 +1,4 @@
-"""Forces that the driver ended or could not send, frame by frame, in a scene that pulls with 5 N from the start."""
+"""Forces that the driver ended or could not send, packet by packet, in a scene that pulls with 5 N from the start."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from emulators.serialboard import Board, Cable
+from helpers import usb_stub
+from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.far_ends import compiled, needs
 from helpers.hid_devices import Answering, Api, described, ends
 from helpers.serial_devices import PLACE, opened
 from helpers.waits import until
@@ -29,25 +33,27 @@ pytestmark = pytest.mark.real_time
 PULL_N = 5.0
 SLEW_N = 0.2
 """Slew limit of the guard per tick, small enough that several ticks in one step show."""
-STEP_N = 1e-3 * 1.001
-"""Both ends of a change are rounded to the millinewton, by half of one each."""
 QUIET_S = 0.02
 STALL_S = 0.06
 
 Sent = Callable[[], np.ndarray]
 
 
-class SerialChip:
-    """A device, the forces its board received ((n, 3) N, in order), and functions that stall or delay the board."""
+class Line(NamedTuple):
+    """A device, the forces its board received ((n, 3) N, in order), and functions that stall or delay the board.
 
-    def __init__(
-        self, device: Device, forces: Sent, stall: Callable[[bool], None], late: Callable[[float], None]
-    ) -> None:
-        self.device, self.forces, self.stall, self.late = device, forces, stall, late
+    step_n  both ends of a change are rounded, by half of it in all
+    """
+
+    device: Device
+    forces: Sent
+    stall: Callable[[bool], None]
+    late: Callable[[float], None]
+    step_n: float = 1e-3 * 1.001
 
 
 @contextmanager
-def serial() -> Iterator[SerialChip]:
+def serial() -> Iterator[Line]:
     with Cable(Board(lambda _: PLACE)) as cable, opened(cable, quiet_s=QUIET_S, timeout_s=2.0) as device:
 
         def stall(now: bool) -> None:
@@ -60,11 +66,11 @@ def serial() -> Iterator[SerialChip]:
 
             cable.spoil = slowly
 
-        yield SerialChip(device, lambda: np.array(cable.board.sent).reshape(-1, 7)[:, :3] * 1e-3, stall, late)
+        yield Line(device, lambda: np.array(cable.board.sent).reshape(-1, 7)[:, :3] * 1e-3, stall, late)
 
 
 @contextmanager
-def hid(through: str) -> Iterator[SerialChip]:
+def hid(through: str) -> Iterator[Line]:
     given: list[tuple[int, ...]] = []
     wait = [0.0]
 
@@ -90,10 +96,35 @@ def hid(through: str) -> Iterator[SerialChip]:
             def late(by_s: float) -> None:
                 wait[0] = by_s
 
-            yield SerialChip(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
+            yield Line(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
 
 
-CONNECTIONS = {"serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread")}
+@contextmanager
+def falcon() -> Iterator[Line]:
+    needs(COMPILER, NO_COMPILER)
+    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
+    stub = usb_stub.UsbStub(library)
+    stub.reset()
+
+    def stall(now: bool) -> None:
+        stub["mute_at"] = 0.0 if now else -1.0
+
+    def late(by_s: float) -> None:
+        stub["late"] = round(1e3 * by_s)
+
+    bench = usb_stub.FalconBench(stub)
+    with usb_stub.in_place_of_libusb(library), bench.open(timeout_s=2.0, kick_s=QUIET_S) as device:
+        stub.update(still=1, logged=0)
+        # half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange
+        yield Line(device, lambda: stub.log()[:, :3], stall, late, 0.02)
+    assert stub["logged"] < LOGGED, "not every packet was seen"
+    stub.reset()
+
+
+CONNECTIONS = {
+    "serial": serial, "hid node": lambda: hid("node"), "hid thread": lambda: hid("thread"), "falcon": falcon
+}  # fmt: skip
+LOGGED = 8192
 
 
 def pulling(ramp_s: float) -> Tuning:
@@ -104,7 +135,7 @@ def pulling(ramp_s: float) -> Tuning:
 
 
 @contextmanager
-def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
+def running(line: Line, ramp_s: float) -> Iterator[Servo]:
     line.device.info = replace(line.device.info, own_clock=True)
     servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
     servo.compile()
@@ -118,7 +149,7 @@ def running(line: SerialChip, ramp_s: float) -> Iterator[Servo]:
         servo.close()
 
 
-def pulls(line: SerialChip) -> bool:
+def pulls(line: Line) -> bool:
     forces = line.forces()
     return len(forces) > 0 and bool(forces[-1, 2] > 0.99 * PULL_N)
 
@@ -139,14 +170,14 @@ def test_a_force_ramps_up_after_a_silence(connection: str) -> None:
     zeros = np.flatnonzero(pull[before:] == 0.0) + before
     assert pull[before] > 0.9 * PULL_N
     assert len(zeros) > 0
-    assert np.diff(pull).max() <= SLEW_N + STEP_N
+    assert np.diff(pull).max() <= SLEW_N + line.step_n
     back = pull[zeros[-1] + 1 :]
     # The ramp counts ticks; a frame may have waited for QUIET_S at most.
     assert back[0] <= PULL_N * 2 * QUIET_S / ramp_s
     assert np.diff(back).max() <= PULL_N * 2 * QUIET_S / ramp_s
 
 
-@pytest.mark.parametrize("connection", ["serial", "hid thread"])
+@pytest.mark.parametrize("connection", ["serial", "hid thread", "falcon"])
 def test_a_force_that_waits_is_no_wider_step(connection: str) -> None:
     with CONNECTIONS[connection]() as line:
         line.late(0.004)
@@ -154,5 +185,5 @@ def test_a_force_that_waits_is_no_wider_step(connection: str) -> None:
             until(lambda: pulls(line))
             pull = line.forces()[:, 2]
     # Upwards only: a busy machine may cause a silence, which ends the force at once.
-    assert np.diff(pull).max() <= SLEW_N + STEP_N
-    assert np.count_nonzero((pull > 0.0) & (pull < PULL_N - STEP_N)) >= PULL_N / SLEW_N / 2
+    assert np.diff(pull).max() <= SLEW_N + line.step_n
+    assert np.count_nonzero((pull > 0.0) & (pull < PULL_N - line.step_n)) >= PULL_N / SLEW_N / 2

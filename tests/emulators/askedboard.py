@@ -57,4 +57,4 @@ class AskedBoard(FarTerminal):
         self._rest += self.read()
         while len(self._rest) >= 8:
             reply, self._rest = self.answer(self._rest[:8]), self._rest[8:]
-            self.write(reply)
+            self.say(reply)

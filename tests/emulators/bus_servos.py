@@ -128,7 +128,7 @@ class BusServos(FarTerminal):
             packet = packet[:-1] + bytes([packet[-1] ^ 0x55])
         self._free_at += self.delay_s + len(packet) * self._byte_s
         time.sleep(max(0.0, self._free_at - time.monotonic()))
-        self.write(packet)
+        self.say(packet)
 
     def _packet(self) -> tuple[int, int, bytes, int] | None:
         mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)

@@ -9,15 +9,55 @@ from contextlib import suppress
 from typing import Self
 
 
-class FarTerminal:
-    def __init__(self, period_s: float) -> None:
+class Terminal:
+    """Both ends, and a thread that runs `_run` until the board is pulled; `path` is for the driver."""
+
+    def __init__(self) -> None:
         self._far, self._near = os.openpty()
-        tty.setraw(self._near)
         os.set_blocking(self._far, False)
         self.path = os.ttyname(self._near)
-        self._period_s = period_s
-        self._over = threading.Event()
+        self.mute = threading.Event()
+        """If set, the board receives but does not answer."""
+        self._pulled = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+    def say(self, data: bytes) -> None:
+        """Send bytes to the host unchanged; they are lost if the buffer is full."""
+        with suppress(OSError):
+            os.write(self._far, data)
+
+    def power_off(self) -> None:
+        pass
+
+    def pull(self) -> None:
+        if not self.pulled:
+            self._pulled.set()
+            self._thread.join()
+            self.power_off()
+            os.close(self._near)
+            os.close(self._far)
+
+    @property
+    def pulled(self) -> bool:
+        return self._pulled.is_set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pull()
+
+
+class FarTerminal(Terminal):
+    """Call `turn` every `period_s` until the block ends."""
+
+    def __init__(self, period_s: float) -> None:
+        super().__init__()
+        tty.setraw(self._near)
+        self._period_s = period_s
 
     def turn(self) -> None:
         raise NotImplementedError
@@ -28,20 +68,10 @@ class FarTerminal:
             return os.read(self._far, 4096)
         return b""
 
-    def write(self, data: bytes) -> None:
-        with suppress(BlockingIOError):
-            os.write(self._far, data)
-
     def _run(self) -> None:
-        while not self._over.wait(self._period_s):
+        while not self._pulled.wait(self._period_s):
             self.turn()
 
     def __enter__(self) -> Self:
         self._thread.start()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        os.close(self._near)
-        os.close(self._far)

@@ -32,7 +32,7 @@ class GuideBoard(FarTerminal):
 
     def turn(self) -> None:
         frame = b"\xa5" + struct.pack("<h", round(self.angle / 0.001))
-        self.write(frame + bytes([crc8(frame)]))
+        self.say(frame + bytes([crc8(frame)]))
         self._rest += self.read()
         while len(self._rest) >= 4:
             frame = self._rest[:4]

@@ -13,12 +13,12 @@ from __future__ import annotations
 import os
 import select
 import struct
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from math import cos, hypot, radians, sin, sqrt
-from typing import Self
+
+from emulators.farterminal import Terminal
 
 LINKS = (0.038, 0.07, 0.09)
 """Between the motors, inner, outer; m."""
@@ -112,21 +112,15 @@ class Firmware:
             port.write(answer)
 
 
-class Port:
+class Port(Terminal):
     def __init__(self, board: Firmware) -> None:
+        super().__init__()
         self.board = board
-        self._far, self._near = os.openpty()
-        os.set_blocking(self._far, False)
-        self.path = os.ttyname(self._near)
-        self.mute = threading.Event()
-        """If set, the board receives but does not answer."""
         self.hears: Callable[[bytes], bytes] = bytes
         """Change of the bytes to the board on the line."""
         self.says: Callable[[bytes], bytes] = bytes
         """Change of an answer on the line."""
         self._came = bytearray()
-        self._pulled = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
@@ -161,24 +155,5 @@ class Port:
         if not self.mute.is_set():
             self.say(self.says(data))
 
-    def say(self, data: bytes) -> None:
-        with suppress(OSError):
-            os.write(self._far, data)
-
-    def pull(self) -> None:
-        if not self._pulled.is_set():
-            self._pulled.set()
-            self._thread.join()
-            self.board.give([0.0, 0.0])  # no power
-            os.close(self._near)
-            os.close(self._far)
-
-    @property
-    def pulled(self) -> bool:
-        return self._pulled.is_set()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.pull()
+    def power_off(self) -> None:
+        self.board.give([0.0, 0.0])

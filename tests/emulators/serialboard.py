@@ -15,10 +15,9 @@ import threading
 import time
 from array import array
 from collections.abc import Callable
-from contextlib import suppress
 from math import atan2, hypot
-from typing import Self
 
+from emulators.farterminal import Terminal
 from emulators.hand import Handle, Vector
 
 FRAME_BYTES = 64
@@ -74,14 +73,10 @@ class Board(Handle):
         return (text + "\n" * self.early_end).ljust(FRAME_BYTES - 1).encode() + b"\n"
 
 
-class Cable:
+class Cable(Terminal):
     def __init__(self, board: Board) -> None:
+        super().__init__()
         self.board = board
-        self._far, self._near = os.openpty()
-        os.set_blocking(self._far, False)
-        self.path = os.ttyname(self._near)
-        self.mute = threading.Event()
-        """If set, the board receives but does not answer."""
         self._deaf, self._reading, self._saying = False, threading.Lock(), threading.Lock()
         self.spoil: Callable[[bytes], bytes] = bytes
         """Change of an answer on the line."""
@@ -89,8 +84,6 @@ class Cable:
         """Bytes read from the line."""
         self.heard = 0
         """Bytes processed and answered."""
-        self._pulled = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
@@ -125,24 +118,3 @@ class Cable:
     def hush(self) -> None:
         with self._saying:
             self.mute.set()
-
-    def say(self, data: bytes) -> None:
-        with suppress(BlockingIOError):
-            os.write(self._far, data)
-
-    def pull(self) -> None:
-        if not self._pulled.is_set():
-            self._pulled.set()
-            self._thread.join()
-            os.close(self._near)
-            os.close(self._far)
-
-    @property
-    def pulled(self) -> bool:
-        return self._pulled.is_set()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.pull()

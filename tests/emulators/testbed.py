@@ -18,7 +18,9 @@ import os
 import struct
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gi
 
@@ -167,24 +169,22 @@ class Bed:
         }  # fmt: skip
 
 
-def main(make: type[Bed] = Bed) -> int:
+def main(make: Callable[[dict], Any] = Bed) -> None:
     bed, loop, code = make(json.loads(sys.argv[1])), GLib.MainLoop(), []
     command = sys.argv[2:]
     if os.geteuid() == 0:  # root may open any file
         command = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", *command]
 
     def run() -> None:
-        # Without the interpreter's paths of this process: the program may be another Python.
+        # In the environment of the C library, to which umockdev has added the paths of the emulated files.
         code.append(bounded.run(command))
         loop.quit()
 
     threading.Thread(target=run, daemon=True).start()
     loop.run()
     print(json.dumps(bed.seen()), flush=True)
-    return code[0]
+    os._exit(code[0])  # umockdev's threads would block the exit of the process
 
 
 if __name__ == "__main__":
-    result = main()
-    sys.stdout.flush()
-    os._exit(result)  # umockdev's threads would block the exit of the process
+    main()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -133,23 +132,6 @@ def stub(usb_library: Path) -> Iterator[UsbStub]:
     with in_place_of_libusb(usb_library):
         yield stub
     stub.reset()
-
-
-def child_environment(folder: Path, **knobs: float) -> dict[str, str]:
-    """Return the environment for a process that finds the stub in `folder` instead of libusb."""
-    compile_stub(SOURCE, folder / SONAME, f"-Wl,-soname,{SONAME}")
-    settings = ",".join(f"{name}={value}" for name, value in knobs.items())
-    return {
-        **os.environ,
-        "LD_LIBRARY_PATH": str(folder),
-        "STUB_USB_SET": settings,
-        "STUB_USB_LOG": str(folder / "left"),
-    }
-
-
-def left_behind(folder: Path) -> dict[str, float]:
-    """Return the state of the knobs after a process with `child_environment`."""
-    return {name: float(value) for name, value in (line.split() for line in (folder / "left").read_text().splitlines())}
 
 
 def options(**changes: Any) -> Options:

@@ -77,25 +77,10 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     common = [sys.executable, "-m", "dask"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    words = [
-        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where)],
-        *[
-            [
-                "worker",
-                "--scheduler-file",
-                str(where),
-                "--nthreads",
-                "1",
-                "--no-dashboard",
-                "--no-nanny",
-                "--local-directory",
-                str(tmp_path),
-            ]
-        ]
-        * 2,
-    ]
+    worker = f"worker --scheduler-file {where} --nthreads 1 --no-dashboard --no-nanny --local-directory {tmp_path}"
+    words = [f"scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file {where}", worker, worker]
     processes = [
-        subprocess.Popen([*common, *some], env={**os.environ, "PYTHONPATH": path}, **quiet)  # type: ignore[call-overload]
+        subprocess.Popen([*common, *some.split()], env={**os.environ, "PYTHONPATH": path}, **quiet)  # type: ignore[call-overload]
         for some in words
     ]
     try:
