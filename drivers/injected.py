@@ -6,6 +6,7 @@ It wraps any driver behind the same two C functions. Runs without it neither cal
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -13,28 +14,8 @@ import numpy as np
 from numba import carray, types
 from numpy.typing import NDArray
 
-from softfinger.config.schema.faults import (
-    NUMBERS,
-    Bounce,
-    Corrupt,
-    Disconnect,
-    FaultBase,
-    Faults,
-    ForceOff,
-    Frozen,
-    Held,
-    Infinite,
-    Injection,
-    NotANumber,
-    Protocol,
-    Short,
-    Slow,
-    Stale,
-    Swallowed,
-    Teleport,
-    Timeout,
-    Withheld,
-)
+from softfinger.config.schema import faults
+from softfinger.config.schema.faults import NUMBERS, FaultBase, Faults, Injection
 from softfinger.drivers.base import (
     FORCE_OFF,
     HELD,
@@ -64,21 +45,8 @@ ROW: Final = 8
 """Columns of the fault table: action, first tick, tick after the last, period in ticks, then its parameters."""
 ACTION, FIRST_TICK, END_TICK, PERIOD_TICKS, A, B, C = range(7)
 
-(
-    REPEAT,
-    SET_NUMBER,
-    MOVE,
-    BLOCK_READ,
-    BLOCK_WRITE,
-    TRUNCATE,
-    FLIP,
-    TOGGLE_BUTTONS,
-    FAIL_READ,
-    FAIL_WRITE,
-    UNPLUG,
-    ZERO_FORCE,
-    HOLD_FORCE,
-) = range(13)
+REPEAT, SET_NUMBER, MOVE, BLOCK_READ, BLOCK_WRITE, TRUNCATE, FLIP = range(7)
+TOGGLE_BUTTONS, FAIL_READ, FAIL_WRITE, UNPLUG, ZERO_FORCE, HOLD_FORCE = range(7, 13)
 """Actions of faults.
 
 REPEAT          repeat the sample, with status A
@@ -144,10 +112,7 @@ def _block_for(microseconds: float) -> None:
 
 @jit
 def _replace_read(handle: int, tick: int) -> tuple[int, bool]:
-    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample.
-
-    A status below zero fails the read.
-    """
+    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample."""
     word = int64_at(handle)
     status, is_repeated = OK, False
     for index in range(word[AT.length]):
@@ -253,16 +218,16 @@ class FaultInjector(Device):
     For any wrapped device `own_clock` is False: poses are checked for jumps, and ticks use the measured time.
     """
 
-    def __init__(self, device: Device, faults: Faults, rate_hz: float, finger: str = "") -> None:
+    def __init__(self, device: Device, table_of_faults: Faults, rate_hz: float, finger: str = "") -> None:
         self._device = device
         self.info = replace(device.info, own_clock=False)
-        self._faults = [fault for fault in faults.fault if fault.finger in ("", finger)]
+        self._faults = [fault for fault in table_of_faults.fault if fault.finger in ("", finger)]
         self._rate_hz = rate_hz
         self._block = block = Block(AT)
         io, at = device.io(), block.word
         at[AT.read], at[AT.write], at[AT.handle] = io
         at[AT.last_fault] = -1
-        at[AT.random] = next((fault.seed for fault in self._faults if isinstance(fault, Corrupt)), 1)
+        at[AT.random] = next((fault.seed for fault in self._faults if isinstance(fault, faults.Corrupt)), 1)
         at[AT.length] = len(self._faults)
         block.set_address(AT.faults, table(self._faults, rate_hz))
 
@@ -301,51 +266,38 @@ class FaultInjector(Device):
         return self._device.counts() | self._block.counts()
 
 
-def table(faults: list[Injection], rate_hz: float) -> NDArray[np.float64]:
+def table(injections: list[Injection], rate_hz: float) -> NDArray[np.float64]:
     """Return the fault table for the kernels (count, ROW)."""
-    rows = np.zeros((len(faults), ROW))
-    for row, fault in zip(rows, faults, strict=True):
+    rows = np.zeros((len(injections), ROW))
+    for row, fault in zip(rows, injections, strict=True):
         row[FIRST_TICK], row[END_TICK] = fault.window(rate_hz)
         row[PERIOD_TICKS] = fault.every_ticks
-        action, *parameters = _action(fault)
+        action, *parameters = _ACTIONS[type(fault)](fault)
         row[ACTION] = action
         row[A : A + len(parameters)] = parameters
     return rows
 
 
-def _action(fault: FaultBase) -> tuple[float, ...]:
-    """Return the action of a fault and its parameters."""
-    match fault:
-        case Stale():
-            return REPEAT, STALE
-        case Frozen():
-            return REPEAT, OK
-        case NotANumber():
-            return SET_NUMBER, NUMBERS.index(fault.number), np.nan
-        case Infinite():
-            return SET_NUMBER, NUMBERS.index(fault.number), np.inf
-        case Teleport():
-            return MOVE, *fault.offset_m
-        case Slow():
-            return BLOCK_READ if fault.on == "read" else BLOCK_WRITE, US_PER_S * fault.block_s
-        case Short():
-            return TRUNCATE, fault.numbers
-        case Corrupt():
-            return (FLIP,)
-        case Bounce():
-            return TOGGLE_BUTTONS, fault.buttons
-        case Disconnect():
-            return (UNPLUG,)
-        case Timeout():
-            return FAIL_READ if fault.on == "read" else FAIL_WRITE, TIMEOUT
-        case Protocol():
-            return FAIL_READ if fault.on == "read" else FAIL_WRITE, PROTOCOL
-        case ForceOff():
-            return ZERO_FORCE, FORCE_OFF
-        case Withheld():
-            return ZERO_FORCE, WITHHELD
-        case Held():
-            return HOLD_FORCE, HELD
-        case Swallowed():
-            return HOLD_FORCE, OK
-    raise TypeError(f"{fault!r} is not a fault")
+def _on(fault: Any, read: int, write: int) -> int:
+    return read if fault.on == "read" else write
+
+
+_ACTIONS: Final[dict[type[FaultBase], Callable[[Any], tuple[float, ...]]]] = {
+    faults.Stale: lambda fault: (REPEAT, STALE),
+    faults.Frozen: lambda fault: (REPEAT, OK),
+    faults.NotANumber: lambda fault: (SET_NUMBER, NUMBERS.index(fault.number), np.nan),
+    faults.Infinite: lambda fault: (SET_NUMBER, NUMBERS.index(fault.number), np.inf),
+    faults.Teleport: lambda fault: (MOVE, *fault.offset_m),
+    faults.Slow: lambda fault: (_on(fault, BLOCK_READ, BLOCK_WRITE), US_PER_S * fault.block_s),
+    faults.Short: lambda fault: (TRUNCATE, fault.numbers),
+    faults.Corrupt: lambda fault: (FLIP,),
+    faults.Bounce: lambda fault: (TOGGLE_BUTTONS, fault.buttons),
+    faults.Disconnect: lambda fault: (UNPLUG,),
+    faults.Timeout: lambda fault: (_on(fault, FAIL_READ, FAIL_WRITE), TIMEOUT),
+    faults.Protocol: lambda fault: (_on(fault, FAIL_READ, FAIL_WRITE), PROTOCOL),
+    faults.ForceOff: lambda fault: (ZERO_FORCE, FORCE_OFF),
+    faults.Withheld: lambda fault: (ZERO_FORCE, WITHHELD),
+    faults.Held: lambda fault: (HOLD_FORCE, HELD),
+    faults.Swallowed: lambda fault: (HOLD_FORCE, OK),
+}
+"""Action of each fault and its parameters."""

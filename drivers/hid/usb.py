@@ -42,11 +42,7 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
 
 
 def open_usb(path: str, options: Options) -> OpenInterface:
-    """Open the interface at hidapi's `path`, and claim it for this process.
-
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
-    than the rig.
-    """
+    """Open the interface at hidapi's `path`, and claim it for this process."""
     interface, descriptor = _open(path, options)
     try:
         check_reports(descriptor, path, options.reports)
@@ -57,10 +53,7 @@ def open_usb(path: str, options: Options) -> OpenInterface:
 
 
 def with_reports_of(paths: list[str], options: Options) -> list[str]:
-    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
-
-    Raises the errors of `open_usb`, except for other reports.
-    """
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each."""
     matching = []
     for path in paths:
         interface, descriptor = _open(path, options)

@@ -49,10 +49,7 @@ class Scheduler:
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Stop the library's thread inside the context, and restart it afterwards.
-
-        Raises DeviceBusy if a device of this process is armed.
-        """
+        """Stop the library's thread inside the context, and restart it afterwards."""
         with self._lock:
             for block, _ in self._scheduled.values():
                 if block.word[AT.armed]:

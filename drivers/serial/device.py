@@ -18,8 +18,9 @@ from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
 from softfinger.drivers.kinematics.subspace import subspace_rows
-from softfinger.drivers.serial import exchange, frames, line, packets
+from softfinger.drivers.serial import exchange, frames, packets
 from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, FrameConversion
+from softfinger.drivers.serial.line import check as check
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -39,10 +40,7 @@ BLOCKED: Final = (
 
 
 class SerialDevice(BlockDevice):
-    """Open device, owner of the file descriptor `fd` of its port.
-
-    Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
-    """
+    """Open device, owner of the file descriptor `fd` of its port."""
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
         self._options, self._path = options, path
@@ -235,11 +233,6 @@ def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
 
 def rows(options: Options) -> list[tuple[str, str]]:
     return subspace_rows(options.kinematics, options.mounting)
-
-
-def check(options: Options, rate_hz: float, where: str) -> None:
-    """Raise ConfigError if the line is too slow for the frames of every tick; `where` is the table of the rig."""
-    line.check(options, rate_hz, where)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

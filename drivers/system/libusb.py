@@ -31,10 +31,7 @@ def origin() -> str:
 
 
 def find(**ids: int) -> list[Any]:
-    """Return pyusb's devices with these ids.
-
-    Raises DeviceError if no libusb can be loaded, usb.core.USBError if the bus cannot be listed.
-    """
+    """Return pyusb's devices with these ids."""
     import usb.core
 
     usb_backend = backend()
