@@ -118,19 +118,6 @@ def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
     assert work[turn:].min() >= work[turn - 1] - stored
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize(("angle", "torque"), [(0.05, -0.0025), (0.5, -0.004), (-0.05, 0.0025), (-0.5, 0.004)])
-def test_spin(plane_scene: SceneFactory, angle: float, torque: float) -> None:
-    """A spin about the normal winds a torsional spring, which yields at mu_t f_N."""
-    trace = drive(Engine(plane_scene()), pressed().go(500, turn=[0, 0, angle]))
-    assert trace.steps[-1].torque == pytest.approx([0, 0, torque], abs=EXACT)
-    assert trace.force[1:] == pytest.approx(np.tile([0, 0, 1], (501, 1)), abs=EXACT)
-    expected = np.clip(0.05 * np.linspace(0, angle, 501), -0.004, 0.004)
-    assert trace.torque[1:, 2] == pytest.approx(-expected, abs=EXACT)
-    assert abs(trace.steps[-1].spin) == pytest.approx(min(abs(angle), 0.08), abs=EXACT)
-    assert trace.causes == ["touch"]
-
-
 def test_spin_and_back(plane_scene: SceneFactory) -> None:
     """The anchor follows the slip at the torsional limit: 0.16 rad back reaches the limit in the other direction."""
     trace = drive(Engine(plane_scene()), pressed().go(500, turn=[0, 0, 0.5]).go(160, turn=[0, 0, -0.16]))
@@ -166,17 +153,6 @@ def test_tiny_counter_tilt_does_not_disable_sliding(plane_scene: SceneFactory) -
         assert trace.causes == ["touch", "drag"]
         assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
         assert trace.tangential[-1] == pytest.approx(0.5, rel=EXACT)
-
-
-def test_slip_and_spin_share_the_limit_surface(plane_scene: SceneFactory) -> None:
-    """Slip at 20 mm/s and spin at 5 rad/s share one limit: 0.223607 N and -0.00357771 N m."""
-    scene = plane_scene(material={"torsion": {"model": "limit_surface"}})
-    trace = drive(Engine(scene), pressed().go(400, move=[0.4 * 0.02, 0, 0], turn=[0, 0, 0.4 * 5.0]))
-    assert trace.causes == ["touch", "drag"]
-    # (F v, tau_max omega) = (0.5 * 0.02, 0.004 * 5) = (0.01, 0.02): shares of 1 and 2 in sqrt(5).
-    assert trace.tangential[-1] == pytest.approx(0.5 / np.sqrt(5), abs=1e-9)
-    assert trace.torque[-1, 2] == pytest.approx(-0.004 * 2 / np.sqrt(5), abs=1e-11)
-    assert (round(trace.tangential[-1], 6), round(trace.torque[-1, 2], 8)) == (0.223607, -0.00357771)
 
 
 @pytest.mark.parametrize("time_constant", [0.0, 0.002])

@@ -15,11 +15,9 @@ from references.hand import Array
 from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.query.motion import pose_at
-from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
@@ -151,17 +149,3 @@ def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, mess
 
 
 # --- through the engine --------------------------------------------------------------------------
-
-
-def test_an_oscillating_table_presses_on_a_finger_at_rest(plane_scene: SceneFactory) -> None:
-    """The normal force follows the sine of the table's height tick by tick; the tangential force is zero."""
-    bob = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.001], "frequency_hz": 4.0}
-    scene = plane_scene(table={"motion": bob}, material={"friction": None, "torsion": None}, rolling=None)
-    n, dt = 600, 0.001
-    poses = np.tile([0.0, 0.0, 0.0085, 1.0, 0.0, 0.0, 0.0], (n, 1))
-    records = Engine(scene).run(poses, dt)
-    force = records[:, AT.force : AT.force + 3]
-    # The first pose is that of the first dt.
-    height = 0.001 * np.sin(2 * np.pi * 4.0 * dt * np.arange(1, n + 1))
-    assert force[:, 2] == pytest.approx(1000.0 * (0.0015 + height), abs=1e-9)
-    assert np.abs(force[:, :2]).max() < 1e-12

@@ -170,15 +170,6 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
     assert step.cause == "touch"
 
 
-def test_an_object_that_returns_touches_again() -> None:
-    """A plane that rises, sinks and rises again under a still finger makes two contacts, each from its first tick."""
-    driver = Driver(scene({"shape": "plane"}))
-    height = 0.002 * np.sin(2.0 * np.pi * np.arange(400) / 200.0)
-    steps = [driver.step((0.0, 0.0, R + 0.0005), ((0.0, 0.0, z), UPRIGHT)) for z in height]
-    np.testing.assert_allclose([s.force[2] for s in steps], K * np.maximum(height - 0.0005, 0.0), atol=ROUNDING_N)
-    assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"] * 2
-
-
 # --- several objects -----------------------------------------------------------------------------
 
 

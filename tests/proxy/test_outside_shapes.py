@@ -254,22 +254,6 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     return process.stdout.strip()
 
 
-@pytest.mark.exhaustive  # the beads below also test this, with a called kernel
-def test_an_edited_shape_is_compiled_again(tmp_path: Path) -> None:
-    """The step is cached, but compiled again after the file of the shape changes."""
-    file = tmp_path / "softfinger_cone.py"
-    shutil.copy(OUTSIDE / file.name, file)
-    keys = "half_angle_rad = 0.5"
-    assert touched("cone", tmp_path, keys) == "0.1 0"
-    assert touched("cone", tmp_path, keys) == "0.1 1"
-    text = file.read_text()
-    assert "return gap, (0.0, 0.0, 0.0), normal" in text
-    lower = "return gap + 5e-5, vec3.scale(-5e-5, normal), normal"
-    file.write_text(text.replace("return gap, (0.0, 0.0, 0.0), normal", lower))
-    assert touched("cone", tmp_path, keys) == "0.05 0"
-    assert touched("cone", tmp_path, keys) == "0.05 1"
-
-
 # --- arrays that a scene owns, and kernels that are called ---------------------------------------
 
 BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])

@@ -6,7 +6,6 @@ Finger 10 mm, K = 1000 N/m, mu .6/.5. Pressed 1 mm into a 90 degree groove, each
 
 from itertools import pairwise
 
-import numba
 import numpy as np
 import pytest
 
@@ -16,7 +15,6 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
-from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
 
@@ -313,14 +311,6 @@ def test_object_indices_follow_the_scene_file():
         np.testing.assert_allclose(record[AT.force : AT.force + 3], [0.0, 0.0, 1.0], atol=1e-12)
         running.reset()
     assert running.run(poses(pressing([0.0, 0.05, 0.009])))[-1, AT.contact_object] == 4.0
-
-
-def test_any_number_of_moving_objects_is_one_type():
-    """Scenes of 25 driven boxes, four driven boxes and four fixed boxes have the same compiled type."""
-    moving = [each | {"motion": {"kind": "driven"}} for each in tiled(0.004, material(), 5)]
-    fixed = tiled(0.004, material(), 2)
-    scenes = [build_scene(build(Scene, BASE | PLAIN | {"object": each}, "")) for each in (moving, moving[:4], fixed)]
-    assert len({numba.typeof(scene) for scene in scenes}) == 1
 
 
 def test_another_number_of_objects_is_another_scene():

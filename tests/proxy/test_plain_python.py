@@ -84,33 +84,6 @@ def test_logic_part_runs_plain_kernels_and_its_programs_machine_code() -> None:
     assert PLAIN and "NUMBA_DISABLE_JIT" not in os.environ
 
 
-@pytest.mark.exhaustive
-def test_rows_of_objects_and_a_single_object_compile() -> None:
-    """Objects of equal type are stored in rows, a single one directly; contacts of both compile. Both have friction and
-    torsion."""
-    wood = {
-        "stiffness_n_per_m": 1000.0,
-        "friction": {"static": 0.6, "kinetic": 0.5},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
-    balls = [
-        {
-            "name": f"ball {i}",
-            "shape": "sphere",
-            "radius_m": 0.005,
-            "position_m": [0.03 * i, 0.0, 0.05],
-            "material": wood,
-        }
-        for i in range(8)
-    ]
-    floor = {"name": "floor", "shape": "plane", "material": wood}
-    running = Engine({"fingertip": {"radius_m": 0.01}, "object": [*balls, floor]})
-    still = [1.0, 0.0, 0.0, 0.0]
-    assert running.step([0.0, 0.05, 0.009], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
-    running.reset()
-    assert running.step([0.03, 0.0, 0.064], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
-
-
 LESS = ("paper-plane", "pinch")
 """Scenes in `make test`: one object; two fingers with a fourth-order method."""
 
