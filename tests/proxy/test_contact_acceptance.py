@@ -28,7 +28,6 @@ def pressed(depth: float = 0.001) -> Hand:
 
 
 def test_press(plane_scene: SceneFactory) -> None:
-    """A depth of 1 mm gives 1 N along the normal and no other force or torque."""
     trace = drive(Engine(plane_scene()), pressed().go(100))
     assert trace.force[0] == pytest.approx([0, 0, 0], abs=0)
     assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (101, 1)), abs=EXACT)
@@ -68,7 +67,6 @@ def test_roll_past_theta_max_slides(plane_scene: SceneFactory, k_tau: float | No
 
 
 def test_roll_with_the_probe_following(plane_scene: SceneFactory) -> None:
-    """A roll of 1 rad that the hand follows gives no tangential force, moves the proxy by 10 mm and never slides."""
     trace = drive(Engine(plane_scene()), pressed().go(1000, move=[0, -R, 0], turn=[1, 0, 0]))
     assert trace.tangential.max() < 1e-12
     assert trace.proxy[-1] == pytest.approx([0, -R, R], abs=EXACT)
@@ -97,7 +95,6 @@ def test_drag_stop_and_drag_again(plane_scene: SceneFactory) -> None:
 
 
 def test_drag_then_reverse(plane_scene: SceneFactory) -> None:
-    """A reversal unwinds the coupling and peaks at mu_s f_N in the other direction, without a gain of energy."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     turn = hand.at
     hand.go(500, move=[-0.025, 0, 0])
@@ -125,7 +122,6 @@ def test_spin_and_back(plane_scene: SceneFactory) -> None:
 
 
 def test_roll_and_back(plane_scene: SceneFactory) -> None:
-    """A roll and its reversal leave no tangential force."""
     trace = drive(Engine(plane_scene()), pressed().go(200, turn=[0.05, 0, 0]).go(200, turn=[-0.05, 0, 0]))
     assert trace.tangential[-1] < 1e-12
     assert trace.causes == ["touch"]
@@ -146,7 +142,6 @@ def test_roll_then_drag_against_it(plane_scene: SceneFactory) -> None:
 
 
 def test_tiny_counter_tilt_does_not_disable_sliding(plane_scene: SceneFactory) -> None:
-    """A tilt of one micro-radian before a drag changes nothing: the peak is mu_s f_N."""
     for tilt in ([0, 1e-6, 0], [0, -1e-6, 0], [1e-6, 0, 0]):
         hand = pressed().go(1, turn=tilt).go(497, move=[0.025, 0, 0])
         trace = drive(Engine(plane_scene()), hand)
@@ -158,7 +153,6 @@ def test_tiny_counter_tilt_does_not_disable_sliding(plane_scene: SceneFactory) -
 @pytest.mark.parametrize("time_constant", [0.0, 0.002])
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.4])
 def test_withdraw_under_damping_releases_once(plane_scene: SceneFactory, speed: float, time_constant: float) -> None:
-    """At any speed of withdrawal, a damped contact ends once, at the surface, and never pulls."""
     scene = plane_scene(
         material={"damping_ns_per_m": 3.0},
         coupling={"damping_ns_per_m": 3.0},

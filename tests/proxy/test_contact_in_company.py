@@ -116,7 +116,6 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    """Check that far objects before and after it in the list leave its records unchanged, bit for bit."""
     it, others = thing(shape, folder, material), far(material)
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape == "plane":
@@ -189,7 +188,6 @@ def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
 
 
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
-    """Upright poses (n, 7) along a polyline."""
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate([*legs, [corners[-1]]])
     return np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
@@ -260,7 +258,6 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, c
 
 @pytest.mark.exhaustive
 def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
-    """At a mesh vertex on the sphere, 3 mm deep, a drag of 0.4 mm gives -0.4 N."""
     ball = meshes.geodesic(24, BALL)
     it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *ball), "material": STICKY}
     n = ball.vertices[0] / BALL
@@ -303,7 +300,6 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
 
 
 def closed_path(seed: int, top: float, ticks: int) -> Array:
-    """Positions (n, 3) m from above down to a random closed polyline and back up."""
     rng = np.random.default_rng(seed)
     begin = np.array([0.0, 0.0, top + 1e-3])
     below = np.array([0.0, 0.0, top - 2e-3]) + rng.uniform(-1.0, 1.0, (4, 3)) * [6e-4, 6e-4, 8e-4]

@@ -39,7 +39,6 @@ NU = 0.3
 
 
 def box(x: float, y: float, z: float) -> tuple[Any, Any]:
-    """Return vertices and triangles of a box from the origin to x, y, z m."""
     corners = np.array([[i, j, k] for i in (0.0, x) for j in (0.0, y) for k in (0.0, z)])
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
@@ -50,7 +49,6 @@ def on_face(value: float, axis: int) -> Any:
 
 
 def displacement(solid: Solid, load: Any, point: Any) -> Any:
-    """Return the displacement (3,) of the vertex nearest to a point."""
     nearest = ((solid.volume.vertices - point) ** 2).sum(axis=1).argmin()
     return solid.solve(load[:, None])[solid.basis.nodal_dofs[:, nearest], 0]
 
@@ -210,7 +208,6 @@ def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
 
 
 def pad(folder: Path, **changes: Any) -> Any:
-    """Return the elastic object of `pad_scene`."""
     return pad_scene(folder, **changes).object[0]
 
 

@@ -23,7 +23,6 @@ def scene(ball: dict[str, Any], **tables: Any) -> dict[str, Any]:
 
 
 def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
-    """Interpolate between corners, with that many ticks per leg."""
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     return np.concatenate([*legs, [corners[-1]]])
 

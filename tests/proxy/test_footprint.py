@@ -68,7 +68,6 @@ def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_radius_is_the_closed_form(name: str) -> None:
-    """From first touch to 8 N the radius grows and follows the closed form; without contact it is zero."""
     records = run(soft(PATCHES[name]), Hand([0, 0, R + 0.001]).go(90, [0, 0, -0.009]))
     load, found = column(records, "contact.normal_force"), column(records, "contact.patch_radius")
     touching = load > 0.0
@@ -91,7 +90,6 @@ def test_an_elastic_object_adds_its_compliance() -> None:
 
 
 def test_it_is_no_larger_than_the_fingertip() -> None:
-    """With a very soft pad and 5 N, the patch radius is limited to the fingertip's radius."""
     records = run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))
     assert column(records, "contact.patch_radius")[-1] == R
 
@@ -329,13 +327,11 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
     ],
 )
 def test_a_faulty_patch_is_refused(changes: dict[str, Any], message: str) -> None:
-    """A contradictory or out-of-range patch table raises ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(**changes), "test scene")
 
 
 def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: SceneFactory) -> None:
-    """With [fingertip.patch] the torsion law uses the patch, in the model that the material selects."""
     own = model.PatchTorsion(0.6)
     for torsion, law in [
         ({}, own),
@@ -349,7 +345,6 @@ def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: 
 
 
 def test_a_patch_without_torsion_changes_no_force() -> None:
-    """If the material has no torsion, the patch is only measured."""
     hand = pressed().go(200, move=[0.004, 0, -0.001], turn=[0.1, 0, 0]).go(100, turn=[0, 0, 0.3])
     plain = drive(Engine(build(Scene, paper_mapping(material={"torsion": None}), "plain")), hand)
     soft_one = drive(soft(HERTZ, material={"torsion": None}), hand)
@@ -357,7 +352,6 @@ def test_a_patch_without_torsion_changes_no_force() -> None:
 
 
 def test_each_finger_has_the_patch_of_a_single_finger() -> None:
-    """A [finger.patch] gives the same bits as [fingertip.patch]; fingers may have patches of different kinds."""
     tips = {name: {"radius_m": R, "patch": patch | {"rolling_loss": 0.4}} for name, patch in PATCHES.items()}
     material = {"torsion": FOLLOWS}
     fingers = [{"name": name, **tip} for name, tip in tips.items()]

@@ -62,7 +62,6 @@ def compiled_roll(method, shape, radius, center, normal, turn):  # type: ignore[
 
 
 def sampled(rows: int, columns: int, pitch: float, f: Callable[[Array, Array], Array]) -> Array:
-    """Return heights (rows, columns) of a function of x and y, centred at the origin."""
     x, y = ((np.arange(n) - 0.5 * (n - 1)) * pitch for n in (columns, rows))
     return f(*np.meshgrid(x, y))
 
@@ -83,7 +82,6 @@ def nearest(shape: model.Heightmap, points: Array, budget: int = 10**7) -> Array
 
 
 def everywhere(shape: model.Heightmap, fine: int) -> Array:
-    """Return points (n, 3) all over the surface, `fine` per pitch."""
     return grid_of(
         shape,
         *(
@@ -130,7 +128,6 @@ def test_the_surface_is_a_sum_of_b_splines(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
 def test_the_surface_interpolates_every_pixel(name: str) -> None:
-    """Columns are along x, rows along y, and the map is centred at the origin."""
     pitch, heights = MAPS[name]
     x, y, z = thin_map(heights, pitch, 10**6)
     at_x, at_y = np.meshgrid(x, y)
@@ -173,7 +170,6 @@ def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
 
 
 def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
-    """Value, slopes and second derivatives are continuous along a line across the rim, and constant outside."""
     pitch, heights = MAPS["hills"]
     shape = kernel_heightmap(heights, pitch)
     x = np.linspace(0.04, 0.06, 20001)
@@ -212,8 +208,6 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
 def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
-    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
-    the surface."""
     pitch, heights = MAPS[name]
     shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)
@@ -238,7 +232,6 @@ def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
 
 
 def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
-    """If the distance is convex, no point of a tile that is ruled out is closer than the bound."""
     shape, rng = SHAPES["hills"], np.random.default_rng(8)
     ruled_out = convex = 0
     for _ in range(1000):
@@ -262,7 +255,6 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
 
 
 def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
-    """Inside and outside, over the map, to rounding."""
     shape = kernel_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
     points = np.random.default_rng(5).uniform([-0.015, -0.02, -0.01], [0.015, 0.02, 0.015], (500, 3))
     normal = np.array([-0.3, -0.1, 1.0]) / math.sqrt(1.1)
@@ -270,7 +262,6 @@ def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
 
 
 def test_gap_to_a_cap_converges_with_fourth_order() -> None:
-    """At fingertip distances from a ball of 60 mm, halving the pitch divides the error by at least 14."""
     way = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
     out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
     points = way / np.linalg.norm(way, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
@@ -297,7 +288,6 @@ def test_the_gap_is_never_too_large_if_all_points_are_equally_near() -> None:
 @settings(derandomize=True, max_examples=1000 if settings.get_current_profile_name() == "full" else 150, deadline=None)
 @given(name=st.sampled_from(list(MAPS)), x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]) -> None:
-    """Positions from 1e-308 to 1e100 m give finite results; NaN and infinity do not read out of bounds."""
     shape = SHAPES[name]
     results = nearest(shape, np.array([x]))[0]
     assert np.isfinite(results).all() and np.linalg.norm(results[4:]) == pytest.approx(1.0, abs=1e-15)
@@ -310,7 +300,6 @@ def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("size", [(1, 2), (2, 1), (2, 2), (1, 40), (3, 5)])
 def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
-    """Two pixels are the minimum; a single row is constant along y."""
     heights = 1e-3 * NOISE.normal(size=size)
     shape = kernel_heightmap(heights, 1e-3)
     x, y, z = thin_map(heights, 1e-3, 100)
@@ -361,7 +350,6 @@ def mapped(path: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, A
 
 
 def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Array:
-    """Return poses (ticks, 7) of a finger that moves randomly along all axes while rotating."""
     rng, t = np.random.default_rng(seed), np.arange(ticks)
 
     def wander() -> Array:
@@ -375,7 +363,6 @@ def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Arra
 
 
 def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
-    """With friction, torsion and rolling, over the map and beyond its rim, all fields of all ticks agree to 1e-12."""
     poses = stroke(2, 1500, 0.03, 0.0085, 0.0125)
     level = engine(mapped(tmp_path, np.full((32, 24), 0.002), 1e-3, position_m=[0.0, 0.0, -0.002])).run(poses)
     plane = engine({"shape": "plane"}).run(poses)
@@ -384,7 +371,6 @@ def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
 
 
 def test_a_moving_level_map_is_the_moving_plane(tmp_path: Path) -> None:
-    """With translation, tilt and friction, all fields agree to 1e-12."""
     motion = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],
               "frequency_hz": 1.5}  # fmt: skip
     poses = stroke(3, 1000, 0.006, 0.0085, 0.0115)
@@ -397,7 +383,6 @@ def test_a_moving_level_map_is_the_moving_plane(tmp_path: Path) -> None:
 
 
 def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
-    """Forces and paths of a stroke that sticks, rolls and slides equal those on a sphere."""
     poses = stroke(4, 750, 0.006, 0.0085, 0.0105)
     ball = engine({"shape": "sphere", "radius_m": 0.06, "position_m": [0.0, 0.0, -0.06]}).run(poses)
     over = engine(mapped(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
@@ -410,8 +395,6 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 
 
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
-    """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
-    both."""
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(mapped(tmp_path, heights, pitch, material={"stiffness_n_per_m": 1000.0}), rolling=None)
@@ -432,7 +415,6 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
 
 
 def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
-    """If the probe crosses a wall of one pixel in one tick, the proxy does not."""
     heights = np.zeros((60, 60))
     heights[:, 30] = 0.02
     ridge = engine(mapped(tmp_path, heights, 5e-4), rolling=None)
@@ -464,7 +446,6 @@ BALL = model.Sphere(0.06, 1.0)
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
 def test_every_method_rolls_over_a_cap_as_over_a_ball(method: Any) -> None:
-    """A hundred steps of 10 mrad about changing axes give the path on a sphere, up to the spline's error."""
     shape = kernel_heightmap(sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)
     at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
     for k in range(100):

@@ -131,7 +131,6 @@ def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
 
 
 def test_a_heightmap_object_can_use_a_models_height_field(tmp_path: Path) -> None:
-    """Elevations are scaled to 0..1 with the first row at the smallest y; an unknown name raises one clear error."""
     path = written(tmp_path)
     thing = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
     thing |= {"level_m": TOP, "material": WOOD}
@@ -151,7 +150,6 @@ def elevations_m() -> Array:
 
 
 def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The reported overshoot is that of a natural spline through the step; smooth hills give no report."""
     step = np.repeat([0.0, TOP], [6, COLUMNS - 6])
     assert overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
         CubicSpline(range(COLUMNS), step, bc_type="natural")(np.linspace(0, COLUMNS - 1, 5000)).max() - TOP,
@@ -169,7 +167,6 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
-    """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
     viser = pytest.importorskip("viser")
     path = str(written(tmp_path, joint="<freejoint/>"))
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})

@@ -118,7 +118,6 @@ def visits(start, found):
 
 
 def visit(running, poses):
-    """Return records (n, RECORD_SIZE) of a new contact."""
     running.reset()
     return running.run(poses)
 
@@ -131,7 +130,6 @@ ABOVE = (0.0, 0.0, 0.055)
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_proxy_is_never_inside_any_object(found, count):
-    """After every tick the sphere around the proxy is outside all objects if it started outside."""
     records = visit(engine("zoo"), visits(ABOVE, found[:count]))
     # The solver stops at 1e-10 of the radius; these formulas round, too.
     assert gaps(column(records, "proxy.position", 3)).min() > R * (1.0 - 1e-9)
@@ -141,8 +139,6 @@ def test_proxy_is_never_inside_any_object(found, count):
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
-    """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
-    limit."""
     records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
     normal = column(records, "contact.normal_force")
     assert (normal >= 0.0).all()
@@ -273,7 +269,6 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
 @examples(40)
 @given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
 def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
-    """Results move with a rigid motion of scene and hand."""
     turned = np.asarray(q) / np.linalg.norm(q)
     matrix, center = rotation(turned), np.asarray(moved)
     # Starts outside: a first pose at the centre of the ball has no normal except the coordinates'.
@@ -317,7 +312,6 @@ any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
 @examples(50)
 @given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
 def test_finite_input_gives_finite_output(ticks):
-    """Poses up to 1000 km apart, any rotation and any time step give finite records."""
     running = engine("zoo")
     running.reset()
     for position, orientation, dt in ticks:
@@ -326,7 +320,6 @@ def test_finite_input_gives_finite_output(ticks):
 
 @entry
 def as_matrices(quaternions, out):
-    """Compute rotation matrices (n, 3, 3) of quaternions (n, 4) of any length, which the kernels normalise first."""
     for i in range(quaternions.shape[0]):
         q = rotations.normalize((quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]))
         for k in range(3):
@@ -336,8 +329,6 @@ def as_matrices(quaternions, out):
 
 @entry
 def walk_by(turns, steps, out):
-    """Compute orientations (n, 4) from successive rotation vectors (n, 3), and `relative` of each to the previous
-    one."""
     q = (1.0, 0.0, 0.0, 0.0)
     for i in range(turns.shape[0]):
         before = q
@@ -356,7 +347,6 @@ def walk(turns, ticks):
 
 @entry
 def moved_pose(motion, pose, time, out):
-    """Compute the orientation (4,) at `time` s of an object with rest pose `pose`."""
     out[0], out[1], out[2], out[3] = pose_at(motion, pose, time).orientation
 
 
@@ -380,7 +370,6 @@ def matrices_of(quaternions):
 @examples(150)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
 def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
-    """A quaternion of length 1e-6 to 1e6 gives its rotation, orthogonal to some ulp."""
     if not found.any():
         return
     q = 10.0**exponent * found / np.linalg.norm(found)
@@ -393,7 +382,6 @@ def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
 @examples(50)
 @given(numbers(3, 3), st.integers(1, 300))
 def test_a_sequence_of_rotations_stays_normalised(found, ticks):
-    """After up to 300 rotations, orientation and step have unit norm without drift."""
     orientations, steps = walk(3.0 * found, ticks)
     # One product and one normalisation of a unit quaternion per tick; a step is the product of two unit quaternions.
     assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
@@ -406,7 +394,6 @@ def test_a_sequence_of_rotations_stays_normalised(found, ticks):
 @examples(100)
 @given(numbers(1, 7), st.floats(-100.0, 100.0), st.floats(0.0, 1e9))
 def test_poses_of_moving_objects_stay_rotations(found, rate, time):
-    """After thirty years a turntable and a sinusoid still give rotations."""
     q, axis = found[0, :4], found[0, 4:]
     if not (q.any() and axis.any()):
         return
@@ -423,7 +410,6 @@ def test_poses_of_moving_objects_stay_rotations(found, rate, time):
 @examples(12)
 @given(numbers(3, 3), st.floats(1e-4, 2e-3))
 def test_contact_directions_stay_normalised_over_many_ticks(found, deep):
-    """During 200 ticks of rolling on a ball, the lengths of normal and finger-side point are constant."""
     running = engine("ball", "springs")
     running.reset()
     poses = np.tile([0.0, 0.0, R + 0.02 - deep, 0.0, 0.0, 0.0, 0.0], (200, 1))

@@ -16,14 +16,12 @@ BY_POSITION_MAX = 6
 
 @cache
 def nodes(path, kind):
-    """Return all nodes of a class in a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
     return [node for node in ast.walk(tree) if isinstance(node, kind)]
 
 
 @cache
 def named_tuples():
-    """Names of all NamedTuple classes in the kernels."""
     classes = (node for path in sorted(KERNELS.rglob("*.py")) for node in nodes(path, ast.ClassDef))
     return {node.name for node in classes if any(ast.unparse(base) == "NamedTuple" for base in node.bases)}
 
@@ -31,14 +29,12 @@ def named_tuples():
 @pytest.mark.plain
 @pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.py")), ids=lambda path: str(path.relative_to(KERNELS)))
 def test_long_tuples_are_built_by_keyword(path):
-    """No kernel builds a named tuple from more than BY_POSITION_MAX positional values."""
     known = named_tuples()
     built = [call for call in nodes(path, ast.Call) if isinstance(call.func, ast.Name) and call.func.id in known]
     assert [f"line {call.lineno}: {call.func.id}" for call in built if len(call.args) > BY_POSITION_MAX] == []
 
 
 def test_keywords_cost_nothing():
-    """A kernel that builds a tuple by keyword compiles to the instructions of one that builds it by position."""
     names = FrictionInput._fields
 
     def code(call):

@@ -50,7 +50,6 @@ components = st.floats(-1e3, 1e3)
 def test_nearest_point_is_on_the_surface_and_straight_below(
     y: tuple[float, float, float], weight: tuple[float, float, float]
 ) -> None:
-    """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
     m = multiplier(limit_distance(y), weight)
     p = shrink(limit_distance(y), weight, m)
     if np.linalg.norm(y) <= 1.0:
@@ -71,7 +70,6 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
 @examples(50, 300)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
-    """Newton's multiplier equals that of a bisection, which needs no derivative."""
     if np.linalg.norm(y) < 1.0 + 1e-6:
         return
     w = np.array(weight)
@@ -141,7 +139,6 @@ def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: f
 
 
 def test_no_coupling_inside_the_limit_surface(plane_scene: SceneFactory) -> None:
-    """Below the limit, and for a pure drag or a pure spin, the forces are those of the independent model."""
     hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
     drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
     spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
@@ -175,7 +172,6 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
 
 
 def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> None:
-    """If a slide turns into a pure spin, the contact continues to slip and the moment replaces the force."""
     hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
     trace = drive(Engine(plane_scene(material=COUPLED)), hand)
     assert trace.causes == ["touch", "drag"]
@@ -188,7 +184,6 @@ def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> No
 @pytest.mark.scaled
 @pytest.mark.parametrize("spin", [0.0, 0.4])
 def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, cases: Cases, spin: float) -> None:
-    """After a slip the contact sticks once and stays stuck at rest, with encoders that flicker by one step."""
     hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
     x = hand.x.copy()
     for _ in range(cases(1000, 3000)):
@@ -203,7 +198,6 @@ def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, c
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
 @pytest.mark.parametrize("kinetic", [0.0, 0.5])
 def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kinetic: float) -> None:
-    """A limit surface with a zero or tiny semi-axis gives finite forces within its limits."""
     material = {
         "torsion": {"model": "limit_surface", "friction_length_m": length},
         "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
@@ -217,6 +211,5 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
 
 
 def test_limit_surface_needs_friction() -> None:
-    """The limit-surface model without friction raises ConfigError when the scene is read."""
     with pytest.raises(ConfigError, match="needs friction to share its limit with"):
         build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

@@ -36,7 +36,6 @@ class Tree(NamedTuple):
 
 
 def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
-    """Build a tree; any function of the arrays would do."""
     BUILT.append(len(triangles))
     corners = vertices[triangles]
     return Tree(corners.mean(axis=1).astype(np.float32), corners, triangles, float(np.ptp(vertices)), len(triangles))
@@ -47,13 +46,11 @@ BUILDER = Builder(build, Tree)
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
-    """Cache folder of one test."""
     os.chmod(tmp_path, 0o700)
     return Folder(tmp_path / "kept", "nothing is kept")
 
 
 def part(folder: Path, frequency: int = 3, **keys: float) -> schema.Mesh:
-    """Return an object whose mesh is a sphere in a file of `folder`."""
     ball, path = meshes.geodesic(frequency), folder / f"ball{frequency}.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in ball.vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (ball.triangles + 1).tolist())]) + "\n")
@@ -68,7 +65,6 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def same(a: Tree, b: Tree) -> bool:
-    """Return True if all values have the same types and bits."""
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
         if isinstance(x, np.ndarray)
@@ -78,7 +74,6 @@ def same(a: Tree, b: Tree) -> bool:
 
 
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tree is reused within a process and loaded by the next one, with its report and its preview mesh."""
     thing = part(tmp_path)
     forget(monkeypatch)
     first = tree_of(thing, BUILDER, folder)
@@ -93,7 +88,6 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A change of file or scale builds a tree; the same bytes under another name reuse it."""
     forget(monkeypatch)
     thing = part(tmp_path)
     tree_of(thing, BUILDER, folder)
@@ -106,7 +100,6 @@ def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, m
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tree built by another version of the sources is not used."""
     forget(monkeypatch)
     thing = part(tmp_path)
     tree_of(thing, BUILDER, folder)
@@ -117,7 +110,6 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
 
 
 def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh that is built reports each of its stages once, in order; one from the cache reports nothing."""
     forget(monkeypatch)
     reported: list[Any] = []
 
@@ -135,7 +127,6 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
 
 
 def one(folder: Folder) -> Path:
-    """Return the only file in the folder."""
     assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
@@ -146,7 +137,6 @@ KEY = "ab" * 32
 
 
 def test_arrays_come_back_as_they_were(folder: Folder) -> None:
-    """Their kinds, shapes and bits, an empty one too; each begins where a vector register may."""
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1, "count": 3}), folder)
     found = array_cache.load(KEY, folder)
     assert found is not None and found.values == {"size": 0.1, "count": 3}
@@ -161,7 +151,6 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
-    """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
     file = one(folder)
     whole = file.read_bytes()
@@ -182,7 +171,6 @@ def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
 def test_a_damaged_tree_is_built_again(
     tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The damage is logged, and the new tree is saved."""
     forget(monkeypatch)
     thing = part(tmp_path)
     first = tree_of(thing, BUILDER, folder)
@@ -198,7 +186,6 @@ def test_a_damaged_tree_is_built_again(
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a private folder, trees are built in memory only."""
     forget(monkeypatch)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
@@ -210,7 +197,6 @@ def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: py
 
 
 def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The newest stays, however large it is."""
     some = array_cache.CachedArrays({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):

@@ -29,7 +29,6 @@ def groove(width=0.1):
 @pytest.mark.plain
 @pytest.mark.parametrize("method", METHODS)
 def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
-    """A press and a roll by 0.3 rad over the edges between coplanar triangles give the records of a plane."""
     points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
     rolling = {"rolling": {"method": method}}
     mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
@@ -111,7 +110,6 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
 
 
 def test_a_first_pose_inside_is_pushed_out(tmp_path):
-    """A first pose inside the mesh is in contact, as with every shape, and is pushed to the nearest face."""
     running = engine(thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.03))))
     records = go(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
@@ -126,7 +124,6 @@ def test_a_finger_at_rest_may_touch_to_rounding(tmp_path):
 
 
 def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
-    """A finger that would pass a sheet within one tick is stopped, from either side."""
     running = engine(thing("sheet", "mesh", file=saved(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
     for side in (1.0, -1.0):
         running.reset()
@@ -140,7 +137,6 @@ def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
 @pytest.mark.plain
 @pytest.mark.scaled
 def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
-    """A mesh of a box that rises under a still finger gives the same forces as the box, and carries a stuck finger."""
     motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
     far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
     of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)

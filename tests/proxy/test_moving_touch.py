@@ -49,8 +49,6 @@ def scene(*things: dict[str, Any], **tables: Any) -> Scene:
 
 
 class Driver:
-    """Engine whose object poses are set before each tick."""
-
     def __init__(self, given: Scene) -> None:
         self.scene, self.engine = given, Engine(given)
 
@@ -95,7 +93,6 @@ HEIGHT = -0.01 * np.cos(2.0 * np.pi * np.arange(1, TICKS + 1) / TICKS)
 @pytest.mark.parametrize("retreat", [0.0, 0.004], ids=["still", "retreating"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_rising_object_presses_on_the_finger(name: str, retreat: float) -> None:
-    """The force is K times the depth from the first tick of overlap, also while the finger retreats more slowly."""
     shape, x, top = SHAPES[name]
     finger = np.column_stack([np.full(TICKS, x), np.zeros(TICKS), top + R + retreat * DT * np.arange(1, TICKS + 1)])
     driver = Driver(scene(shape))
@@ -143,7 +140,6 @@ def test_damping_is_against_the_speed_of_the_object() -> None:
 @pytest.mark.parametrize("dt", [DT, 0.0])
 @pytest.mark.parametrize("name", SHAPES)
 def test_an_object_that_jumps_over_the_finger_pushes_it_forward(name: str, dt: float) -> None:
-    """An object that jumps up by 30 mm through a finger 1 mm above it pushes the finger up with a depth of 29 mm."""
     shape, x, top = SHAPES[name]
     driver = Driver(scene(shape))
     finger = (x, 0.0, top + R + 0.001)
@@ -157,7 +153,6 @@ def test_an_object_that_jumps_over_the_finger_pushes_it_forward(name: str, dt: f
 
 @pytest.mark.parametrize("name", ALONE)
 def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
-    """An object without motion that a command places around the finger touches it on the next tick."""
     shape, x, top = SHAPES[name]
     driver = Driver(scene(shape | {"motion": None, "position_m": [0.0, 0.0, -0.5]}))
     finger = (x, 0.0, top + R)
@@ -177,7 +172,6 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
 def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
-    """While the finger presses on a floor, a wall that moves in from the side adds K times its depth."""
     floor = {"shape": "plane", "motion": None}
     wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
     driver = Driver(scene(floor, wall))
@@ -191,7 +185,6 @@ def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thicknes
 
 
 def test_a_lift_pushes_the_finger_against_a_shelf() -> None:
-    """A rising plate does not push the proxy through a thin shelf at rest."""
     grip = {"stiffness_n_per_m": K}
     lift = {"shape": "plane", "material": grip}
     shelf = {"shape": "box", "size_m": [0.2, 0.2, 0.001], "position_m": [0.0, 0.0, 0.03], "motion": None}
@@ -212,7 +205,6 @@ ROLLING = {"rolling": {"method": "euler_zxz"}, "coupling": {"damping_ns_per_m": 
 
 @functools.cache
 def pair(name: str) -> tuple[Engine, Driver]:
-    """Return an engine with the object at rest and a driver that moves the same object."""
     given = {"ball": [BALL], "block": [BLOCK], "hollow": [BALL | {"radius_m": 0.05, "inside": True}]}[name]
     still = Engine(scene(*[thing | {"motion": None} for thing in given], **ROLLING))
     return still, Driver(scene(*given, **ROLLING))
@@ -259,7 +251,6 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
 
 
 def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
-    """A table rises under a softly held simulated device; in every tick the force is K times the depth."""
     rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))

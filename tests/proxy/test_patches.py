@@ -35,7 +35,6 @@ PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "ro
 
 
 def facing(normal):
-    """Return the quaternion that rotates +z to `normal` (3,)."""
     n = np.asarray(normal, float) / np.linalg.norm(normal)
     q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
     return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
@@ -63,7 +62,6 @@ def wall(name, normal, stuff=None, offset=0.0, **keys):
 
 
 def tile(name, x, y=0.0, edge=0.1, stuff=None):
-    """Return a box whose top face is z = 0."""
     return {
         "name": name,
         "shape": "box",
@@ -86,7 +84,6 @@ def engine(*things, **tables):
 
 
 def poses(points, vectors=None):
-    """Return poses (n, 7) with positions (n, 3) and rotation vectors (n, 3)."""
     points = np.asarray(points, float)
     vectors = np.zeros_like(points) if vectors is None else np.asarray(vectors, float)
     angles = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -104,7 +101,6 @@ def part(records, name, size=3):
 
 
 def pressing(goal, ticks=20):
-    """Return points of a straight path down to a goal."""
     above = np.add(goal, [0.0, 0.0, 0.003])
     return np.vstack([above, line(above, goal, ticks)])
 
@@ -115,7 +111,6 @@ PRESS = pressing(IN_GROOVE, 100)
 
 
 def in_groove(running, points, vectors=None):
-    """Return the records of a path in the groove, after pressing 1 mm into it."""
     running.run(poses(PRESS))
     return running.run(poses(points, vectors))
 
@@ -139,7 +134,6 @@ def test_friction_along_a_groove_is_the_sum_of_both_laws(order, laws, expected):
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
 def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
-    """The drag does not depend on which wall was touched first."""
     running = engine(*groove(order, [material(None), material()]))
     begin = np.add(ABOVE, [shifted, 0.0, 0.0])
     running.run(poses(np.vstack([begin, line(begin, IN_GROOVE, 100)])))
@@ -148,7 +142,6 @@ def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
 
 
 def test_each_patch_is_in_the_record():
-    """The record contains object, point, normal, force and mode of each wall; the forces sum to the total."""
     running = engine(*groove(stuff=[material(), material(LATE)]))
     record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
     for i in (0, 1):
@@ -165,7 +158,6 @@ def test_each_patch_is_in_the_record():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_first_patch_has_the_largest_load(order):
-    """At equal depth the wall that is three times as stiff is listed first, in either scene order."""
     running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
     record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
     for i in (0, 1):
@@ -215,7 +207,6 @@ ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
 def test_friction_is_constant_across_a_seam(order, speed):
-    """Two flush boxes act like one plane: sliding friction is mu_d f_N on both sides of the seam."""
     running = engine(*[SEAM[i] for i in order])
     half = min(0.03, 0.5 * speed)  # at most one second
     start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
@@ -250,13 +241,11 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
 
 
 def tiled(edge, stuff, side=10):
-    """Return side x side flush boxes around the origin whose tops form the surface z = 0."""
     at = edge * (np.arange(side) - 0.5 * (side - 1))
     return [tile(f"tile {i} {j}", x, y, edge, stuff) for i, x in enumerate(at) for j, y in enumerate(at)]
 
 
 def all_over():
-    """Return poses that press, drag, roll and spin within 30 mm x 30 mm."""
     t = np.linspace(0.0, 20.0, 4000)
     points = np.stack([0.014 * np.sin(1.3 * t), 0.014 * np.sin(1.7 * t), R - 0.0006 + 0.001 * np.sin(2.9 * t)], axis=1)
     return poses(points, np.stack([0.9 * np.sin(1.1 * t), 0.9 * np.sin(1.9 * t), 0.5 * np.sin(2.3 * t)], axis=1))
@@ -280,7 +269,6 @@ WAYS = {
 @pytest.mark.scaled
 @pytest.mark.parametrize(("path", "tip"), [*((path, {}) for path in WAYS), ("all over", SOFT)])
 def test_a_tiled_surface_equals_a_plane(cases, path, tip):
-    """A hundred flush boxes of 6 mm give the same records as a plane."""
     stuff = material(GRIP, LIMP)
     whole = WAYS[path]()
     path = whole[:: len(whole) // cases(200, len(whole))]
@@ -314,7 +302,6 @@ def test_object_indices_follow_the_scene_file():
 
 
 def test_another_number_of_objects_is_another_scene():
-    """Tuning to a scene with fewer objects raises ValueError, because a patch could refer to a removed object."""
     more, fewer = (build(Scene, BASE | PLAIN | {"object": tiled(0.004, material(), side)}, "") for side in (4, 3))
     with pytest.raises(ValueError, match="other parts"):
         Engine(more).tune(fewer)
@@ -322,7 +309,6 @@ def test_another_number_of_objects_is_another_scene():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
-    """Torsion wound on one box persists on the next."""
     running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
     start = ON_SEAM - [0.004, 0.0, 0.0]
     running.run(poses(pressing(start)))
@@ -460,7 +446,6 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_wall_that_moves_in_has_its_damping(order):
-    """The finger rests on the floor while a wall with 20 N s/m moves in at 10 mm/s."""
     stuff = material(None, damping_ns_per_m=20.0)
     turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
     things = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
@@ -477,7 +462,6 @@ def test_a_wall_that_moves_in_has_its_damping(order):
 
 
 def test_a_shallow_valley_is_nearly_a_plane():
-    """Dragged through a valley of one degree, friction equals that of the plane up to the effect of the slope."""
     half = np.radians(0.5)
     running = engine(*groove(angle=half))
     start, end = np.array([-0.005, 0.0, R - 0.001]), np.array([0.005, 0.0, R - 0.001])
@@ -507,7 +491,6 @@ def test_forces_of_a_pinch_add(order):
 
 
 def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
-    """Only the floor presses while there is room; once the ceiling reaches the probe, it adds a spring."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
     records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
@@ -523,7 +506,6 @@ CLOSING = 0.003
 
 
 def jaws():
-    """Return an engine with three plates at 120 degrees that close within half a second."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, CLOSING], "frequency_hz": 0.5}
     stuff = material(GRIP, STRONG)
     return engine(*(wall(f"jaw {i}", n, stuff, -R - 0.001) | {"motion": motion} for i, n in enumerate(JAWS)))

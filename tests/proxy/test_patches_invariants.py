@@ -52,7 +52,6 @@ PLACES = {kind: np.array(place) for kind, (_, place) in PLANES.items()} | {
 
 
 def things(kind, stuff, turned=None):
-    """Objects of a scene, rotated about the origin by the quaternion `turned`."""
     if kind == "seam":
         return [tile("left", -0.05, stuff=stuff), tile("right", 0.05, stuff=stuff)]
     matrix = np.eye(3) if turned is None else rotation(turned)
@@ -94,7 +93,6 @@ CASE = (st.sampled_from(KINDS), *MOTIONS)
 @examples(15)
 @given(*CASE)
 def test_closed_cycle_gives_no_energy(kind, found, count):
-    """The hand never gets back more energy than it has put in; in a pinch, not over the whole cycle."""
     engine_of = running(kind)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
@@ -133,7 +131,6 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
 @examples(15)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
 def test_unequal_walls_give_no_energy(kind, found, count):
-    """The same if one wall is softer, with less friction and less torsion."""
     engine_of = running(kind, unequal=True)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
@@ -165,7 +162,6 @@ SWAY = np.array([0.0002, -0.0003, 0.0004])
 
 @functools.cache
 def swaying(kind):
-    """Engine of a scene whose last wall moves."""
     objects = things(kind, STUFF)
     motion = {"kind": "sinusoid", "translation_m": SWAY.tolist(), "frequency_hz": 62.5}
     objects[-1] = objects[-1] | {"motion": motion}
@@ -176,7 +172,6 @@ def swaying(kind):
 @examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
 def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
-    """The work of hand and moving wall together is never negative."""
     engine_of = swaying(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))
@@ -195,7 +190,6 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
 @examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_order_of_touches_changes_nothing(kind, found, count):
-    """The mirror image of a path, which touches the other object first, gives the mirrored forces and torques."""
     poses = handling(kind, found, count)
     a = visit(running(kind), poses)
     b = visit(running(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
@@ -235,7 +229,6 @@ def test_force_is_continuous(kind, found, count):
 
 @functools.cache
 def elsewhere(kind):
-    """Return an engine of the scene rotated about the origin, and the rotation."""
     q = np.array([0.5, 0.5, -0.1, 0.7]) / np.linalg.norm([0.5, 0.5, -0.1, 0.7])
     return engine(*things(kind, STUFF, q)), q
 

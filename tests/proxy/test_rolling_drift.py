@@ -21,7 +21,6 @@ SHORT = 1000
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
-    """At every step the contact point is on the object within 1e-12 m, and the normal has unit length."""
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     ticks = cases(SHORT, 10 * MILLION if name in LONG else MILLION // 5)
     off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)

@@ -52,12 +52,10 @@ def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: fl
 
 
 def constant_turn(w: Array, n: int) -> Array:
-    """Quaternions (n + 1, 4) of n equal world rotations w (3,) rad."""
     return np.array([quaternion(k * w) for k in range(n + 1)])
 
 
 def paper_step() -> Array:
-    """The experiment's rotation per sampling step about x, y, z, rad."""
     table = published()
     return np.array([table["delta_psi"], table["delta_theta"], table["delta_phi"]])
 
@@ -172,7 +170,6 @@ def test_constant_rate_against_the_rolling_equation(
 
 
 def test_without_spin_the_path_is_exact(plane_scene: SceneFactory) -> None:
-    """A rotation about a tangent axis gives the path of the rolling equation, to rounding."""
     dt, n = 1e-2, 100
     w = np.array([0.03, 0.02, 0.0])
     exact, _ = rolling_equation(lambda _: w / dt, R, np.linspace(0, n * dt, n + 1))
@@ -181,8 +178,6 @@ def test_without_spin_the_path_is_exact(plane_scene: SceneFactory) -> None:
 
 
 def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
-    """For a rate that changes in size and direction, halving dt quarters the error."""
-
     def rate(t: float) -> Array:
         return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])
 
@@ -197,7 +192,6 @@ def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFa
 
 
 def test_decomposition_does_not_depend_on_the_tangent_axes() -> None:
-    """Roll and spin of a step are the same for any tangent axes of the contact frame."""
     rng = np.random.default_rng(5)
     for _ in range(50):
         normal = rng.normal(size=3)

@@ -20,7 +20,6 @@ pytestmark = [
 
 
 def test_sinc_is_exact_to_rounding():
-    """sin(x) / x is exact within two units of the last place, for small, large and negative arguments."""
     for x in ARGUMENTS.tolist():
         wide = np.longdouble(x)
         expected = float(np.sin(wide) / wide)
@@ -31,7 +30,6 @@ def test_sinc_is_exact_to_rounding():
 
 
 def test_angle_of_is_exact_to_rounding():
-    """2 atan2(s, c) is exact within three units of the last place, for a sine and cosine of any common scale."""
     for ratio in ARGUMENTS.tolist():
         for c in (1.0, 0.7, 1e-3):
             s = ratio * c
@@ -47,7 +45,6 @@ def test_angle_of_is_exact_to_rounding():
 
 
 def test_exp_and_log_are_inverse():
-    """A rotation vector shorter than half a turn is recovered from its quaternion, for any length."""
     rng = np.random.default_rng(5)
     for length in np.geomspace(1e-150, 3.0, 200).tolist():
         axis = rng.normal(size=3)
@@ -69,7 +66,6 @@ def matrix_of(q):
 
 
 def test_quaternion_of_a_matrix_is_exact_to_rounding():
-    """Random rotations, and half turns and near half turns, are recovered from their matrices, with w >= 0."""
     rng = np.random.default_rng(6)
     axes = [*np.eye(3), *(-np.eye(3)), *rng.normal(size=(20, 3))]
     quaternions = [*rng.normal(size=(500, 4)), [1.0, 0.0, 0.0, 0.0]]
@@ -86,8 +82,6 @@ def test_quaternion_of_a_matrix_is_exact_to_rounding():
 
 
 def test_unit_quaternions_are_not_renormalised():
-    """A normalised quaternion that is recorded and read again has the same bits. A quaternion farther from unit length
-    than rounding explains is normalised."""
     random = np.random.default_rng(5)
     for q in (random.standard_normal((20000, 4)) * random.uniform(0.5, 1.5, (20000, 1))).tolist():
         once = rotations.normalize(tuple(q))

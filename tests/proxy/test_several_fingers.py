@@ -87,7 +87,6 @@ STROKES = {"index": stroke(0.006, 0.03, 0.7), "thumb": stroke(0.01, -0.02, 0.0)}
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("objects", OBJECTS)
 def test_two_fingers_on_one_object_are_two_runs_of_one(objects: str) -> None:
-    """On objects that do not yield, each finger gets the bits of a run with that finger only, in either order."""
     for names in (("thumb", "index"), ("index", "thumb")):
         both = engine(objects, *names)
         both.reset()
@@ -105,7 +104,6 @@ def test_two_fingers_on_one_object_are_two_runs_of_one(objects: str) -> None:
 
 
 def test_world_time_advances_once_per_tick() -> None:
-    """With two fingers, n ticks still advance the turntable and the world time by n dt."""
     both = engine(TURNTABLE, "thumb", "index")
     both.reset()
     both.run(STROKES)

@@ -15,7 +15,6 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def facing(normal):
-    """Quaternion that turns +z to `normal` (3,)."""
     n = np.asarray(normal, float) / np.linalg.norm(normal)
     q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
     return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
@@ -48,7 +47,6 @@ def engine(*objects, **tables):
 
 
 def go(running, points):
-    """Records of a run with one tick at each of `points` (n, 3), upright."""
     return running.run(np.hstack([np.asarray(points, float), np.tile(UPRIGHT, (len(points), 1))]))
 
 
@@ -57,7 +55,6 @@ def way(start, end, ticks):
 
 
 def test_corner_of_three_planes():
-    """Behind three walls, the proxy is in the corner and each wall pushes with K times its depth."""
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
     records = go(
         corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
@@ -97,7 +94,6 @@ def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
 
 
 def test_sphere_rests_between_three_spheres():
-    """On three balls the proxy is at a distance of one radius from each of them."""
     corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]
     balls = [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
     height = np.sqrt(0.02**2 - 0.012**2)
@@ -121,7 +117,6 @@ def test_sphere_rests_between_three_spheres():
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_thin_object_is_not_jumped_over(shape, keys, tilt):
-    """A probe that crosses a thin object in a single tick leaves the proxy on its first side."""
     passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = go(passing, [start, start, end, end, end])
@@ -131,7 +126,6 @@ def test_thin_object_is_not_jumped_over(shape, keys, tilt):
 
 
 def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
-    """A finger that slides along one plate stops at a second thin plate in its path."""
     plates = [
         thing("plate", "box", size_m=[0.2, 0.2, 0.001]),
         thing("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
@@ -144,7 +138,6 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
 
 
 def test_turning_table_spins_the_contact():
-    """A turntable under a still fingertip winds up torsion in the opposite direction."""
     material = {
         "stiffness_n_per_m": 1000.0,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -160,7 +153,6 @@ def test_turning_table_spins_the_contact():
 
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
-    """If the probe rests anywhere in a cluttered corner, the proxy converges to rest as well."""
     rng = np.random.default_rng(5)
     clutter = [
         wall("floor", (0, 0, 1)),

@@ -34,7 +34,6 @@ def pressed(depth: float = 0.001) -> Hand:
 
 
 def test_touch_is_the_first_tick_below_the_surface(plane_scene: SceneFactory) -> None:
-    """Contact starts when the gap is below the radius, not when it equals it."""
     engine = Engine(plane_scene())
     assert engine.step([0, 0, R], [1, 0, 0, 0]).mode == FREE
     step = engine.step([0, 0, R - 1e-9], [1, 0, 0, 0])
@@ -42,7 +41,6 @@ def test_touch_is_the_first_tick_below_the_surface(plane_scene: SceneFactory) ->
 
 
 def test_touch_starts_unwound(plane_scene: SceneFactory) -> None:
-    """On the tick of touch a moving, rotating finger has only a normal force."""
     engine = Engine(plane_scene())
     engine.step([-0.02, 0.01, R + 0.005], [1, 0, 0, 0])
     step = engine.step([0, 0, R - 0.001], [0.6, 0.48, 0.64, 0])
@@ -54,7 +52,6 @@ def test_touch_starts_unwound(plane_scene: SceneFactory) -> None:
 
 
 def test_drag_begins_where_the_normal_force_drops(plane_scene: SceneFactory) -> None:
-    """A finger pulled sideways starts to slide when lifting reduces mu_s f_N below the tangential force."""
     hand = pressed(0.002).go(60, move=[0.5e-3, 0, 0])
     start = hand.at
     hand.go(100, move=[0, 0, 0.0015])
@@ -92,7 +89,6 @@ def test_stop_sticks_again_and_keeps_the_force(plane_scene: SceneFactory) -> Non
 
 
 def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
-    """Sliding at 0.1 mm/s, well below the stop speed, continues."""
     hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
@@ -116,7 +112,6 @@ def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
 
 
 def test_a_turn_across_the_slide_is_not_a_reversal(plane_scene: SceneFactory) -> None:
-    """Turning by 90 degrees while sliding does not stick, and the force rotates with the motion."""
     hand = pressed().go(200, move=[0.01, 0, 0]).go(400, move=[0, 0.02, 0])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag"]
@@ -125,7 +120,6 @@ def test_a_turn_across_the_slide_is_not_a_reversal(plane_scene: SceneFactory) ->
 
 
 def test_release_clears_everything(plane_scene: SceneFactory) -> None:
-    """On release the force is zero, and the next touch does not depend on the previous contact."""
     hand = pressed().go(100, move=[0.01, 0, 0], turn=[0, 0, 0.05])
     hand.go_to(1, [0.01, 0, R + 0.001])
     out = hand.at
@@ -142,7 +136,6 @@ def test_release_clears_everything(plane_scene: SceneFactory) -> None:
 
 
 def test_release_from_sliding_at_the_surface(plane_scene: SceneFactory) -> None:
-    """A slide that lifts off ends on the first tick with a gap of at least the radius, with one event."""
     hand = pressed().go(100, move=[0.005, 0, 0]).go(203, move=[0.01, 0, 0.002])
     trace = drive(Engine(plane_scene()), hand)
     assert trace.causes == ["touch", "drag", "release"]
@@ -151,7 +144,6 @@ def test_release_from_sliding_at_the_surface(plane_scene: SceneFactory) -> None:
 
 
 def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) -> None:
-    """A finger withdrawn so fast that damping cancels the force is in contact until it is outside."""
     scene = plane_scene(material={"damping_ns_per_m": 10.0})
     trace = drive(Engine(scene), pressed(0.002).go(10).go(30, move=[0, 0, 0.006]))
     inside = (trace.poses[:, 2] < R) & (trace.normal_force == 0.0)
@@ -166,7 +158,6 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
 def test_a_followed_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
-    """Three radians rolled back and forth, with the hand following the contact: touch is the only event."""
     along = R * np.cross(axis, [0, 0, 1])
     hand = pressed()
     for angle in (3.0, -2.0, 0.7, -0.01, 1.2):
@@ -198,7 +189,6 @@ def test_a_hand_that_follows_gets_its_cone_back(plane_scene: SceneFactory) -> No
 
 
 def test_drag_against_a_roll_does_not_wind_up(plane_scene: SceneFactory) -> None:
-    """The cone bounds the force of a roll in one direction and a drag in the other, for any duration."""
     trace = drive(Engine(plane_scene()), pressed().go(2000, move=[0, 0.05, 0], turn=[5, 0, 0]))
     assert len(trace.events) == 2
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
@@ -288,7 +278,6 @@ def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 5e-3])
 def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: float) -> None:
-    """A drag measured by encoders of 10 um, with tremor of one step, slips once and sticks once."""
     hand, rng = pressed(depth), np.random.default_rng(7)
     way = np.concatenate([np.linspace(0, 0.03, 600), np.full(200, 0.03)])
     for i, x in enumerate(way):
@@ -306,7 +295,6 @@ def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: fl
 def test_a_finger_at_rest_does_not_chatter(
     plane_scene: SceneFactory, cases: Cases, kinetic: float, resolution: float, slide: float
 ) -> None:
-    """At rest, with encoders that flicker by one step of 10 um, a finger sticks for good, also with mu_d = mu_s."""
     hand, rng = pressed(), np.random.default_rng(13)
     hand.go(200, move=[slide, 0, 0])
     rest, x = hand.at, hand.x.copy()
@@ -332,7 +320,6 @@ def test_the_stop_band_is_half_a_millimetre_a_second(plane_scene: SceneFactory) 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, seed: int) -> None:
-    """On the tick of touch there is no deflection, so damping produces no tangential force."""
     rng = np.random.default_rng(seed)
     scene = plane_scene(
         coupling={"damping_ns_per_m": 1e3},
@@ -358,7 +345,6 @@ LETTER = {"rolling": {"state_machine": "paper"}}
 
 
 def test_letter_agrees_in_the_papers_cases(plane_scene: SceneFactory) -> None:
-    """For a roll in place, theta_max and a plain drag, the literal rule switches on the same tick as the default."""
     held = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
     assert held.causes == ["touch"]
     assert held.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
@@ -398,7 +384,6 @@ def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -> None:
-    """It sticks if it is pressed deeper while resting along the plane."""
     hand = pressed().go(200, move=[0.01, 0, 0])
     stop = hand.at
     trace = drive(Engine(plane_scene(**LETTER)), hand.go(1).go(10, move=[0, 0, -0.0001]))
@@ -414,6 +399,5 @@ def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -
     ],
 )
 def test_letter_requires_coulomb_friction(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
-    """The paper's rule raises ConfigError when combined with a law outside the paper."""
     with pytest.raises(ConfigError, match=message):
         plane_scene(material=material, **LETTER)

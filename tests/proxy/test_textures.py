@@ -71,12 +71,10 @@ def scene(tmp_path: Path) -> Make:
 
 
 def poses_at(points: Array) -> Array:
-    """Return poses (n, 7) of an unrotated fingertip."""
     return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
 
 
 def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
-    """Return random points (count, 3) over several periods, at this depth below first contact with an even plane."""
     points = np.random.default_rng(seed).uniform(-2.2 * SIZE, 2.2 * SIZE, (count, 3))
     points[:, 2] = R - depth
     return points
@@ -138,7 +136,6 @@ def test_frequencies_above_the_cutoff_are_reduced_to_a_hundredth(pitch: float, t
 
 @pytest.mark.parametrize(("border", "rows"), [("period", 24), ("clamp", 24), ("period", 1), ("clamp", 1)])
 def test_filter_is_the_gaussian_mean_of_the_extended_array(border: str, rows: int) -> None:
-    """The filter equals a direct Gaussian-weighted sum over the repeated or mirrored array."""
     grid = np.random.default_rng(1).uniform(0.0, 1.0, (rows, 18))
     pitch, cutoff = (1.0e-3, 0.8e-3), 6.0e-3
     repeats = border == "period"
@@ -191,7 +188,6 @@ def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, 
 
 
 def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> None:
-    """At a penetration smaller than the valley's depth the force is exactly zero, still in contact, and never pulls."""
     wave = Wave(64, 1, SIZE, SIZE, (2, 0))
     depth = 0.3 * HEIGHT
     points = over_plane(200, depth)
@@ -303,7 +299,6 @@ TURN = np.array([0.5, -0.1, 0.7, 0.5]) / np.linalg.norm([0.5, -0.1, 0.7, 0.5])
 
 
 def test_texture_moves_with_the_pose_of_its_object(scene: Make) -> None:
-    """Rotating and moving hand and object together rotates the force."""
     grid, place, points = OBLIQUE.samples(), np.array([0.02, -0.03, 0.01]), over_plane(40)
     there = {"position_m": place.tolist(), "orientation_wxyz": TURN.tolist()}
     at_rest = forces(Engine(scene(grid, extent(OBLIQUE))), points)
@@ -312,7 +307,6 @@ def test_texture_moves_with_the_pose_of_its_object(scene: Make) -> None:
 
 
 def test_texture_moves_with_a_moving_object(scene: Make) -> None:
-    """A finger that moves with the object has the same force in every tick."""
     motion = {"kind": "sinusoid", "translation_m": [0.02, 0.01, 0.0], "frequency_hz": 1.5}
     engine = Engine(scene(OBLIQUE.samples(), extent(OBLIQUE), motion=motion))
     point, count = np.array([0.003, 0.001, R - DEPTH]), 700
@@ -325,8 +319,6 @@ def test_texture_moves_with_a_moving_object(scene: Make) -> None:
 
 
 def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
-    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
-    forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -351,7 +343,6 @@ def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
 
 
 def test_clamped_border_is_level(scene: Make) -> None:
-    """Beyond the array the value of its border applies, without a tangential force across it."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     engine = Engine(scene(grid, texture={"border": "clamp"}))
     y = np.linspace(-0.4 * SIZE, 0.4 * SIZE, 15)
@@ -363,7 +354,6 @@ def test_clamped_border_is_level(scene: Make) -> None:
 
 
 def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make) -> None:
-    """Beyond the rows the value of the border applies all around; the texture repeats after an eighth of a turn."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
     engine = Engine(scene(grid, SHAPES["cylinder"], texture=texture))
@@ -477,7 +467,6 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
 def test_texture_stays_between_its_minimum_and_maximum(
     tmp_path_factory: Any, grid: Array, u: float, v: float, border: str
 ) -> None:
-    """The interpolated value stays in range for any array and any coordinate."""
     if grid.min() == grid.max():
         grid.flat[0] += 1.0
     file = tmp_path_factory.mktemp("grid") / "grid.npy"
@@ -490,8 +479,6 @@ def test_texture_stays_between_its_minimum_and_maximum(
 
 
 def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
-    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
-    compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -526,8 +513,6 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
 
 
 def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
-    `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]

@@ -28,7 +28,6 @@ R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 
 
 def equilibrium_angle(h: float, d: float, mu: float) -> float:
-    """Angle a, rad, between zero and the angle of zero depth."""
     sign = np.sign(h)
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
 
@@ -204,8 +203,6 @@ ALONE: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
 def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
-    has no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

@@ -57,7 +57,6 @@ def test_moment_saturates_at_the_torsional_limit(
 
 
 def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None:
-    """f_N^(1 + 0) is f_N, to the last bit."""
     hand = pressed().go(50, turn=[0, 0, 0.3]).go(50, move=[0, 0, -0.0007]).go(50, turn=[0, 0, -0.5])
     linear = drive(Engine(plane_scene()), hand)
     power = drive(Engine(plane_scene(material={"torsion": {"exponent": 0.0}})), hand)
@@ -67,7 +66,6 @@ def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
 def test_lifting_reduces_the_moment_permanently(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
-    """If a wound finger is lifted, the moment falls with its limit and does not return when it is pressed again."""
     hand = pressed(0.002).go(100, turn=[0, 0, 0.1])
     wound = hand.at
     hand.go(100, move=[0, 0, 0.0018])
@@ -83,7 +81,6 @@ def test_lifting_reduces_the_moment_permanently(plane_scene: SceneFactory, torsi
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
 def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
-    """Without friction the tangential force is zero, and the moment equals that of the same torsion with friction."""
     hand = pressed(0.0015).go(300, turn=[0, 0, 0.3]).go(300, move=[0.01, 0, 0.0005], turn=[0, 0, -0.2])
     smooth = drive(Engine(plane_scene(rolling=None, material={"friction": None, "torsion": torsion})), hand)
     rough = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
@@ -98,7 +95,6 @@ def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, sign: int) -> None:
-    """The moment peaks at the static torsional limit, slips at the kinetic one, persists at a stop, and peaks again."""
     hand = pressed().go(499, turn=[0, 0, sign * 0.5])
     stop = hand.at
     hand.go(200)
@@ -120,7 +116,6 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
 
 
 def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
-    """After a reversal the proxy sticks until the moment reaches the static limit in the other direction."""
     hand = pressed().go(300, turn=[0, 0, 0.3])
     turn = hand.at
     hand.go(300, turn=[0, 0, -0.3])
@@ -133,7 +128,6 @@ def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
 
 
 def test_friction_and_torsion_have_independent_limits(plane_scene: SceneFactory) -> None:
-    """Dragged and spun together, the proxy slides at mu_d f_N and turns at the kinetic torsional limit."""
     trace = drive(
         Engine(plane_scene(material={"torsion": PROXY})), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8])
     )
@@ -163,7 +157,6 @@ def test_equal_limits_give_the_independent_model(plane_scene: SceneFactory) -> N
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.003, 0.004])
 def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases: Cases, kinetic: float) -> None:
-    """At rest after a spin, with encoders that flicker by one step of 1 mrad, the proxy sticks."""
     hand, rng = pressed().go(300, turn=[0, 0, 0.3]), np.random.default_rng(3)
     rest = hand.at
     flicker = 1e-3 * rng.integers(-1, 2, cases(1000, 3000))
@@ -190,13 +183,11 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     ],
 )
 def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> None:
-    """A contradictory or out-of-range torsion table raises ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the torsion law, which selects the compiled code, has only the parts that the scene specifies."""
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
         (None, None),
@@ -211,7 +202,6 @@ def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    """If one object has a turning proxy, all get its type, with equal limits, or with zero limits without torsion."""
     mapping = paper_mapping()
     table = mapping["object"][0]
     turning = {**table["material"], "torsion": {**table["material"]["torsion"], **PROXY}}
