@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import SceneFactory
-from references.hand import Hand, drive
+from references.hand import drive, pressed
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import ROLLING, SLIDING
@@ -20,11 +20,6 @@ pytestmark = pytest.mark.plain
 
 R = 0.01
 EXACT = 1e-12
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 def test_press(plane_scene: SceneFactory) -> None:

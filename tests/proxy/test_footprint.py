@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from helpers.examples import Cases, examples
-from hypothesis import given
+from helpers.examples import Cases
 from numpy.typing import NDArray
-from references.hand import Hand, drive
-from references.laws import Handling, axis_angles, column, handling, work_of_the_hand
+from references.hand import Hand, drive, pressed
+from references.laws import Array, axis_angles, check_random_handling, column, work_of_the_hand
+from references.rotation import matrix
 from scipy.integrate import quad
 
 from softfinger.config.errors import ConfigError
@@ -52,10 +52,6 @@ def radius(name: str, load: Any) -> Any:
 def soft(patch: dict[str, Any], **changes: Any) -> Engine:
     material = {"torsion": FOLLOWS} | changes.pop("material", {})
     return Engine(build(Scene, paper_mapping(fingertip={"patch": patch}, material=material, **changes), "soft"))
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
@@ -213,30 +209,19 @@ def test_patch_in_the_fingertips_frame_is_the_rotated_world_frame() -> None:
     """Normal and stretch equal the world's, rotated by the measured orientation; the patch centre is -r normal."""
     engine = soft(HERTZ, table={"shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 0.0, -0.05]})
 
-    @examples(8, 300)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         records = records[column(records, "contact.mode") != 0]
-        w, x, y, z = column(records, "probe.orientation", 4).T
-        to_world = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        to_world = np.array([matrix(q) for q in column(records, "probe.orientation", 4)]).reshape(-1, 3, 3)
         normal, inside = column(records, "contact.normal", 3), column(records, "contact.patch_normal", 3)
         behind = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
         tangent = behind - np.sum(behind * normal, axis=1)[:, None] * normal
         stretch = column(records, "contact.patch_stretch", 3)
         # Rounding of a dozen products of numbers of order 1, and of lengths of 10 mm.
-        assert np.allclose(np.einsum("ijn,nj->ni", to_world, inside), normal, rtol=0.0, atol=1e-14)
-        assert np.allclose(np.einsum("ijn,nj->ni", to_world, stretch), tangent, rtol=0.0, atol=1e-15)
+        assert np.allclose(np.einsum("nij,nj->ni", to_world, inside), normal, rtol=0.0, atol=1e-14)
+        assert np.allclose(np.einsum("nij,nj->ni", to_world, stretch), tangent, rtol=0.0, atol=1e-15)
         assert np.allclose(column(records, "contact.finger_point", 3), -R * inside, rtol=0.0, atol=1e-16)
 
-    check()
+    check_random_handling(engine, 8, 300, check)
 
 
 # --- energy ----------------------------------------------------------------------------------------
@@ -258,11 +243,7 @@ def test_contact_creates_no_energy_under_changing_loads(name: str, kind: str) ->
     patch = PATCHES[name] | {"rolling_loss": 0.4}
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
-    @examples(8, 300)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         stretch = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
         a = column(records, "contact.patch_radius")
         k_z = 16.0 / 3.0 * G * a**3
@@ -275,7 +256,7 @@ def test_contact_creates_no_energy_under_changing_loads(name: str, kind: str) ->
         # The same for terms of up to 1e-4 J.
         assert (spun - 0.5 * k_z * column(records, "contact.spin") ** 2).min() >= -1e-17 * len(records)
 
-    check()
+    check_random_handling(engine, 8, 300, check)
 
 
 @pytest.mark.scaled
@@ -284,11 +265,7 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
     alpha = 0.4
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
 
-    @examples(8, 300)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         torque = column(records, "torque", 3)
         turned = axis_angles(column(records, "probe.orientation", 4))
         work = np.concatenate([[0.0], -np.cumsum(np.sum(torque[1:] * turned, axis=1))])
@@ -297,7 +274,7 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
         # Rounding of several hundred terms of up to 1e-4 J.
         assert (work - stored).min() >= -1e-17 * len(records)
 
-    check()
+    check_random_handling(engine, 8, 300, check)
 
 
 # --- scene file --------------------------------------------------------------------------------------

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from helpers.examples import examples
-from hypothesis import given
-from references.hand import Hand, drive
+from references.hand import Hand, drive, pressed
 from references.laws import (
     ANISOTROPIC,
     LAWS,
     SPEED,
-    Handling,
+    Array,
+    check_random_handling,
     column,
-    handling,
     rolling,
     stored_energy,
     work_of_the_hand,
@@ -38,11 +36,6 @@ pytestmark = pytest.mark.plain
 R = 0.01
 EXACT = 1e-12
 """Bound on the rounding error of several hundred additions of order 1e-2 m times 1000 N/m, N."""
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 # --- Coulomb ---------------------------------------------------------------------------------------
@@ -248,11 +241,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
     # 90 hands of about 130 ticks are 10^4 cases.
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         force, normal = column(records, "force", 3)[:, :2], column(records, "contact.normal_force")
         assert np.isfinite(records).all()
         assert (normal >= 0.0).all()
@@ -268,7 +257,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
         largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
         assert (np.abs(column(records, "torque", 3)[:, 2]) <= largest * (1 + EXACT)).all()
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 @pytest.mark.sampled(1)
@@ -277,15 +266,11 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
 def test_contact_creates_no_energy(plane_scene: SceneFactory, law: str) -> None:
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
 
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         # Several hundred terms of up to 1e-2 J each.
         assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -> None:

@@ -13,8 +13,8 @@ from conftest import SceneFactory, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
-from references.hand import Hand, drive
-from references.laws import ANISOTROPIC, Handling, column, handling
+from references.hand import drive, pressed
+from references.laws import ANISOTROPIC, Array, check_random_handling, column
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
@@ -29,11 +29,6 @@ R = 0.01
 F, TAU = 0.5, 0.004
 """Semi-axes of the kinetic limit surface under 1 N, N and N m."""
 COUPLED = {"torsion": {"model": "limit_surface"}}
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 # --- projection --------------------------------------------------------------------------------------
@@ -64,28 +59,6 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
     apart = min(abs(size - 1.0) for size in some)
     assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP, abs=1e-300)
-
-
-@pytest.mark.scaled
-@examples(50, 300)
-@given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
-def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
-    if np.linalg.norm(y) < 1.0 + 1e-6:
-        return
-    w = np.array(weight)
-
-    def outside(m: float) -> bool:
-        return bool(np.linalg.norm(np.array(y) / (1.0 + w * m)) > 1.0)
-
-    low, high = 0.0, 1.0 / min(weight)
-    while outside(high):
-        high *= 2.0
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if outside(middle) else (low, middle)
-    # Where the surface is nearly flat the multiplier is ill-conditioned: compare the points.
-    expected = np.array(y) / (1.0 + w * high)
-    assert np.array(shrink(y, weight, multiplier(y, weight))) == pytest.approx(expected, abs=1e-9)
 
 
 # --- contact -----------------------------------------------------------------------------------------
@@ -155,11 +128,7 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
     engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
 
     # 90 hands of about 130 ticks: 10^4 cases.
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         normal = column(records, "contact.normal_force")
         force, moment = column(records, "contact.tangential_force"), column(records, "torque", 3)[:, 2]
         pushed = normal > 0.0
@@ -168,7 +137,7 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
         on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
         assert (on <= 1.0 + 1e-9).all()
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> None:

@@ -21,7 +21,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
-from softfinger.proxy.meshes.reading import OTHER_FILES, Arrays, arrays_of
+from softfinger.proxy.meshes.reading import OTHER_FILES, arrays_of
 from softfinger.proxy.meshes.report import MeshReport
 
 pytestmark = pytest.mark.plain
@@ -442,9 +442,3 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
         "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
         in (about(of_model).report.noted[0])
     )
-
-
-def test_a_box_is_a_box() -> None:
-    """The volume of the test box matches its closed form, by trimesh."""
-    box = Arrays(CORNERS, np.array(FACES, np.int32))
-    assert trimesh.Trimesh(box.vertices, box.triangles, process=False).volume == pytest.approx(VOLUME)

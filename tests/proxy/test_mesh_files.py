@@ -72,13 +72,6 @@ def stl_binary(mesh: Mesh) -> bytes:
     return b"by hand".ljust(80) + struct.pack("<I", len(mesh.triangles)) + body
 
 
-def obj_text(mesh: Mesh) -> bytes:
-    """Return an OBJ file, not written by trimesh, with a missing material library."""
-    rows = ["v {!r} {!r} {!r}".format(*map(float, each)) for each in mesh.vertices]
-    faces = ["f {} {} {}".format(*(each + 1)) for each in mesh.triangles]
-    return "\n".join(["mtllib ../../etc/passwd", *rows, "usemtl skin", *faces, ""]).encode()
-
-
 def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
     body = mesh.vertices.astype("<f4").tobytes() + mesh.triangles.astype("<u4").tobytes()
     split, n, m = 12 * len(mesh.vertices), len(mesh.vertices), len(mesh.triangles)
@@ -128,7 +121,6 @@ FILES: dict[str, tuple[str, bytes]] = {
     "glb": (".glb", written(BALL, "glb")),
     "ply by hand": (".ply", ply_text(BALL)),
     "stl by hand": (".stl", stl_binary(BALL)),
-    "obj by hand": (".obj", obj_text(BALL)),
     "glb by hand": (".glb", glb_binary(BALL)),
 }
 
@@ -163,13 +155,6 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
     assert report.bodies == 2 and report.watertight and report.turned_triangles == 0
     assert report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL), rel=3 * FLOAT32)
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
-
-
-def test_quads_become_triangles(tmp_path: Path) -> None:
-    square = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
-    (tmp_path / "square.obj").write_bytes(square)
-    report = about(thing(tmp_path / "square.obj")).report
-    assert report.triangles == 2 and report.open_edges == 4
 
 
 def test_scale_converts_to_metres(tmp_path: Path) -> None:

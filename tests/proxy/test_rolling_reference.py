@@ -152,31 +152,6 @@ def test_both_motions_and_both_interpretations(
     assert out.spin == pytest.approx(spin, abs=1e-15)
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize(
-    "rate", [(3.0, 2.0, 0.0), (3.0, 2.0, 5.0), (-1.0, 4.0, -2.0), (0.0, 0.0, 5.0), (0.2, -0.1, 0.01)]
-)
-def test_constant_rate_against_the_rolling_equation(
-    plane_scene: SceneFactory, rate: tuple[float, float, float]
-) -> None:
-    """At a constant world rate and 1 kHz, the path deviates from the integrated equation by at most theta^2 / 24."""
-    dt, n = 1e-3, 500
-    w = np.array(rate) * dt
-    exact, _ = rolling_equation(lambda _: rate, R, np.linspace(0, n * dt, n + 1))
-    path = engine_path(plane_scene(material=HIGH_FRICTION), exact, constant_turn(w, n), dt)
-    length = np.linalg.norm(exact[-1])
-    # The tilt angle of a rotation w differs from its tangential part by less than |w|^2 / 24.
-    assert np.abs(path - exact).max() <= length * (w @ w) / 24 + 1e-13
-
-
-def test_without_spin_the_path_is_exact(plane_scene: SceneFactory) -> None:
-    dt, n = 1e-2, 100
-    w = np.array([0.03, 0.02, 0.0])
-    exact, _ = rolling_equation(lambda _: w / dt, R, np.linspace(0, n * dt, n + 1))
-    path = engine_path(plane_scene(material=HIGH_FRICTION), exact, constant_turn(w, n), dt)
-    assert path == pytest.approx(exact, abs=1e-13)
-
-
 def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
     def rate(t: float) -> Array:
         return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])

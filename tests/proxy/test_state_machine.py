@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import Cases
-from references.hand import Hand, drive
+from references.hand import drive, pressed
 from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
@@ -23,11 +23,6 @@ pytestmark = pytest.mark.plain
 R = 0.01
 EXACT = 1e-12
 """Rounding of some hundred additions of order 1e-2 m times 1000 N/m, N."""
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    """Return a hand that is free on its first tick and pressed in from its second."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 # --- the transitions -------------------------------------------------------------------------------

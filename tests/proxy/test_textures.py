@@ -120,20 +120,6 @@ def test_ripple_above_the_cutoff_is_removed(scene: Make, speed: float) -> None:
     assert ripple < REST or cutoff < 2e-3
 
 
-@examples(70, 200)
-@given(pitch=st.floats(0.02, 3.0), turns=st.floats(0.0, 1.0), image=st.integers(-3, 3))
-def test_frequencies_above_the_cutoff_are_reduced_to_a_hundredth(pitch: float, turns: float, image: int) -> None:
-    """For any pitch, a wave of `turns` / 2 of a turn per sample, and its images in the spline, are reduced above the
-    cutoff.
-
-    In units of the cutoff. An image at f + k / pitch has the filter's gain at f times sinc^4 at the image.
-    """
-    f = 0.5 * turns / pitch
-    frequency = abs(f + image / pitch)
-    if frequency >= 1.0:
-        assert REST ** (f * f) * np.sinc(f * pitch + image) ** 4 <= REST * (1.0 + 4.0 * EPS)
-
-
 @pytest.mark.parametrize(("border", "rows"), [("period", 24), ("clamp", 24), ("period", 1), ("clamp", 1)])
 def test_filter_is_the_gaussian_mean_of_the_extended_array(border: str, rows: int) -> None:
     grid = np.random.default_rng(1).uniform(0.0, 1.0, (rows, 18))

@@ -12,8 +12,8 @@ import pytest
 from conftest import SceneFactory, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import given
-from references.hand import Hand, drive
-from references.laws import Handling, column, handling
+from references.hand import drive, pressed
+from references.laws import Array, column, handling
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
@@ -29,11 +29,6 @@ EXACT = 1e-14
 """Bound on the rounding of several hundred additions of angles of 0.1 rad times 0.05 N m/rad, N m."""
 
 PROXY = {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}
-
-
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
 
 
 # --- limits ----------------------------------------------------------------------------------------
@@ -145,10 +140,10 @@ def test_equal_limits_give_the_independent_model(plane_scene: SceneFactory) -> N
 
     @examples(10, 50)
     @given(handling())
-    def check(hand: Handling) -> None:
+    def check(poses: Array) -> None:
         independent.reset()
         proxy.reset()
-        assert (independent.run(hand.poses) == proxy.run(hand.poses)).all()
+        assert (independent.run(poses) == proxy.run(poses)).all()
 
     check()
 
