@@ -9,8 +9,8 @@ import pytest
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.elastic import solution
-from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.prepared import body_of
+from softfinger.proxy.elastic.solution import ElasticBody, Report
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.elastic import spots, step, surfaces
 from softfinger.proxy.kernels.elastic.response import compliance_of, compute_node_rows
@@ -127,7 +127,7 @@ def groove(folder: Path, compliance: float) -> Any:
     config = scene_of(thing)
     elastic = config.object[0].elastic
     blocks = np.tile(elastic.youngs_pa * compliance * np.eye(3), (6, 6, 1, 1))
-    body = Body(
+    body = ElasticBody(
         surface=Arrays(vertices, triangles),
         nodes=np.arange(6, dtype=np.int32),
         compliance=ReadOnly(blocks),

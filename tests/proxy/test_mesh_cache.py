@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,29 +19,15 @@ from softfinger.config import schema
 from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import array_cache, prepared
-from softfinger.proxy.meshes.prepared import Builder, about, tree_of
+from softfinger.proxy.meshes import tree as trees
+from softfinger.proxy.meshes.prepared import about, tree_of
+from softfinger.proxy.meshes.tree import Tree
 
 pytestmark = pytest.mark.plain
 BUILT: list[int] = []
 
 
-class Tree(NamedTuple):
-    """Stub of a real tree: arrays of several types, and numbers."""
-
-    boxes: np.ndarray
-    corners: np.ndarray
-    numbers: np.ndarray
-    size: float
-    count: int
-
-
-def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
-    BUILT.append(len(triangles))
-    corners = vertices[triangles]
-    return Tree(corners.mean(axis=1).astype(np.float32), corners, triangles, float(np.ptp(vertices)), len(triangles))
-
-
-BUILDER = Builder(build, Tree)
+build_tree = trees.build_tree
 
 
 @pytest.fixture
@@ -61,6 +47,12 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clear the in-memory caches, as in a new process."""
     monkeypatch.setattr(prepared, "_trees", prepared._Memory(4))
     monkeypatch.setattr(prepared, "_abouts", prepared._Memory(4))
+
+    def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
+        BUILT.append(len(triangles))
+        return build_tree(vertices, triangles)
+
+    monkeypatch.setattr(trees, "build_tree", build)
     BUILT.clear()
 
 
@@ -76,11 +68,11 @@ def same(a: Tree, b: Tree) -> bool:
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     thing = part(tmp_path)
     forget(monkeypatch)
-    first = tree_of(thing, BUILDER, folder)
+    first = tree_of(thing, folder)
     description = about(thing)
-    assert tree_of(thing, BUILDER, folder) is first and BUILT == [180]
+    assert tree_of(thing, folder) is first and BUILT == [180]
     forget(monkeypatch)
-    again = tree_of(thing, BUILDER, folder)
+    again = tree_of(thing, folder)
     assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
     assert about(thing).report == description.report
@@ -90,22 +82,22 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
     thing = part(tmp_path)
-    tree_of(thing, BUILDER, folder)
-    assert tree_of(part(tmp_path, scale=0.5), BUILDER, folder).size == 1.0 * tree_of(thing, BUILDER, folder).size / 2
-    tree_of(part(tmp_path, 4), BUILDER, folder)
+    tree_of(thing, folder)
+    assert tree_of(part(tmp_path, scale=0.5), folder).size == 1.0 * tree_of(thing, folder).size / 2
+    tree_of(part(tmp_path, 4), folder)
     assert BUILT == [180, 180, 320]
     (tmp_path / "copy.obj").write_bytes(Path(thing.file).read_bytes())
     copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=thing.material)
-    assert same(tree_of(copy, BUILDER, folder), tree_of(thing, BUILDER, folder)) and len(BUILT) == 3
+    assert same(tree_of(copy, folder), tree_of(thing, folder)) and len(BUILT) == 3
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
     thing = part(tmp_path)
-    tree_of(thing, BUILDER, folder)
+    tree_of(thing, folder)
     forget(monkeypatch)
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
-    tree_of(thing, BUILDER, folder)
+    tree_of(thing, folder)
     assert BUILT == [180]
 
 
@@ -119,10 +111,10 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
         yield reported.append
 
     monkeypatch.setattr(progress, "display", display)
-    tree_of(part(tmp_path), BUILDER, folder)
+    tree_of(part(tmp_path), folder)
     assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
     forget(monkeypatch)
-    tree_of(part(tmp_path), BUILDER, folder)
+    tree_of(part(tmp_path), folder)
     assert len(reported) == 5
 
 
@@ -173,16 +165,16 @@ def test_a_damaged_tree_is_built_again(
 ) -> None:
     forget(monkeypatch)
     thing = part(tmp_path)
-    first = tree_of(thing, BUILDER, folder)
+    first = tree_of(thing, folder)
     file = one(folder)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)
     forget(monkeypatch)
-    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == [180]
+    assert same(tree_of(thing, folder), first) and BUILT == [180]
     assert "its numbers are damaged" in caplog.text
     forget(monkeypatch)
-    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == []
+    assert same(tree_of(thing, folder), first) and BUILT == []
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +184,7 @@ def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: py
     thing = part(tmp_path)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
         forget(monkeypatch)
-        assert tree_of(thing, BUILDER, folder).count == 180 and BUILT == [180]
+        assert tree_of(thing, folder).corners.shape == (180, 3) and BUILT == [180]
     assert list((tmp_path / "open").iterdir()) == []
 
 
