@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
-from helpers.touching import Array, saved
+from helpers.touching import Array, posed, saved
 from references.laws import LAWS
 
 from softfinger.config.load import build
@@ -26,7 +26,6 @@ from softfinger.proxy.record import NAMED
 pytestmark = pytest.mark.plain
 
 R, BALL, K = 0.01, 0.02, 1000.0
-UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 GRIP: dict[str, Any] = {
     "stiffness_n_per_m": K,
     "damping_ns_per_m": 1.0,
@@ -177,9 +176,6 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
     check_out_of_reach("ellipsoid", "midpoint", tmp_path, GRIP, finger=fingers)
 
 
-# --- forces of a contact that sticks ---------------------------------------------------------------
-
-
 COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
 
 
@@ -190,7 +186,7 @@ def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate([*legs, [corners[-1]]])
-    return np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+    return posed(places)
 
 
 CURVED = {
@@ -296,9 +292,6 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
     assert frequency == pytest.approx(expected, rel=1e-4)
 
 
-# --- energy ----------------------------------------------------------------------------------------
-
-
 def closed_path(seed: int, top: float, ticks: int) -> Array:
     rng = np.random.default_rng(seed)
     begin = np.array([0.0, 0.0, top + 1e-3])
@@ -319,7 +312,7 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
     for seed in range(3):
         running.reset()
         places = closed_path(seed, top, 25) + np.array([offset, 0.0, 0.0])
-        records = running.run(np.hstack([places, np.tile(UPRIGHT, (len(places), 1))]))
+        records = running.run(posed(places))
         force = records["force"]
         touching = (records["contact.mode"] > 0) & np.roll(records["contact.mode"] > 0, 1)
         work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0), axis=1)
@@ -328,9 +321,6 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
         first, last = np.flatnonzero(inside)[[0, -1]]
         stored = 0.5 / K * np.sum(force**2, axis=1)
         assert abs(work[first : last + 1].sum() + stored[last + 1] - stored[first]) < 1e-9
-
-
-# --- a mesh of a box equals the box ----------------------------------------------------------------
 
 
 def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array:
@@ -359,7 +349,7 @@ def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, 
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
     mesh = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(*half)), "material": GRIP}
     places = over_a_box(seed, half, 700)
-    poses = np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+    poses = posed(places)
     solid, made = engine([box]).run(poses), engine(with_company(mesh, company)).run(poses)
     assert {0.0, 1.0, 2.0} <= set(solid["contact.mode"])
     faces, edges, corners = ((np.count_nonzero(solid["contact.normal"], axis=1) == n).sum() for n in (1, 2, 3))

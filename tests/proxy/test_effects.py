@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import examples
+from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
 from references.hand import Array
@@ -89,9 +90,6 @@ def normals(draw: st.DrawFn) -> model.Vec3:
     return (s * math.cos(angle), s * math.sin(angle), z)
 
 
-# --- fields --------------------------------------------------------------------------------------
-
-
 def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
     v = (0.1, -0.2, 0.3)
     assert force_of(model.Viscosity(2.0, None), moment((9.0, 9.0, 9.0), v)) == pytest.approx([-0.2, 0.4, -0.6])
@@ -122,9 +120,6 @@ def test_spring_pulls_beyond_its_rest_length_and_pushes_within(distance: float, 
     x, y, z = anchor + distance * along
     effect = model.Spring((0.01, -0.02, 0.03), 100.0, 0.02, 4.0, None)
     assert force_of(effect, moment((x, y, z))) == pytest.approx(expected * along, abs=1e-12)
-
-
-# --- boundary ------------------------------------------------------------------------------------
 
 
 boundaries = pytest.mark.parametrize(
@@ -177,9 +172,6 @@ def test_boundary_starts_without_a_step(effect: Any) -> None:
     edge = 0.1 + (0.05 if isinstance(effect, model.BoxBoundary) else 0.06)
     force = force_of(effect, moment((edge + 1e-9, 0.0, 0.0), (5.0, 0.0, 0.0)))
     assert 0.0 < -force[0] <= 2 * 400.0 * 1.001e-9
-
-
-# --- objects -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
@@ -275,9 +267,6 @@ def test_stick_slip_moves_with_its_object() -> None:
     assert run(effect, iter([touched, lags]))[1] == pytest.approx([0.0, 0.3, 0.0], abs=1e-9)
 
 
-# --- vibration -----------------------------------------------------------------------------------
-
-
 def test_vibration_is_a_sine_from_touch_on() -> None:
     """A sin(2 pi f t) along the normal, with t from the first tick of contact; zero before and after."""
     effect = model.NormalVibration(0.5, 130.0)
@@ -320,9 +309,6 @@ def test_a_change_of_frequency_keeps_the_force_continuous() -> None:
     assert np.abs(np.diff(forces)).max() <= 2 * np.pi * 11.0 * DT
 
 
-# --- several effects -----------------------------------------------------------------------------
-
-
 def test_forces_add_up_and_states_are_separate() -> None:
     at = moment((0.02, 0.13, 0.04), (0.3, 0.1, -0.2), touched=1.0, gap=0.0)
     total, states = apply_effects(EVERY, start_states(EVERY), at)
@@ -363,9 +349,6 @@ def test_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], carr
         assert all(abs(f) <= len(EVERY) * FORCE_CEILING_N for f in force)
     calm, _ = compiled(EVERY, states, Situation(ZERO, ZERO, DT, 0.0, 1.0, UP, carrier))
     assert all(math.isfinite(f) for f in calm)
-
-
-# --- scene file ----------------------------------------------------------------------------------
 
 
 WORKSPACE: list[dict[str, Any]] = [
@@ -452,20 +435,13 @@ def test_the_page_names_every_kind() -> None:
         assert f"`{kind.kind}`" in page()
 
 
-# --- through the engine --------------------------------------------------------------------------
-
-
-def poses(positions: Array) -> Array:
-    return np.hstack([positions, np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))])
-
-
 def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> None:
     magnet = {"kind": "magnet", "force_n": 2.0, "range_m": 0.02}
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
     scene = plane_scene(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
-    records = Engine(scene).run(poses(path), DT)
+    records = Engine(scene).run(posed(path), DT)
     force = records[:, AT.force : AT.force + 3]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
@@ -479,7 +455,7 @@ def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> 
     scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)
     x = np.arange(1001) * 5e-6
     path = np.stack([x, 0.0 * x, np.full_like(x, 0.009)], axis=1)
-    records = Engine(scene).run(poses(path), DT)
+    records = Engine(scene).run(posed(path), DT)
     force = records[:, AT.force : AT.force + 3]
     moments = (moment(tuple(p), touched=1.0) for p in path)
     texture = run(model.StickSlip(1000.0, 0.5), moments)

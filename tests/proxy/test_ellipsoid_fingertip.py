@@ -81,9 +81,6 @@ def support(axes: ArrayLike, orientation: ArrayLike, n: ArrayLike) -> float:
     return float(np.linalg.norm(np.asarray(axes) * (matrix(orientation).T @ np.asarray(n))))
 
 
-# --- contact geometry --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", SHAPES)
 def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
     rng, shape = np.random.default_rng(1), SHAPES[name]
@@ -137,9 +134,6 @@ def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
         found = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
         assert found == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
-
-
-# --- rolling -----------------------------------------------------------------------------------------
 
 
 def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> tuple[Array, Array, float]:
@@ -256,9 +250,6 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
     np.testing.assert_allclose((4.0 * found[1] - found[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
 
 
-# --- energy ----------------------------------------------------------------------------------------
-
-
 def work(rows: Array) -> Array:
     """Work (n,) J of the hand up to each tick, by the trapezoidal rule, of second order in the step."""
     moved = np.diff(column(rows, "probe.position", 3), axis=0)
@@ -306,8 +297,6 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     per_cycle = np.diff(work(rows)[::ticks])
     assert (per_cycle[1:] > 0.0).all()
 
-
-# --- scene file --------------------------------------------------------------------------------------
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}
 FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [

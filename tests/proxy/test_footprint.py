@@ -59,9 +59,6 @@ def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
     return engine.run(np.array(hand.poses))
 
 
-# --- patch radius ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_radius_is_the_closed_form(name: str) -> None:
     records = run(soft(PATCHES[name]), Hand([0, 0, R + 0.001]).go(90, [0, 0, -0.009]))
@@ -102,9 +99,6 @@ def test_the_pressures_lever_is_its_integral(k: float, published: float) -> None
     assert lever_of(k) < 2.0 / 3.0  # the lever of a uniform pressure
 
 
-# --- torsion ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 6e-3])
@@ -116,13 +110,6 @@ def test_torsion_is_elastic_up_to_the_friction_of_the_patch(name: str, depth: fl
     expected = np.minimum(16.0 / 3.0 * G * a**3 * np.linspace(0.0, 2.0, 401), MU * LEVER[name] * a * load)
     assert column(records, "contact.torsion")[1:] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
     assert column(records, "torque", 3)[:, 2] == pytest.approx(column(records, "contact.torsion"), abs=1e-18)
-
-
-def test_torsional_stiffness_of_a_hertzian_patch_is_load_times_radius() -> None:
-    """On a rigid flat 16/3 G a^3 = f_N r, independent of the pad's modulus."""
-    for modulus in (1e4, 1e5, 1e7):
-        records = run(soft({"shear_modulus_pa": modulus}), pressed(0.002).go(1, turn=[0, 0, 1e-6]))
-        assert column(records, "contact.torsion")[-1] == pytest.approx(-2.0 * R * 1e-6, rel=1e-9)
 
 
 @pytest.mark.sampled(1)
@@ -157,9 +144,6 @@ def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     assert moment[-1] == pytest.approx(moment[wound], rel=1e-11)
 
 
-# --- rolling resistance ----------------------------------------------------------------------------
-
-
 def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     """The moment against a roll is 3/16 alpha r f_N theta up to 3/16 alpha a f_N, both ways, and constant at rest."""
     alpha, load = 0.3, 2.0
@@ -191,9 +175,6 @@ def test_work_of_a_long_roll_is_the_loss_factor_times_the_angle() -> None:
     assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 6e-3)
 
 
-# --- in the fingertip's frame ------------------------------------------------------------------------
-
-
 def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> None:
     """A stuck finger turned by 90 degrees about z and dragged by .3 mm along world x stretches its skin along its y."""
     hand = Hand([0, 0, R + 0.001]).go(1, turn=[0, 0, pi / 2]).go_to(1, [0, 0, R - 0.001]).go(30, move=[3e-4, 0, 0])
@@ -223,8 +204,6 @@ def test_patch_in_the_fingertips_frame_is_the_rotated_world_frame() -> None:
 
     check_random_handling(engine, 8, 300, check)
 
-
-# --- energy ----------------------------------------------------------------------------------------
 
 MODELS: dict[str, dict[str, Any]] = {
     "independent": {},
@@ -275,9 +254,6 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
         assert (work - stored).min() >= -1e-17 * len(records)
 
     check_random_handling(engine, 8, 300, check)
-
-
-# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

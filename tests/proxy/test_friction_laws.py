@@ -38,9 +38,6 @@ EXACT = 1e-12
 """Bound on the rounding error of several hundred additions of order 1e-2 m times 1000 N/m, N."""
 
 
-# --- Coulomb ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.5])
@@ -85,9 +82,6 @@ def test_steady_slide_has_no_ripple(plane_scene: SceneFactory, law: str) -> None
     assert np.abs(np.fft.rfft(steady - steady.mean(axis=0), axis=0))[-1].max() / len(steady) < 1e-11
 
 
-# --- speed dependence --------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.15, 0.4])
 @pytest.mark.parametrize(
@@ -130,9 +124,6 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneF
     after = trace.events[2][0]
     assert (trace.tangential[after:] <= 0.6 * (1 + EXACT)).all()
     assert np.ptp(trace.tangential[after:]) < EXACT
-
-
-# --- anisotropic -----------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(3)
@@ -229,9 +220,6 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
     assert round_.events == plain.events
 
 
-# --- properties of all laws -----------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
@@ -282,9 +270,6 @@ def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -
     surplus = work[-1] - work[1] - (stored[-1] - stored[1])
     assert 0.0 < surplus < 4e-6
     assert stored[-1] > 2e-3
-
-
-# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

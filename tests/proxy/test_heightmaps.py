@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.hostile_maps import grid_of
+from helpers.hostile_maps import grid_of, part
+from helpers.touching import SMOOTH, R, engine, go, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import kernel_heightmap, thin_map, tightest
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
@@ -29,7 +27,6 @@ from softfinger.proxy.kernels.shapes.heightmap.tiles import is_farther, tile_at,
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
-R = 0.01
 pytestmark = pytest.mark.plain
 
 
@@ -110,8 +107,6 @@ MAPS: dict[str, tuple[float, Array]] = {
 """Smooth on the scale of a fingertip; finer than it; random pixels, finer and coarser than it."""
 
 SHAPES = {name: kernel_heightmap(heights, pitch) for name, (pitch, heights) in MAPS.items()}
-
-# --- the spline ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -200,9 +195,6 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
         assert math.hypot(*d1) == pytest.approx(1.0) and np.dot(d1, normal) == pytest.approx(0.0, abs=1e-4)
         errors.append(max(abs(k1 - 1.0 / (radius + R)), abs(k2 - 1.0 / (radius + R))))
     assert errors[1] < 0.3 * errors[0] and errors[1] < 1e-2 / abs(radius)
-
-
-# --- the nearest point ---------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
@@ -322,33 +314,6 @@ def test_the_tightest_valley_is_bounded() -> None:
     assert tightest(sampled(30, 30, 1e-3, lambda x, y: 0.1 * x), 1e-3) == pytest.approx(0.0, abs=1e-9)
 
 
-# --- scenes --------------------------------------------------------------------------------------
-
-GRIP = {
-    "stiffness_n_per_m": 1000.0,
-    "friction": {"static": 0.6, "kinetic": 0.5},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
-
-
-def engine(*objects: dict[str, Any], **tables: Any) -> Engine:
-    things = [{"name": f"thing {n}", "material": GRIP, **each} for n, each in enumerate(objects)]
-    scene = {
-        "fingertip": {"radius_m": R},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "rolling": {"method": "midpoint"},
-        "object": things,
-        **tables,
-    }
-    return Engine(build(Scene, scene, "height maps"))
-
-
-def mapped(path: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
-    file = path / f"{len(list(path.iterdir()))}.npy"
-    np.save(file, heights)
-    return {"shape": "heightmap", "file": str(file), "pitch_m": pitch, "level_m": 1.0, **keys}
-
-
 def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Array:
     rng, t = np.random.default_rng(seed), np.arange(ticks)
 
@@ -362,30 +327,24 @@ def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Arra
     return np.hstack([np.column_stack([reach * wander(), reach * wander(), z]), orientation])
 
 
-def test_a_level_map_is_the_plane(tmp_path: Path) -> None:
-    poses = stroke(2, 1500, 0.03, 0.0085, 0.0125)
-    level = engine(mapped(tmp_path, np.full((32, 24), 0.002), 1e-3, position_m=[0.0, 0.0, -0.002])).run(poses)
-    plane = engine({"shape": "plane"}).run(poses)
-    assert {0.0, 1.0, 2.0} <= set(level[:, AT.contact_mode])
-    np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
+SWAY = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],
+        "frequency_hz": 1.5}  # fmt: skip
 
 
-def test_a_moving_level_map_is_the_moving_plane(tmp_path: Path) -> None:
-    motion = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],
-              "frequency_hz": 1.5}  # fmt: skip
-    poses = stroke(3, 1000, 0.006, 0.0085, 0.0115)
-    level, plane = (
-        engine({**floor, "motion": motion}).run(poses)
-        for floor in (mapped(tmp_path, np.zeros((40, 40)), 1e-3), {"shape": "plane"})
-    )
-    assert {0.0, 2.0} <= set(plane[:, AT.contact_mode])
+@pytest.mark.parametrize(("keys", "modes"), [({}, {0.0, 1.0, 2.0}), ({"motion": SWAY}, {0.0, 2.0})])
+def test_a_level_map_is_the_plane(tmp_path: Path, keys: dict[str, Any], modes: set[float]) -> None:
+    poses = stroke(2, 1500, 0.03, 0.0085, 0.0125) if not keys else stroke(3, 1000, 0.006, 0.0085, 0.0115)
+    height = 0.0 if keys else 0.002
+    floor = part(tmp_path, np.full((40, 40), height), 1e-3, position_m=[0.0, 0.0, -height], **keys)
+    level, plane = (engine(each).run(poses) for each in (floor, thing("plane", "plane", **keys)))
+    assert modes <= set(plane["contact.mode"])
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
 
 def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
     poses = stroke(4, 750, 0.006, 0.0085, 0.0105)
-    ball = engine({"shape": "sphere", "radius_m": 0.06, "position_m": [0.0, 0.0, -0.06]}).run(poses)
-    over = engine(mapped(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
+    ball = engine(thing("ball", "sphere", radius_m=0.06, position_m=[0.0, 0.0, -0.06])).run(poses)
+    over = engine(part(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
     assert {0.0, 1.0, 2.0} <= set(ball[:, AT.contact_mode])
     np.testing.assert_array_equal(over[:, AT.contact_mode], ball[:, AT.contact_mode])
     # While sliding, both leave the remainder of two iterations to the next tick: 40 nm, and 40 uN of a spring of 1
@@ -397,7 +356,7 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
-    groove = engine(mapped(tmp_path, heights, pitch, material={"stiffness_n_per_m": 1000.0}), rolling=None)
+    groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
     shape = kernel_heightmap(heights, pitch)
     surface = everywhere(shape, 4)
     surface = surface[np.abs(surface[:, 1]) < 5e-3]
@@ -407,8 +366,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
         inside = np.linalg.norm(surface - [0.0, 0.0, middle], axis=1).min() < R and middle < 0.02
         low, high = (middle, high) if inside else (low, middle)
     down = np.column_stack([np.full(300, 1e-4), np.zeros(300), np.linspace(0.02, high - 0.001, 300)])
-    poses = np.hstack([np.vstack([down, np.tile(down[-1], (50, 1))]), np.tile([1.0, 0.0, 0.0, 0.0], (350, 1))])
-    records = groove.run(poses)
+    records = go(groove, np.vstack([down, np.tile(down[-1], (50, 1))]))
     # The brute-force search samples the walls every 50 um: 0.1 um in height. The probe is 0.1 mm off the centre.
     np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.0, high], atol=2e-6)
     np.testing.assert_allclose(records["force"][-1], [-0.1, 0.0, 1.0], atol=3e-3)
@@ -417,10 +375,9 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
 def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
     heights = np.zeros((60, 60))
     heights[:, 30] = 0.02
-    ridge = engine(mapped(tmp_path, heights, 5e-4), rolling=None)
-    upright = [1.0, 0.0, 0.0, 0.0]
-    start, end = [-0.02, 0.0, 0.0105, *upright], [0.03, 0.0, 0.0095, *upright]
-    records = ridge.run(np.array([start, start, end, end, end, end]))
+    ridge = engine(part(tmp_path, heights, 5e-4), rolling=None)
+    start, end = [-0.02, 0.0, 0.0105], [0.03, 0.0, 0.0095]
+    records = go(ridge, [start, start, end, end, end, end])
     assert (records["proxy.position"][2:, 0] < 0.0).all() and (records[2:, AT.contact_mode] > 0).all()
 
 
@@ -428,13 +385,11 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
 def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
     objects."""
-    wall = {"shape": "plane", "orientation_wxyz": [math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]}
+    grip: dict[str, Any] = {"material": {"torsion": None}}
+    wall = thing("wall", "plane", orientation_wxyz=[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], **grip)
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]
-    grip = {key: GRIP[key] for key in ("stiffness_n_per_m", "friction")}
-    level, plane = (
-        engine(*({**each, "material": grip} for each in (floor, wall)), rolling=None).run(poses)
-        for floor in (mapped(tmp_path, np.zeros((40, 40)), 1e-3), {"shape": "plane"})
-    )
+    floors = part(tmp_path, np.zeros((40, 40)), 1e-3, **grip), thing("plane", "plane", **grip)
+    level, plane = (engine(floor, wall, rolling=None).run(poses) for floor in floors)
     assert (plane[:, AT.contacts1_object] >= 0).any()
     np.testing.assert_allclose(level["force"], plane["force"], rtol=0, atol=1e-9)
     np.testing.assert_allclose(level["proxy.position"], plane["proxy.position"], rtol=0, atol=1e-11)

@@ -244,9 +244,6 @@ def test_a_user_without_a_name_still_starts() -> None:
     assert printed == "runs True" and log.count("not cached") == 1 and "no home" in log
 
 
-# --- other users -----------------------------------------------------------------------------------
-
-
 class Planted:
     def __init__(self, proof: Path) -> None:
         self.proof = proof

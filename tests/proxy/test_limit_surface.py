@@ -31,8 +31,6 @@ F, TAU = 0.5, 0.004
 COUPLED = {"torsion": {"model": "limit_surface"}}
 
 
-# --- projection --------------------------------------------------------------------------------------
-
 sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
 
@@ -59,9 +57,6 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
     apart = min(abs(size - 1.0) for size in some)
     assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP, abs=1e-300)
-
-
-# --- contact -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)

@@ -52,9 +52,6 @@ def refusal(path: Path, data: bytes) -> str:
     return str(caught.value)
 
 
-# --- OBJ -----------------------------------------------------------------------------------------
-
-
 def vertices(shift: float = 0.0) -> list[str]:
     return [f"v {x + shift!r} {y!r} {z!r}" for x, y, z in CORNERS.tolist()]
 
@@ -139,9 +136,6 @@ def test_unsupported_obj_files_are_refused(tmp_path: Path) -> None:
     assert "UTF-16" in refusal(path, box.encode("utf-16"))
 
 
-# --- STL -----------------------------------------------------------------------------------------
-
-
 def stl(head: bytes = b"made by hand", tail: bytes = b"", attribute: int = 0, count: int = 12) -> bytes:
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *CORNERS[list(face)].ravel(), attribute) for face in FACES)
     return head.ljust(80, b"\0")[:80] + struct.pack("<I", count) + body + tail
@@ -191,8 +185,6 @@ def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     assert "promises 12 faces, and has 11" in refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
     assert "no endsolid" in refusal(path, TEXT.replace("endsolid", "end").encode())
 
-
-# --- PLY -----------------------------------------------------------------------------------------
 
 XYZ = ["float x", "float y", "float z"]
 INDICES = "list uchar int vertex_indices"
@@ -268,9 +260,6 @@ def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     assert "has the corner -2" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
     for start, reason in OTHER_FILES.items():
         assert reason in refusal(path, start + PLYS["little endian"])
-
-
-# --- GLB -----------------------------------------------------------------------------------------
 
 
 class Glb:

@@ -102,9 +102,6 @@ def test_compiled_equals_plain_python() -> None:
             assert np.hstack(ours) == pytest.approx(np.hstack(plain), abs=1e-14)
 
 
-# --- scene file ----------------------------------------------------------------------------------
-
-
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
     swing = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2, "axis": [0, 3, 4]}
     table = {"kind": "turntable", "rate_rad_per_s": -1, "pivot_m": [0.1, 0, 0]}
@@ -135,6 +132,3 @@ def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, mess
     with pytest.raises(ConfigError) as refused:
         plane_scene(table={"motion": motion})
     assert message in str(refused.value)
-
-
-# --- through the engine --------------------------------------------------------------------------

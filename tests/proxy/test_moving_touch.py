@@ -62,8 +62,6 @@ def causes(records: Array) -> list[str]:
     return [CAUSE_NAMES[int(cause)] for cause in column(records, "contact.cause") if cause != 0]
 
 
-# --- the normal force in closed form -------------------------------------------------------------
-
 SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
     "plane": ({"shape": "plane"}, 0.0, 0.0),
     "sphere": ({"shape": "sphere", "radius_m": 0.02}, 0.0, 0.02),
@@ -128,9 +126,6 @@ def test_damping_is_against_the_speed_of_the_object() -> None:
     np.testing.assert_allclose(force, np.minimum(elastic + 3.0 * 0.02, 2.0 * elastic), atol=1e-9)
 
 
-# --- jumps ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("dt", [DT, 0.0])
 @pytest.mark.parametrize("name", SHAPES)
 def test_an_object_that_jumps_over_the_finger_pushes_it_forward(name: str, dt: float) -> None:
@@ -157,9 +152,6 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
     step = driver.step(finger, ((0.0, 0.0, 0.001), UPRIGHT))
     np.testing.assert_allclose(step.force, [0.0, 0.0, K * 0.001], atol=ROUNDING_N)
     assert step.cause == "touch"
-
-
-# --- several objects -----------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(1)
@@ -189,8 +181,6 @@ def test_a_lift_pushes_the_finger_against_a_shelf() -> None:
         step = driver.step((0.0, 0.0, R - 0.001), ((0.0, 0.0, 0.04), UPRIGHT))
         assert step.proxy_position[2] < 0.03 or step.force[2] > 0.0
 
-
-# --- relative motion -----------------------------------------------------------------------------
 
 BLOCK = {"shape": "box", "size_m": (2 * HALF).tolist(), "material": GRIP}
 BALL = {"shape": "sphere", "radius_m": 0.02, "material": GRIP}

@@ -78,9 +78,6 @@ def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> 
     return column(running.run(poses(depths), dt), "contact.normal_force")
 
 
-# --- closed forms ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", list(LAWS))
 def test_a_slow_press_has_the_closed_form(name: str) -> None:
     """At rest, f_N = K d (delta / d)^p at any depth; the intermediate ticks, which move, are skipped."""
@@ -126,8 +123,6 @@ def test_depth_and_slope_under_a_force_are_those_of_the_law(name: str, load: flo
     # Central differences have an error of h^2 f''' / 6, 1e-10 of the slope, and rounding of 1e-16 / 1e-5.
     assert material.stiffness_under(load) == pytest.approx(slope, rel=1e-9)
 
-
-# --- an impact -------------------------------------------------------------------------------------
 
 MASS = 0.2
 
@@ -203,9 +198,6 @@ def test_a_finger_that_leaves_fast_is_not_pulled(name: str) -> None:
         for outwards in (0.0, 0.1, 0.6, 10.0, 1e3):
             expected = force(LAWS[name], depth, -outwards)
             assert normal_force_of(law, depth, outwards) == pytest.approx(expected, rel=1e-12, abs=1e-15)
-
-
-# --- invariants ------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(3)
@@ -319,9 +311,6 @@ def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) 
     # (b - K T / 2) / 2 m is 1/s in both cases: a factor of e^3 between the first and the last second.
     ratio = max(swing[-1000:]) / max(swing[:1000])
     assert ratio > 5.0 if grows else ratio < 0.2
-
-
-# --- scene file ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

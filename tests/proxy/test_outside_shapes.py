@@ -73,9 +73,6 @@ def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
     return build(schema.Scene, merged(base, tables) | {"object": [thing]}, "f.toml")
 
 
-# --- a surface is one file and one table ---------------------------------------------------------
-
-
 @pytest.mark.plain
 def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -> None:
     found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
@@ -197,8 +194,6 @@ def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> Non
     assert transport(shape, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0)
 
 
-# --- cached kernels ------------------------------------------------------------------------------
-
 TOUCH = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -245,8 +240,6 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     assert process.returncode == 0, process.stderr
     return process.stdout.strip()
 
-
-# --- arrays that a scene owns, and kernels that are called ---------------------------------------
 
 BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers import touching
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -34,12 +35,6 @@ BASE = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}
 PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "rolling": {"method": "rotation_vector"}}
 
 
-def facing(normal):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
-    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
-
-
 def material(friction=GRIP, torsion=None, **keys):
     return (
         {"stiffness_n_per_m": 1000.0}
@@ -50,15 +45,7 @@ def material(friction=GRIP, torsion=None, **keys):
 
 
 def wall(name, normal, stuff=None, offset=0.0, **keys):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    return {
-        "name": name,
-        "shape": "plane",
-        "position_m": (offset * n).tolist(),
-        "orientation_wxyz": facing(n),
-        "material": stuff or material(),
-        **keys,
-    }
+    return touching.wall(name, normal, stuff or material(), offset, **keys)
 
 
 def tile(name, x, y=0.0, edge=0.1, stuff=None):
@@ -89,6 +76,11 @@ def poses(points, vectors=None):
     angles = np.linalg.norm(vectors, axis=1, keepdims=True)
     axes = np.divide(vectors, angles, out=np.zeros_like(vectors), where=angles > 0.0)
     return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) * axes])
+
+
+def turning(axis, angle, ticks):
+    """Return the rotation vectors (ticks, 3) of a turn about a coordinate axis."""
+    return np.outer(np.linspace(0.0, angle, ticks + 1)[1:], np.eye(3)[axis])
 
 
 def line(start, end, ticks):
@@ -178,8 +170,7 @@ def test_equal_walls_give_no_moment_about_the_bisector():
 def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
     """By symmetry the tangential forces cancel, and the torques add."""
     running = engine(*groove(order))
-    spin = np.zeros((400, 3))
-    spin[:, 2] = np.linspace(0.0, 1.0, 401)[1:]
+    spin = turning(2, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
     assert np.abs(part(records, "force")[:, :2]).max() < 1e-12
     # Each patch rubs with mu_d f at a distance r sin 45 from the bisector.
@@ -192,8 +183,7 @@ def test_rotation_about_the_groove_rubs_on_both_walls(order):
     """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
     (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove(order))
-    turn = np.zeros((400, 3))
-    turn[:, 1] = np.linspace(0.0, 1.0, 401)[1:]
+    turn = turning(1, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
     np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
     np.testing.assert_allclose(part(records, "force")[-1], [0.0, 0.0, 1.0], atol=1e-12)
@@ -312,8 +302,7 @@ def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
     running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
     start = ON_SEAM - [0.004, 0.0, 0.0]
     running.run(poses(pressing(start)))
-    spin = np.zeros((50, 3))
-    spin[:, 2] = np.linspace(0.0, 0.06, 51)[1:]
+    spin = turning(2, 0.06, 50)
     running.run(poses(np.tile(start, (50, 1)), spin))
     ticks = 400
     angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
@@ -331,8 +320,7 @@ def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
 def test_weight_shifted_between_walls_hands_the_moment_on():
     """When the load shifts between walls, the torque changes no faster than the shift of the load."""
     running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))
-    spin = np.zeros((300, 3))
-    spin[:, 2] = np.linspace(0.0, 0.4, 301)[1:]
+    spin = turning(2, 0.4, 300)
     in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2001))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(2000), np.zeros(2000)], axis=1)
@@ -350,8 +338,7 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
 def test_each_wall_winds_its_share_of_the_torsional_spring(law):
     """Spun by phi about the bisector, each of two equal walls winds k_z / 2 by phi cos 45 about its normal."""
     running = engine(*groove(stuff=[material(None, STRONG | law)] * 2), rolling=None)
-    spin = np.zeros((50, 3))
-    spin[:, 2] = np.linspace(0.0, 0.05, 51)[1:]
+    spin = turning(2, 0.05, 50)
     records = in_groove(running, np.tile(IN_GROOVE, (50, 1)), spin)
     # A rotation of 1 mrad about an axis 45 degrees off projects exactly up to a relative error of 1e-6 / 24.
     np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
@@ -378,8 +365,7 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
     """The moment against rolling is 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
     stored energy."""
     running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
-    turn = np.zeros((20, 3))
-    turn[:, 1] = np.linspace(0.0, 0.02, 21)[1:]
+    turn = turning(1, 0.02, 20)
     in_groove(running, np.tile(IN_GROOVE, (20, 1)), turn)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 401))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(400), np.zeros(400)], axis=1)
@@ -543,22 +529,17 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     running, angle = jaws(), 0.01
     closed = running.run(poses(np.zeros((500, 3))))
     np.testing.assert_allclose(part(closed, "force")[-1], 0.0, atol=1e-11)
-    vectors = np.zeros((10, 3))
-    vectors[:, 0] = np.linspace(0.0, angle, 11)[1:]
+    vectors = turning(0, angle, 10)
     tilted = part(running.run(poses(np.zeros((10, 3)), vectors)), "torque")
     # A roll in steps of 1 mrad about an axis that no patch rotates about: exact up to second order.
     np.testing.assert_allclose(tilted[-1], [-0.5 * (0.05 + 1000.0 * R**2) * angle, 0.0, 0.0], atol=1e-9)
     running.reset()
     running.run(poses(np.zeros((500, 3))))
-    vectors = np.zeros((200, 3))
-    vectors[:, 2] = np.linspace(0.0, 1.5, 201)[1:]
+    vectors = turning(2, 1.5, 200)
     spun = part(running.run(poses(np.zeros((200, 3)), vectors)), "torque")
     # The jaws are opening again, 0.7 s after they started to close.
     load = 3.0 * 1000.0 * (CLOSING * np.sin(0.7 * np.pi) - 0.001)
     np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
-
-
-# --- a soft fingertip ------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(1)
@@ -566,8 +547,7 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
 def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     """Spun by phi about the bisector, each patch winds by phi / sqrt 2 with stiffness f R, up to mu_s 3 pi / 16 a f."""
     running = engine(*groove(order, [material(GRIP, LIMP)] * 2), **SOFT)
-    spin = np.zeros((300, 3))
-    spin[:, 2] = np.linspace(0.0, 1.0, 301)[1:]
+    spin = turning(2, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
     limit = 0.6 * 3.0 * np.pi / 16.0 * a * F
@@ -584,8 +564,7 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
 def test_each_wall_resists_rolling_by_its_own_load(order):
     """Rotated about the groove's axis without friction, each wall resists with 3/16 alpha a f once it slips."""
     running = engine(*groove(order, [material(None)] * 2), rolling=None, **SOFT)
-    turn = np.zeros((300, 3))
-    turn[:, 1] = np.linspace(0.0, 1.0, 301)[1:]
+    turn = turning(1, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), turn)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
     moment = 2.0 * np.minimum(3.0 / 16.0 * 0.4 * R * F * turn[:, 1], 3.0 / 16.0 * 0.4 * a * F)

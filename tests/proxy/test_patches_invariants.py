@@ -5,12 +5,13 @@ import functools
 import numpy as np
 import pytest
 from helpers.examples import examples
+from helpers.touching import facing
 from hypothesis import given
 from hypothesis import strategies as st
 from references.laws import axis_angles, column, work_of_the_hand
 from references.rotation import matrix, multiply
 from test_invariants import cycle, numbers, visit
-from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, facing, material, part, tile, wall
+from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, part, tile, wall
 
 from softfinger.proxy.record import AT
 

@@ -92,9 +92,6 @@ def test_three_taps(engine: Engine) -> None:
     assert records[:, AT.contact_normal_force].max() == pytest.approx(1.0, abs=1e-9)
 
 
-# --- the paper's two failure cases, in a recorded roll -----------------------------------------------
-
-
 @dataclass(frozen=True)
 class Roll:
     """Result of the recorded roll while the finger is pressed in: arrays (n,) over its ticks.

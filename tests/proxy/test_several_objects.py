@@ -1,53 +1,22 @@
 """Several objects, thin objects and moving objects: the proxy is the nearest point outside all of them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
+from helpers import touching
+from helpers.touching import R, facing, go, wall
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
 
-R = 0.01
-UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def facing(normal):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
-    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
-
-
-def wall(name, normal, offset=0.0, **material):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    return {
-        "name": name,
-        "shape": "plane",
-        "position_m": (offset * n).tolist(),
-        "orientation_wxyz": facing(n),
-        "material": {"stiffness_n_per_m": 1000.0} | material,
-    }
+SLICK = {"stiffness_n_per_m": 1000.0}
+engine = partial(touching.engine, rolling=None)
 
 
 def thing(name, shape, position=(0.0, 0.0, 0.0), **keys):
-    material = keys.pop("material", {"stiffness_n_per_m": 1000.0})
-    return {"name": name, "shape": shape, "position_m": list(position), "material": material, **keys}
-
-
-def engine(*objects, **tables):
-    scene = {
-        "fingertip": {"radius_m": R},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "object": list(objects),
-        **tables,
-    }
-    return Engine(build(Scene, scene, "several objects"))
-
-
-def go(running, points):
-    return running.run(np.hstack([np.asarray(points, float), np.tile(UPRIGHT, (len(points), 1))]))
+    return {"name": name, "shape": shape, "position_m": list(position), "material": SLICK, **keys}
 
 
 def way(start, end, ticks):

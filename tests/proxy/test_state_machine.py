@@ -25,9 +25,6 @@ EXACT = 1e-12
 """Rounding of some hundred additions of order 1e-2 m times 1000 N/m, N."""
 
 
-# --- the transitions -------------------------------------------------------------------------------
-
-
 def test_touch_is_the_first_tick_below_the_surface(plane_scene: SceneFactory) -> None:
     engine = Engine(plane_scene())
     assert engine.step([0, 0, R], [1, 0, 0, 0]).mode == FREE
@@ -147,9 +144,6 @@ def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) ->
     assert trace.causes.count("release") == 1
 
 
-# --- the sign rule ---------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("axis", [[1, 0, 0], [0, -1, 0], [0.6, 0.8, 0]])
 def test_a_followed_roll_never_slides(plane_scene: SceneFactory, axis: list[float]) -> None:
@@ -198,7 +192,6 @@ def test_friction_opposes_the_slip_not_the_hand(plane_scene: SceneFactory) -> No
     assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
 
 
-# --- the rows of the paper's table -----------------------------------------------------------------
 # Conditions on the normal force f_N, the hand's tangential force f_T and their cone, the normal distance a_N and the
 # tangential motion a_T, v_T, checked on the tick that meets them and on the next.
 
@@ -264,12 +257,6 @@ def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> 
     assert (trace.mode[tick:] == ROLLING).all()
 
 
-# --- the paper's first failure mode; both in a recorded roll: test_recordings.py ----------------------
-
-
-# --- chatter and bounds ----------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 5e-3])
 def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: float) -> None:
@@ -333,8 +320,6 @@ def test_touch_has_no_tangential_force_under_damping(plane_scene: SceneFactory, 
         assert step.tangential_force < 1e-9
         engine.step(origin + 0.02 * normal, [1, 0, 0, 0])
 
-
-# --- the paper's rule to the letter ----------------------------------------------------------------
 
 LETTER = {"rolling": {"state_machine": "paper"}}
 

@@ -113,9 +113,6 @@ def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
     return np.where(rng.random(3) < 0.15, 0.0, x)
 
 
-# --- distance, point and normal ------------------------------------------------------------------
-
-
 @pytest.mark.scaled
 @examples(150, 1250)
 @given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
@@ -266,9 +263,6 @@ def test_tiny_coordinates_count_as_zero(shape: Any, x: Triple) -> None:
     assert all(math.isfinite(v) for v in point)
 
 
-# --- curvature -----------------------------------------------------------------------------------
-
-
 @pytest.mark.scaled
 @examples(100, 1000)
 @given(kind=kinds, size=scales, seed=seeds)
@@ -352,9 +346,6 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
             assert math.isfinite(k2)
 
 
-# --- transport -----------------------------------------------------------------------------------
-
-
 @pytest.mark.scaled
 @examples(100, 500)
 @given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
@@ -395,9 +386,6 @@ def test_transport_on_a_plane_is_the_identity() -> None:
     assert compiled_transport(SHAPES[0], (0.1, 0.2, 0.3), (0.6, 0.0, 0.8), (0.6, 0.0, 0.8)) == (0.1, 0.2, 0.3)
 
 
-# --- scale, symmetry, compilation ----------------------------------------------------------------
-
-
 @every_shape
 def test_results_scale_with_the_size(shape: Any) -> None:
     """Scaling by powers of two, from about 1e-5 to 1e3 m, scales all results exactly: no length is built in."""
@@ -430,9 +418,6 @@ def test_closest_is_not_defined_for_meshes_and_height_maps(searched: Any) -> Non
     """`closest` cannot report an incomplete search, so it is not defined for shapes that need one."""
     with pytest.raises(TypeError, match="closest is not defined"):
         closest(searched(*searched._fields), (0.0, 0.0, 0.0))
-
-
-# --- continuous collision ------------------------------------------------------------------------
 
 
 def on_a_ring(rng: np.random.Generator) -> Array:

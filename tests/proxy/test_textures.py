@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from conftest import merged
 from helpers.examples import Cases, examples
+from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -70,10 +71,6 @@ def scene(tmp_path: Path) -> Make:
     return made
 
 
-def poses_at(points: Array) -> Array:
-    return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
-
-
 def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
     points = np.random.default_rng(seed).uniform(-2.2 * SIZE, 2.2 * SIZE, (count, 3))
     points[:, 2] = R - depth
@@ -81,14 +78,11 @@ def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
 
 
 def forces(engine: Engine, points: Array) -> Array:
-    return engine.run(poses_at(points))[:, AT.force : AT.force + 3]
+    return engine.run(posed(points))[:, AT.force : AT.force + 3]
 
 
 def extent(wave: Wave) -> dict[str, Any]:
     return {"texture": {"size_m": [wave.width, wave.depth]}}
-
-
-# --- heights --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("wave", [OBLIQUE, Wave(64, 1, SIZE, SIZE, (4, 0)), Wave(3, 31, SIZE, SIZE, (0, 9))])
@@ -178,7 +172,7 @@ def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> Non
     depth = 0.3 * HEIGHT
     points = over_plane(200, depth)
     z, _, _ = wave.texture(CUTOFF, points[:, 0], points[:, 1])
-    rows = Engine(scene(wave.samples())).run(poses_at(points))
+    rows = Engine(scene(wave.samples())).run(posed(points))
     expected = K * np.maximum(depth - HEIGHT * (1.0 - z), 0.0)
     np.testing.assert_allclose(rows[:, AT.force + 2], expected, rtol=0.0, atol=ROUNDING)
     assert (expected == 0.0).any() and (expected > 0.0).any() and (rows[:, AT.contact_mode] != FREE).all()
@@ -193,7 +187,7 @@ def test_damping_dissipates_along_the_slope(scene: Make) -> None:
     points = over_plane(30)
     steps = np.random.default_rng(3).uniform(-2e-4, 2e-4, (30, 3))  # up to 0.2 m/s: the spring force remains larger
     for point, step in zip(points, steps, strict=True):
-        without, having = (engine.run(poses_at(np.stack([point - step, point])))[1] for engine in engines)
+        without, having = (engine.run(posed(np.stack([point - step, point])))[1] for engine in engines)
         elastic = without[AT.force : AT.force + 3]
         m = elastic / elastic[2]
         expected = elastic - damping * (m @ step) / dt * m
@@ -322,8 +316,8 @@ def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
     for x in at:
         # Start in free space: a first pose inside several objects touches only the deepest.
         way = np.stack([x + 2e-3, x, x])
-        got = together.run(poses_at(way))[-1, AT.force : AT.force + 3]
-        expected = sum(engine.run(poses_at(way))[-1, AT.force : AT.force + 3] for engine in alone)
+        got = together.run(posed(way))[-1, AT.force : AT.force + 3]
+        expected = sum(engine.run(posed(way))[-1, AT.force : AT.force + 3] for engine in alone)
         np.testing.assert_allclose(got, expected, rtol=0.0, atol=ROUNDING)
         together.reset()
 
@@ -354,8 +348,6 @@ def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make
         assert load[0] == pytest.approx(load[-1], abs=1e-9) and np.ptp(load) > 1e-3
 
 
-# --- friction -------------------------------------------------------------------------------------
-
 FRICTION = {"static": 0.6, "kinetic": 0.5}
 LAWS: dict[str, dict[str, Any]] = {
     "coulomb": {},
@@ -373,7 +365,7 @@ def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) ->
     friction = {"stiffness_n_per_m": K, "friction": FRICTION | LAWS[law]}
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
     x = np.linspace(0.0, 0.03, 400)
-    rows = engine.run(poses_at(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
+    rows = engine.run(posed(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
     slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 decay from static friction
     before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
     z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
@@ -396,7 +388,7 @@ def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> 
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)
-    rows = engine.run(poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
+    rows = engine.run(posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
     breaks = int(np.argmax(rows[:, AT.contact_mode] == SLIDING))
     # On the level crest and floor of a wave of 1 m, a filter of 1 mm removes 5e-6.
     limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
@@ -411,7 +403,7 @@ def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[s
     made = scene(np.array([[0.0, 1.0]]), texture=texture, material=material)
     made = build(schema.Scene, describe(made) | {"fingertip": {"radius_m": R, "patch": patch}}, "scaled")
     x = np.full(100, 0.25)
-    poses = poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
+    poses = posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
     half = np.linspace(0.0, 1.0, 100)  # 2 rad: both springs have slipped by then
     poses[:, 3], poses[:, 6] = np.cos(half), np.sin(half)
     rows = Engine(made).run(poses)
@@ -426,7 +418,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material={"friction": FRICTION}))
     x = np.linspace(0.0, 0.03, 400)
     points = np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)
-    rows = engine.run(poses_at(points))
+    rows = engine.run(posed(points))
     slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]
     z, by_u, by_v = OBLIQUE.texture(CUTOFF, points[slides, 0], points[slides, 1])
     load = K * (DEPTH - HEIGHT * (1.0 - z))
@@ -438,9 +430,6 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     # The remaining tangential force is due to the slope.
     rest = rows[slides, AT.force : AT.force + 2] + (load * HEIGHT)[:, None] * np.stack([by_u, by_v], axis=1)
     np.testing.assert_allclose(np.linalg.norm(rest, axis=1), drag, rtol=1e-8)
-
-
-# --- the array ------------------------------------------------------------------------------------
 
 
 @examples(40, 100)
@@ -474,9 +463,6 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
     np.testing.assert_array_equal(forces(engine, points), forces(Engine(second), points))
     engine.tune(first)
     np.testing.assert_array_equal(forces(engine, points), before)
-
-
-# --- scene file ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -31,9 +31,6 @@ EXACT = 1e-14
 PROXY = {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}
 
 
-# --- limits ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("depth", [2e-4, 1e-3, 3e-3])
 @pytest.mark.parametrize("exponent", [None, 0.0, 0.2, 1.0 / 3.0])
@@ -49,13 +46,6 @@ def test_moment_saturates_at_the_torsional_limit(
         expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 176), limit)
         assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
         assert trace.causes == ["touch"]
-
-
-def test_exponent_of_zero_is_the_linear_limit(plane_scene: SceneFactory) -> None:
-    hand = pressed().go(50, turn=[0, 0, 0.3]).go(50, move=[0, 0, -0.0007]).go(50, turn=[0, 0, -0.5])
-    linear = drive(Engine(plane_scene()), hand)
-    power = drive(Engine(plane_scene(material={"torsion": {"exponent": 0.0}})), hand)
-    assert (linear.torque == power.torque).all()
 
 
 @pytest.mark.sampled(1)
@@ -83,9 +73,6 @@ def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, 
     assert np.abs(smooth.torque[:, :2]).max() == 0.0
     # The moment turns about z with the finger, so the bits are equal.
     assert (smooth.torque[:, 2] == rough.torque[:, 2]).all()
-
-
-# --- the proxy with four degrees of freedom --------------------------------------------------------
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -163,9 +150,6 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12
-
-
-# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
