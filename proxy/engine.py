@@ -353,17 +353,14 @@ class Engine:
         poses_by_finger: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
         together = poses_together(poses_by_finger, self.fingers)
         records = np.zeros((*together.shape[:2], RECORD_SIZE))
-        self._run(together, self.dt if dt is None else self._check_dt(dt), records)
+        dt = self.dt if dt is None else self._check_dt(dt)
+        advance = self._advance or self._compile()
+        advance(None, self._values, None, self._state, together, dt, self._tick, records)
+        self._tick += len(together)
+        if self._has_bodies:
+            self._check_bodies()
         by_finger = {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
         return by_finger if named else by_finger[self.fingers[0]]
-
-    def _run(self, poses: Array, dt: float, records: Array) -> None:
-        """Step with checked poses (n, fingers, 7), and fill `records` (n, fingers, RECORD_SIZE)."""
-        advance = self._advance or self._compile()
-        advance(None, self._values, None, self._state, poses, dt, self._tick, records)
-        self._tick += len(poses)
-        if self.scene.bodies is not None:
-            self._check_bodies()
 
     def _check_bodies(self) -> None:
         if (failure := self._world.failure) is not None:

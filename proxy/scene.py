@@ -82,18 +82,15 @@ def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     thing = scene.elastic_object
     if thing is None or thing.elastic is None:
         return None
-    from softfinger.proxy.elastic.surface import kernel_elastic
+    from softfinger.proxy.elastic.prepared import kernel_elastic
 
     return kernel_elastic(thing, thing.elastic, bodies[0].shape.row[0])
 
 
 def same_model(first: Any, second: Any) -> bool:
     """Return whether two scenes have the same compiled code and, of many objects, room for as many."""
-    return bool(numba.typeof(first) == numba.typeof(second)) and _count(first) == _count(second)
-
-
-def _count(scene: model.Scene) -> float:
-    return scene.objects.size if isinstance(scene.objects, model.Many) else 1.0
+    counts = (getattr(scene.objects, "size", 1.0) for scene in (first, second))
+    return bool(numba.typeof(first) == numba.typeof(second)) and len(set(counts)) == 1
 
 
 def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
@@ -274,10 +271,9 @@ def _heightmap(thing: schema.Heightmap) -> list[Body]:
 
 @shape_bodies.register
 def _mesh(thing: schema.Mesh) -> list[Body]:
-    from softfinger.proxy.meshes.prepared import Builder, tree_of
-    from softfinger.proxy.meshes.tree import Tree, build_tree  # its kernels are only for scenes with a mesh
+    from softfinger.proxy.meshes.prepared import tree_of
 
-    tree = tree_of(thing, Builder(build_tree, Tree))
+    tree = tree_of(thing)
     x, y, z = tree.center.tolist()
     side = _side(thing.inside) if tree.closed else 0.0
     triangles = model.Triangles(
@@ -302,14 +298,8 @@ def _side(inside: bool) -> float:
 
 def _walls(axis: int, half: float) -> list[Body]:
     """Return two planes at +-half along an axis, facing each other."""
-    return [
-        Body(
-            model.Plane(
-                (toward if axis == 0 else 0.0, toward if axis == 1 else 0.0, toward if axis == 2 else 0.0), -half
-            )
-        )
-        for toward in (-1.0, 1.0)
-    ]
+    normals = [[toward if i == axis else 0.0 for i in range(3)] for toward in (-1.0, 1.0)]
+    return [Body(model.Plane((x, y, z), -half)) for x, y, z in normals]
 
 
 def _rolling(scene: schema.Scene) -> Any:

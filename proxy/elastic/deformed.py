@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_scene
-from softfinger.proxy.elastic.body import Body
 from softfinger.proxy.elastic.prepared import body_of
 from softfinger.proxy.elastic.solid import region_holds
+from softfinger.proxy.elastic.solution import ElasticBody
 
 Doubles = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Deformed:
         (m, 3), indices of the vertices of the body's surface.
     """
 
-    def __init__(self, thing: schema.Mesh, body: Body, vertices: Doubles | None = None) -> None:
+    def __init__(self, thing: schema.Mesh, body: ElasticBody, vertices: Doubles | None = None) -> None:
         assert thing.elastic is not None
         self._body, self._thing = body, thing
         self.vertices: Final = body.surface.vertices if vertices is None else vertices

@@ -14,10 +14,11 @@ from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy import progress
 from softfinger.proxy.elastic import solution
-from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals
 from softfinger.proxy.elastic.solid import Solid, region_holds
+from softfinger.proxy.elastic.solution import ElasticBody, Report
 from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, read_volume
+from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
@@ -39,12 +40,13 @@ ORDER: Final = 2.0
 fixed region ends."""
 BODIES: Final = 4
 """Number of bodies in memory, at most 450 MB each."""
+LARGE: Final = 0.1
+"""Displacement over the diagonal of the body from which `contact.nonlinear` is set."""
+
+_bodies: Final[dict[str, ElasticBody]] = {}
 
 
-_bodies: Final[dict[str, Body]] = {}
-
-
-def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body:
+def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody:
     """Return the body of an elastic mesh object, and store it on disk for later runs.
 
     Raises
@@ -72,7 +74,7 @@ def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body:
         ) from error
 
 
-def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body | None:
+def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody | None:
     """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
     assert thing.elastic is not None
     try:
@@ -82,7 +84,28 @@ def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Body
     return _bodies.get(identity) or _stored(thing.elastic, identity, folder)[0]
 
 
-def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Body | None, str]:
+def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
+    """Return the compliance at the vertices of an object's mesh. Raises ConfigError as `body_of` does."""
+    import softfinger.proxy.kernels.elastic.step  # noqa: F401  registers its step
+
+    body = body_of(thing)
+    numbers = np.full(len(body.surface.vertices), -1, np.int64)
+    numbers[body.nodes] = np.arange(len(body.nodes))
+    place = {vertex.tobytes(): number for vertex, number in zip(body.surface.vertices, numbers, strict=True)}
+    vertices = mesh.vertices.array.reshape(-1, 3)  # a copy of these, in another order
+    nodes = [place[vertex.tobytes()] for vertex in vertices]
+    return model.Elastic(
+        compliance=body.compliance,
+        nodes=ReadOnly(np.array(nodes, np.int64)),
+        number=float(len(body.nodes)),
+        softness=1.0 / elastic.youngs_pa,
+        damping=elastic.damping_s,
+        bending=body.bending,
+        large=LARGE * float(np.linalg.norm(np.ptp(body.surface.vertices, axis=0))),
+    )
+
+
+def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[ElasticBody | None, str]:
     """Return the body from the file `solution` or from the cache, and a reason if that file is not used."""
     refusal = ""
     if elastic.solution is not None:
@@ -91,15 +114,15 @@ def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Bod
         except (OSError, ValueError) as error:
             reason = error.strerror or error if isinstance(error, OSError) else error
             refusal = f"solution {elastic.solution} is not used: {reason}"
-    found = array_cache.load(_key(identity), folder)
-    return None if found is None else _from_disk(found), refusal
+    cached = array_cache.load(_key(identity), folder)
+    return None if cached is None else _from_disk(cached), refusal
 
 
 def _key(identity: str) -> str:
     return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
 
 
-def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> Body:
+def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> ElasticBody:
     """Return the body from the file `solution`, from the cache, or by solving."""
     body, refusal = _stored(elastic, identity, folder)
     if body is not None:
@@ -138,7 +161,7 @@ def solid_of(volume: Volume, elastic: schema.Elastic) -> Solid:
     )
 
 
-def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
+def solve(thing: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     """Mesh and solve a body. Raises ConfigError or ValueError if that is not possible."""
     volume = volume_of(thing, elastic.resolution_m)
     triangles = boundary(volume)
@@ -147,7 +170,7 @@ def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     normals = vertex_normals(volume.vertices, triangles)
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
     with progress.display(f"compliance of {thing.name}", 3 * len(nodes)) as done:
-        found, bending = solve_patches(solid, loads, done)
+        compliance, bending = solve_patches(solid, loads, done)
     placed = volume.vertices
     if elastic.density_kg_per_m3 is not None:
         weight = solid.gravity((0.0, 0.0, -GRAVITY_M_PER_S2 * elastic.density_kg_per_m3))
@@ -157,14 +180,14 @@ def solve(thing: schema.Mesh, elastic: schema.Elastic) -> Body:
     place = np.searchsorted(used, nodes).astype(np.int32)
     surface = Arrays(np.ascontiguousarray(placed[used]), corners.reshape(-1, 3).astype(np.int32))
     probes = _spread(volume.vertices[nodes])
-    own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], found[probes, probes], normals[nodes[probes]])
+    own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], compliance[probes, probes], normals[nodes[probes]])
     error = _error(thing, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
     measured = quality(volume)
     report = Report(
         len(volume.vertices), len(volume.tetrahedra), len(nodes), float(measured.min()), float(measured.mean()),
         volume.vertices[nodes[probes]].tolist(), own.tolist(), error,
     )  # fmt: skip
-    return Body(surface, place, ReadOnly(found), ReadOnly(bending), report)
+    return ElasticBody(surface, place, ReadOnly(compliance), ReadOnly(bending), report)
 
 
 def _compliant_nodes(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
@@ -202,23 +225,23 @@ def _error(
     if thing.file.lower().endswith(thing.volumes):
         return None
     solid = solid_of(volume_of(thing, COARSER * elastic.resolution_m), elastic)
-    found = solve_patches(solid, patch_loads(solid, points, normals, elastic.radius_m)).compliance
-    count = np.arange(len(points))
-    coarse = np.einsum("ki,kij,kj->k", normals, found[count, count], normals)
+    compliance = solve_patches(solid, patch_loads(solid, points, normals, elastic.radius_m)).compliance
+    patches = np.arange(len(points))
+    coarse = np.einsum("ki,kij,kj->k", normals, compliance[patches, patches], normals)
     return float(np.abs(coarse - own).max() / own.max() / (COARSER**ORDER - 1.0))
 
 
-def _to_disk(body: Body) -> array_cache.CachedArrays:
+def _to_disk(body: ElasticBody) -> array_cache.CachedArrays:
     tables = {"nodes": body.nodes, "compliance": body.compliance.array, "bending": body.bending.array}
     return array_cache.CachedArrays({**body.surface._asdict(), **tables}, {"report": body.report._asdict()})
 
 
-def _from_disk(found: array_cache.CachedArrays) -> Body:
-    arrays: dict[str, Any] = dict(found.arrays)
-    return Body(
+def _from_disk(cached: array_cache.CachedArrays) -> ElasticBody:
+    arrays: dict[str, Any] = dict(cached.arrays)
+    return ElasticBody(
         surface=Arrays(arrays["vertices"], arrays["triangles"]),
         nodes=arrays["nodes"],
         compliance=ReadOnly(arrays["compliance"]),
         bending=ReadOnly(arrays["bending"]),
-        report=Report(**found.values["report"]),
+        report=Report(**cached.values["report"]),
     )

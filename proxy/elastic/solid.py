@@ -74,11 +74,11 @@ class Solid:
 
     def solve(self, loads: Doubles) -> Doubles:
         """Return the displacements (N, k) times 1 Pa under nodal forces (N, k), N."""
-        found = np.zeros(loads.shape)
-        moved = loads[self.free]
-        self.factors.solve(moved)
-        found[self.free] = moved
-        return found
+        displacements = np.zeros(loads.shape)
+        free = loads[self.free]
+        self.factors.solve(free)
+        displacements[self.free] = free
+        return displacements
 
     def _assemble(self, form: Any) -> Any:
         """Return a form over all tetrahedra."""
@@ -94,34 +94,18 @@ class Solid:
         def weight(v: Any, w: Any) -> Any:
             return sum(component * v[axis] for axis, component in enumerate(direction))
 
-        found: Doubles = self._assemble(weight)
-        return found
-
-    def surface(self, order: int = 4) -> Any:
-        """Return scikit-fem's basis of the boundary, with a quadrature of this order."""
-        skfem = self._skfem
-        return skfem.FacetBasis(self.basis.mesh, self.basis.elem, intorder=order)
-
-    def traction(self, pressure: Callable[[Doubles], Doubles], direction: Sequence[float]) -> Doubles:
-        """Return the nodal forces (N,) of a traction `pressure`, N/m^2, at positions (3, ...) along `direction`."""
-        skfem = self._skfem
-
-        @skfem.LinearForm  # type: ignore[untyped-decorator]
-        def work(v: Any, w: Any) -> Any:
-            return pressure(w.x) * sum(component * v[axis] for axis, component in enumerate(direction))
-
-        found: Doubles = work.assemble(self.surface(8))
-        return found
+        forces: Doubles = self._assemble(weight)
+        return forces
 
 
 def region_holds(regions: Sequence[schema.FixedRegion], points: Doubles) -> NDArray[np.bool_]:
     """Return whether each of `points` (n, 3) m is in one of the regions."""
-    found = np.zeros(len(points), bool)
+    inside = np.zeros(len(points), bool)
     for region in regions:
         if isinstance(region, schema.Below):
-            found |= points[:, 2] <= region.z_m
+            inside |= points[:, 2] <= region.z_m
         elif isinstance(region, schema.InBox):
-            found |= ((points >= region.low_m) & (points <= region.high_m)).all(axis=1)
+            inside |= ((points >= region.low_m) & (points <= region.high_m)).all(axis=1)
         else:
-            found |= (points - region.point_m) @ np.asarray(region.normal) <= 0.0
-    return found
+            inside |= (points - region.point_m) @ np.asarray(region.normal) <= 0.0
+    return inside

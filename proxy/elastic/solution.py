@@ -1,4 +1,4 @@
-"""File of a solved body beside a scene: the scene then runs without mesher and solver, with the same bits everywhere.
+"""Solved elastic body, and its file next to a scene, which then runs without mesher and solver, with the same bits.
 
 The file is an uncompressed .npz of numbers, without pickles. The compliance is stored as float32 of its lower triangle:
 18 n^2 bytes for n nodes. A hash covers the numbers, the mesh file, and all values that change the solution.
@@ -10,7 +10,7 @@ import hashlib
 import io
 import zipfile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from softfinger.config import limits, schema
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.files import new_file, read_input
-from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.meshes.reading import Arrays
 
@@ -37,19 +36,53 @@ TYPES: Final = {
 """Arrays of a file, in the order in which they are hashed."""
 
 
+class Report(NamedTuple):
+    """Figures of a body, of Young's modulus 1 Pa.
+
+    points       (k, 3) m  of the surface, spread over it
+    compliances  (k,)      displacement there along the normal under 1 N, m/N times 1 Pa
+    error        1         their largest error, estimated with a coarser mesh, over their largest value; None without
+                           such a mesh
+    """
+
+    vertices: int
+    tetrahedra: int
+    nodes: int
+    worst_quality: float
+    mean_quality: float
+    points: list[list[float]]
+    compliances: list[float]
+    error: float | None
+
+
+class ElasticBody(NamedTuple):
+    """Surface (vertices, m, and triangles), its compliant vertices, their compliance, and figures.
+
+    nodes       (n,)       indices of the compliant vertices
+    compliance  (n n 9,)   see `compliance.Solution`
+    bending     (n 3 2,)   see `compliance.Solution`
+    """
+
+    surface: Arrays
+    nodes: NDArray[np.int32]
+    compliance: ReadOnly
+    bending: ReadOnly
+    report: Report
+
+
 def identity(thing: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
     """Return all that determines the solution of a mesh object with the file `data`: that of Young's modulus 1 Pa.
 
     Under gravity the modulus itself belongs to it.
     """
     sag = None if elastic.density_kg_per_m3 is None else (elastic.density_kg_per_m3, elastic.youngs_pa)
-    regions = [msgspec.to_builtins(each) for each in (elastic.fixed, elastic.reach)]
+    regions = [msgspec.to_builtins(region) for region in (elastic.fixed, elastic.reach)]
     size = elastic.resolution_m, elastic.radius_m, thing.scale
     file = hashlib.sha256(data).hexdigest(), Path(thing.file).suffix.lower()
     return repr((VERSION, file, size, elastic.poisson, regions, sag))
 
 
-def save(path: str, key: str, body: Body) -> None:
+def save(path: str, key: str, body: ElasticBody) -> None:
     """Write a body, of the identity `key`."""
     count = 3 * len(body.nodes)
     square = body.compliance.array.reshape(len(body.nodes), len(body.nodes), 3, 3)
@@ -67,7 +100,7 @@ def save(path: str, key: str, body: Body) -> None:
         np.savez(file, **{name: arrays[name] for name in TYPES})  # type: ignore[arg-type]
 
 
-def read(path: str, key: str) -> Body:
+def read(path: str, key: str) -> ElasticBody:
     """Return the body in a file.
 
     Raises
@@ -88,7 +121,7 @@ def read(path: str, key: str) -> Body:
     blocks = square.reshape(len(nodes), 3, len(nodes), 3).transpose(0, 2, 1, 3)
     report = Report(**msgspec.json.decode(arrays["report"].tobytes()))
     surface = Arrays(vertices, arrays["triangles"].reshape(-1, 3))
-    return Body(surface, nodes, ReadOnly(blocks), ReadOnly(arrays["bending"].astype(np.float64)), report)
+    return ElasticBody(surface, nodes, ReadOnly(blocks), ReadOnly(arrays["bending"].astype(np.float64)), report)
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
@@ -97,8 +130,8 @@ def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
     try:
         with open_npz(file) as archive:
             members = zipfile.ZipFile(file).infolist()
-            stored = all(each.compress_type == zipfile.ZIP_STORED for each in members)
-            if not stored or [each.filename for each in members] != [f"{name}.npy" for name in TYPES]:
+            stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+            if not stored or [member.filename for member in members] != [f"{name}.npy" for name in TYPES]:
                 raise ValueError("is not a solution of an elastic body")
             arrays = {name: np.asarray(archive[name]) for name in TYPES}
     except (zipfile.BadZipFile, EOFError, KeyError, OverflowError, SyntaxError, MemoryError) as error:

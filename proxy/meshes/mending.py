@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.proxy.meshes.measures import mark_flat
-from softfinger.proxy.meshes.pieces import edges_of, first_alike
+from softfinger.proxy.meshes.pieces import edges_of, mark_flat, unique_rows, unique_triangles
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 from softfinger.proxy.meshes.winding import Winding, wind
 
@@ -57,11 +56,6 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     loose
         Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
 
-    Returns
-    -------
-    Mended
-        Repaired mesh, with counts of repairs and of remaining faults.
-
     Raises
     ------
     ValueError
@@ -80,9 +74,8 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     flat = np.empty(len(triangles), np.bool_)
     mark_flat(vertices, triangles, FLATNESS, flat)
     triangles = triangles[~flat]
-    first = first_alike(np.sort(triangles, axis=1).view(np.uint32))
-    single = first == np.arange(len(first))
-    triangles = np.ascontiguousarray(triangles[single])
+    unique_corners = unique_triangles(triangles)
+    duplicate, triangles = len(triangles) - len(unique_corners), triangles[unique_corners]
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
@@ -95,7 +88,7 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
         merged=merged,
         unused=unused,
         degenerate=int(flat.sum()),
-        duplicate=int((~single).sum()),
+        duplicate=duplicate,
         open_edges=int((edges.many == 1).sum()),
         crowded_edges=int((edges.many > 2).sum()),
         winding=winding,
@@ -137,19 +130,13 @@ def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]
 
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return the indices of the vertices to keep, and the new index of each vertex."""
-    first = first_alike((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
-    unique, place = _places(first)
+    unique, place = unique_rows((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
     if not loose:
         return unique, place
     tolerance = MERGED_WITHIN * _size(vertices)
     steps = np.stack([_steps(vertices[unique, axis], tolerance) for axis in range(3)], axis=1)
-    clustered, number = _places(first_alike(steps))
+    clustered, number = unique_rows(steps)
     return unique[clustered], number[place]
-
-
-def _places(first: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    stays = first == np.arange(len(first))
-    return np.flatnonzero(stays), (np.cumsum(stays, dtype=np.int32) - np.int32(1))[first]
 
 
 def _steps(values: NDArray[np.float64], tolerance: float) -> NDArray[np.uint32]:

@@ -1,17 +1,23 @@
-"""Compiled search for equal rows and connected triangles, in one pass over millions."""
+"""Compiled functions on millions of triangles: equal rows, connected pieces, areas and volumes.
+
+NumPy's arrays of all their edges would take gigabytes.
+"""
 
 from __future__ import annotations
 
 import secrets
+from math import sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.numerics.vec3 import cross, dot, sub
 
 Rows = NDArray[Any]
 Numbers = NDArray[np.int32]
+Vertices = NDArray[np.float64]
 
 _SEED: Final = secrets.randbits(63) | 1
 """Differs between processes, so that no file can be crafted whose rows all collide in the hash table."""
@@ -50,6 +56,18 @@ def first_alike(rows: Rows) -> Numbers:
     with np.errstate(over="ignore"):  # as plain Python, NumPy would warn about each product modulo 2^64
         _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
     return first
+
+
+def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
+    """Return the index of the first of each set of equal rows (n, k), and for each row the number of its set."""
+    first = first_alike(rows)
+    is_first = first == np.arange(len(first))
+    return np.flatnonzero(is_first), (np.cumsum(is_first, dtype=np.int32) - np.int32(1))[first]
+
+
+def unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
+    """Return the indices of the triangles (m, 3) that have other corners than all earlier ones."""
+    return unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
 
 
 def edges_of(triangles: Numbers) -> Edges:
@@ -138,3 +156,33 @@ def _unite(
         if above != vertex:
             turned[vertex] ^= turned[above]
             parent[vertex] = parent[above]
+
+
+@entry
+def mark_flat(vertices: Vertices, triangles: Numbers, flatness: float, flat: NDArray[np.bool_]) -> None:
+    """Mark the triangles (m, 3) with a height of at most `flatness` times their longest edge."""
+    for i in range(len(triangles)):
+        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
+        p = (vertices[a, 0], vertices[a, 1], vertices[a, 2])
+        u = sub((vertices[b, 0], vertices[b, 1], vertices[b, 2]), p)
+        v = sub((vertices[c, 0], vertices[c, 1], vertices[c, 2]), p)
+        w = sub(v, u)
+        longest = sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
+        scale = 1.0 / longest if longest > 0.0 else 0.0  # the square of a small area would underflow to zero
+        n = cross((scale * u[0], scale * u[1], scale * u[2]), (scale * v[0], scale * v[1], scale * v[2]))
+        flat[i] = not sqrt(dot(n, n)) > flatness
+
+
+@entry
+def add_volumes(vertices: Vertices, triangles: Numbers, middle: Vertices, body: Numbers, volumes: Vertices) -> None:
+    """Add to each body (bodies,) the signed volume, m^3, of the tetrahedra from `middle` (3,) to its triangles.
+
+    vertices (n, 3) m, triangles (m, 3), body (m,) of each triangle
+    """
+    o = (middle[0], middle[1], middle[2])
+    for i in range(len(triangles)):
+        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
+        p = sub((vertices[a, 0], vertices[a, 1], vertices[a, 2]), o)
+        q = sub((vertices[b, 0], vertices[b, 1], vertices[b, 2]), o)
+        r = sub((vertices[c, 0], vertices[c, 1], vertices[c, 2]), o)
+        volumes[body[i]] += dot(p, cross(q, r)) / 6.0

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,14 +26,13 @@ from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.meshes import array_cache
 from softfinger.proxy.meshes.mending import mend
-from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices, arrays_of, read_bytes
+from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
 from softfinger.proxy.meshes.report import MeshReport, report_of
 from softfinger.proxy.meshes.thinning import thin_mesh
 
 if TYPE_CHECKING:
-    from softfinger.proxy.elastic.body import Body
-
-Tree = TypeVar("Tree", bound=tuple[Any, ...])
+    from softfinger.proxy.elastic.solution import ElasticBody
+    from softfinger.proxy.meshes.tree import Tree
 
 TREES: Final = 16
 """Number of meshes whose trees stay in memory; the disk cache has the others."""
@@ -42,13 +41,6 @@ ABOUTS: Final = 2 * int(limits.OBJECTS.high)
 
 Each is stored twice: under the state of its file, and under its path and scale.
 """
-
-
-class Builder(NamedTuple, Generic[Tree]):
-    """Function that builds a tree from a repaired mesh, m. The tree is a named tuple `kind` of arrays and numbers."""
-
-    build: Callable[[Vertices, Triangles], Tree]
-    kind: type[Tree]
 
 
 class About(NamedTuple):
@@ -109,27 +101,29 @@ STAGES: Final = 4
 """Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
 
 
-def tree_of(thing: schema.Mesh, builder: Builder[Tree], folder: Folder = array_cache.FOLDER) -> Tree:
+def tree_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
     """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
+    from softfinger.proxy.meshes import tree as trees  # its kernels are only for scenes with a mesh
+
     state = _state(thing)
-    tree: Tree | None = _trees.get((state, builder))
+    tree: Tree | None = _trees.get(state)
     if tree is not None:
         return tree
     data = _bytes(thing)
-    key = _key(data, thing, builder)
-    tree, summary = _from_disk(key, builder, folder) or (None, None)
+    key = _key(data, thing)
+    tree, summary = _from_disk(key, trees.Tree, folder) or (None, None)
     if tree is None or summary is None:
         if thing.elastic is not None:
             _body(thing)  # shows its own progress
         with progress.display(f"building the mesh of {thing.name}", STAGES) as advance:
             mended = _read_and_mend(thing, data, advance)
-            tree = builder.build(*mended[0])
+            tree = trees.build_tree(*mended[0])
             advance(3)
             summary = _about(mended)
             advance(STAGES)
         array_cache.save(key, _to_disk(tree, summary), folder)
     _remember(thing, state, summary)
-    _trees.put((state, builder), tree)
+    _trees.put(state, tree)
     return tree
 
 
@@ -153,7 +147,7 @@ def _bytes(thing: schema.Mesh) -> bytes:
         raise ConfigError(f"object '{thing.name}': file: {error}") from error
 
 
-def _body(thing: schema.Mesh) -> Body:
+def _body(thing: schema.Mesh) -> ElasticBody:
     from softfinger.proxy.elastic.prepared import body_of  # SciPy, only for elastic objects
 
     return body_of(thing)
@@ -198,19 +192,17 @@ def _state(thing: schema.Mesh) -> Any:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_source(thing)
 
 
-def _key(data: bytes, thing: schema.Mesh, builder: Builder[Any]) -> str:
-    """Return a hash of the file's bytes, its ending and scale, the type of the tree, and the program's source."""
+def _key(data: bytes, thing: schema.Mesh) -> str:
+    """Return a hash of the file's bytes, its ending and scale, and the program's source."""
     digest = hashlib.sha256(data)
-    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale, builder.kind
+    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale
     if thing.elastic is not None:
-        from softfinger.proxy.elastic.prepared import body_of
-
-        made = (*made, *(hashlib.sha256(array.tobytes()).digest() for array in body_of(thing).surface))
+        made = (*made, *(hashlib.sha256(array.tobytes()).digest() for array in _body(thing).surface))
     digest.update(repr(made).encode())
     return digest.hexdigest()
 
 
-def _to_disk(tree: Any, summary: About) -> array_cache.CachedArrays:
+def _to_disk(tree: Tree, summary: About) -> array_cache.CachedArrays:
     fields = tree._asdict()
     arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
     numbers = {name: np.asarray(value).item() for name, value in fields.items() if name not in arrays}
@@ -218,11 +210,12 @@ def _to_disk(tree: Any, summary: About) -> array_cache.CachedArrays:
     return array_cache.CachedArrays(arrays | pictures, {"numbers": numbers, "report": asdict(summary.report)})
 
 
-def _from_disk(key: str, builder: Builder[Tree], folder: Folder) -> tuple[Tree, About] | None:
+def _from_disk(key: str, kind: type[Tree], folder: Folder) -> tuple[Tree, About] | None:
     cached = array_cache.load(key, folder)
     if cached is None:
         return None
-    arrays, values = dict(cached.arrays), cached.values
+    arrays: dict[str, Any] = dict(cached.arrays)
+    values = cached.values
     picture = Arrays(arrays.pop("picture.vertices"), arrays.pop("picture.triangles"))
     report = msgspec.convert(values["report"], MeshReport)
-    return builder.kind(**arrays, **values["numbers"]), About(report, picture)
+    return kind(**arrays, **values["numbers"]), About(report, picture)

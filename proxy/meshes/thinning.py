@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.proxy.meshes.pieces import first_alike
+from softfinger.proxy.meshes.pieces import unique_rows, unique_triangles
 from softfinger.proxy.meshes.reading import Arrays
 
 PICTURE_TRIANGLES: Final = 50_000
@@ -33,13 +33,10 @@ def thin_mesh(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
 
 def _cluster_vertices(mesh: Arrays, cell: float) -> Arrays:
     at = ((mesh.vertices - mesh.vertices.min(axis=0)) / cell).astype(np.uint32)
-    first = first_alike(at)
-    stays = first == np.arange(len(first))
-    place = (np.cumsum(stays, dtype=np.int32) - np.int32(1))[first]
+    _, place = unique_rows(at)
     counts = np.bincount(place)
     middles = np.stack([np.bincount(place, mesh.vertices[:, axis]) / counts for axis in range(3)], axis=1)
     triangles = place[mesh.triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
-    first = first_alike(np.sort(triangles, axis=1).view(np.uint32))
-    return Arrays(middles, np.ascontiguousarray(triangles[first == np.arange(len(first))]))
+    return Arrays(middles, triangles[unique_triangles(triangles)])

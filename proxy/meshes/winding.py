@@ -7,8 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.meshes.measures import add_volumes
-from softfinger.proxy.meshes.pieces import Edges, Pieces, pieces_of
+from softfinger.proxy.meshes.pieces import Edges, Pieces, add_volumes, pieces_of
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 
 HOLDERS: Final = 16

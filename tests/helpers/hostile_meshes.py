@@ -96,6 +96,7 @@ MADE: Final = {
     "planet": lambda: meshes.geodesic(60, 500.0),
     "far": lambda: meshes.moved(meshes.geodesic(12, 0.05), (900.0, -200.0, 300.0)),
     "star": lambda: meshes.bumpy_sphere(24, 0.05, height=0.3),
+    "moebius": lambda: meshes.moebius(0.06, 0.04, 96, 6),
 }
 """Meshes that must be touched safely, by name: thin, duplicated, inverted, intersecting, missing and single triangles,
 triangles without area, close walls, and sizes and positions at the limits."""

@@ -46,6 +46,22 @@ def thing(name: str, shape: str, **keys: Any) -> dict[str, Any]:
     return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
 
 
+def facing(normal: ArrayLike) -> list[float]:
+    """Return the quaternion that rotates +z to `normal` (3,)."""
+    n = np.asarray(normal, float) / np.linalg.norm(normal)
+    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
+    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
+
+
+def wall(
+    name: str, normal: ArrayLike, material: dict[str, Any] | None = None, offset: float = 0.0, **keys: Any
+) -> dict[str, Any]:
+    """Return a plane, frictionless by default, `offset` m from the origin along its `normal` (3,)."""
+    place = offset * np.asarray(normal, float) / np.linalg.norm(normal)
+    where = {"position_m": place.tolist(), "orientation_wxyz": facing(normal)}
+    return {"name": name, "shape": "plane", **where, "material": material or {"stiffness_n_per_m": 1000.0}, **keys}
+
+
 def scene_with(*objects: dict[str, Any], **tables: Any) -> Scene:
     """Return a scene without a velocity filter, so that a tick depends on two poses only; None removes a table."""
     scene = {

@@ -72,7 +72,6 @@ PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, wh
 
 
 def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", height: float = 0.0) -> str:
-    """Write the model of a box and return its path."""
     path = folder / "box.xml"
     path.write_text(BOX.format(mass=mass, gravity=gravity, floor=floor, height=height), encoding="utf-8")
     return str(path)
@@ -81,7 +80,6 @@ def box(folder: Path, mass: float = MASS, gravity: float = -G, floor: str = "", 
 def held_by_two(
     path: str, material: dict[str, Any] = RUBBER, coupling: dict[str, Any] = DAMPED, **world: Any
 ) -> Engine:
-    """Engine with two fingers for the bodies of a model."""
     fingers = [{"name": name, "radius_m": R} for name in ("thumb", "index")]
     tables = {"finger": fingers, "coupling": coupling, "rolling": {"method": "midpoint"}}
     return Engine(tables | {"world": {"model": path, "material": material, **world}})
@@ -100,7 +98,6 @@ def pinch(ticks: int, force: float, offset: float = 0.0, height: float = 0.0, pr
 
 
 def tilt(engine: Engine) -> float:
-    """Rotation of the box about x, rad."""
     w, x = engine.data.qpos[3:5]
     return 2.0 * math.atan2(x, w)
 
@@ -182,7 +179,6 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
 
 
 def test_body_gets_the_opposite_wrench_of_the_fingers(tmp_path: Path) -> None:
-    """Each tick the wrench on the box is minus the sum of the wrenches on the fingers, about any point, to 1e-12."""
     engine = held_by_two(box(tmp_path, floor=FLOOR, height=HALF))
     hand_path = pinch(160, 3.0, offset=0.006, height=HALF - 0.003)
     pressed = 0
@@ -209,7 +205,6 @@ BODIES = [
 @pytest.mark.parametrize(("mass", "substeps"), BODIES)
 @pytest.mark.parametrize("stiffness", [*(pytest.param(each, marks=REST) for each in (200.0, 1000.0)), 3000.0])
 def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float, tmp_path: Path) -> None:
-    """From 10 g to 1 kg at 1 kHz, and 1 g with four substeps, a grasped and struck body swings less and less."""
     path = box(tmp_path, mass, gravity=0.0)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
     coupling = DAMPED | {"stiffness_n_per_m": stiffness}
@@ -249,7 +244,6 @@ def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tm
 
 
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
-    """Runs after a reset and in another engine are identical; setting a parameter does not move the bodies."""
     hand_path = pinch(150, 3.0, offset=0.008, height=HALF)
     engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
     first = engine.run(hand_path)["thumb"].copy()
@@ -288,7 +282,6 @@ SHAPES = """
 
 @PLAIN_ONLY
 def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
-    """For points around each shape on a moved body, distances equal MuJoCo's."""
     path = tmp_path / "shapes.xml"
     path.write_text(SHAPES)
     engine = Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
@@ -337,7 +330,6 @@ def test_a_mesh_has_the_position_of_mujoco(free: bool, tmp_path: Path) -> None:
 
 
 def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
-    """Rules select geoms by name, group or class of defaults; geoms that do not collide are left out."""
     path = tmp_path / "some.xml"
     path.write_text(
         '<mujoco><default><default class="soft"><geom rgba="1 0 0 1"/></default></default><worldbody>'
@@ -482,7 +474,6 @@ HOSTILE = {
 @pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", HOSTILE)
 def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> None:
-    """The error is raised before the first tick, names the file and the cause, and is one line."""
     text, expected = HOSTILE[name]
     path = tmp_path / "hostile.xml"
     path.write_text(text)
@@ -543,7 +534,6 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
 
 
 def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None:
-    """An object with a geom's name replaces it, and a shape MuJoCo lacks can be attached to a body; both are pushed."""
     ring = {"name": "ring", "shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.005, "material": RUBBER}
     engine = Engine(
         {
@@ -558,7 +548,6 @@ def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None
 
 
 def test_a_scene_without_a_world_does_not_import_mujoco() -> None:
-    """Such a scene has no `model` and `data`: access raises ConfigError."""
     code = (
         "import sys; from softfinger import Engine; e = Engine('paper-plane'); "
         "e.step([0, 0, 0.0095], [1, 0, 0, 0]); assert 'mujoco' not in sys.modules"
@@ -587,7 +576,6 @@ def test_a_diverging_world_is_detected(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_an_engine_reports_failed_bodies(substeps: int, tmp_path: Path) -> None:
-    """The failing call and all further calls until a reset raise MuJoCo's error; repeated three times in one engine."""
     path = box(tmp_path, floor=FLOOR, height=HALF)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
     engine = held_by_two(path, substeps=substeps)
@@ -627,7 +615,6 @@ def test_full_memory_is_an_error(tmp_path: Path) -> None:
 
 @PLAIN_ONLY
 def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
-    """Fingers inside a failed box get zero force, the world does not advance, and no wrench is NaN."""
     engine = held_by_two(box(tmp_path, gravity=0.0))
     hand_path = pinch(120, 3.0)
     assert np.abs(engine.run(hand_path)["thumb"]["force"][-1]).max() > 1.0
@@ -643,7 +630,6 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
 
 @PLAIN_ONLY
 def test_most_steps_must_be_within_the_budget(tmp_path: Path) -> None:
-    """A single slow step is tolerated; if most steps exceed the budget, the bodies are released with an error."""
     scene = load_scene(
         {"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}}
     )

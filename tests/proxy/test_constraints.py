@@ -24,7 +24,6 @@ def unit(rng):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_agrees_with_non_negative_least_squares(count):
-    """The displacement equals the solution of Lawson and Hanson's method, for one to three constraints."""
     rng = np.random.default_rng(count)
     for _ in range(2000):
         normals = [unit(rng) for _ in range(3)]
@@ -41,14 +40,12 @@ def test_agrees_with_non_negative_least_squares(count):
 
 
 def test_corner_of_a_box():
-    """Three perpendicular walls: every demand is met separately."""
     axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
     push, _ = solve(3, *axes, 1.0, 2.0, 3.0)
     assert push == (1.0, 2.0, 3.0)
 
 
 def test_a_demand_met_by_another_wall_gets_no_weight():
-    """A wall that is satisfied by the push from the floor gets no force."""
     slanted = (0.6, 0.0, 0.8)
     push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)
     assert push == (1.0, 0.0, 0.0) and d == (0.0, 0.0, 1.0)
@@ -71,7 +68,6 @@ def test_nearly_parallel_walls_push_as_one(angle):
 
 
 def test_parallel_and_opposite_normals_give_finite_weights():
-    """Two walls with one normal, and a gap that is too narrow, are solved without division by zero."""
     up, down = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
     assert solve(2, up, up, up, 1.0, 1.0, 0.0)[1] == (0.0, 0.0, 1.0)
     push, d = solve(2, up, down, up, 1.0, 0.5, 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
-from helpers.touching import Array, saved
+from helpers.touching import Array, posed, saved
 from references.laws import LAWS
 
 from softfinger.config.load import build
@@ -26,7 +26,6 @@ from softfinger.proxy.record import NAMED
 pytestmark = pytest.mark.plain
 
 R, BALL, K = 0.01, 0.02, 1000.0
-UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 GRIP: dict[str, Any] = {
     "stiffness_n_per_m": K,
     "damping_ns_per_m": 1.0,
@@ -116,7 +115,6 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    """Check that far objects before and after it in the list leave its records unchanged, bit for bit."""
     it, others = thing(shape, folder, material), far(material)
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape == "plane":
@@ -178,9 +176,6 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
     check_out_of_reach("ellipsoid", "midpoint", tmp_path, GRIP, finger=fingers)
 
 
-# --- forces of a contact that sticks ---------------------------------------------------------------
-
-
 COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
 
 
@@ -189,10 +184,9 @@ def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
 
 
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
-    """Upright poses (n, 7) along a polyline."""
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate([*legs, [corners[-1]]])
-    return np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+    return posed(places)
 
 
 CURVED = {
@@ -260,7 +254,6 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, c
 
 @pytest.mark.exhaustive
 def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
-    """At a mesh vertex on the sphere, 3 mm deep, a drag of 0.4 mm gives -0.4 N."""
     ball = meshes.geodesic(24, BALL)
     it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *ball), "material": STICKY}
     n = ball.vertices[0] / BALL
@@ -299,11 +292,7 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
     assert frequency == pytest.approx(expected, rel=1e-4)
 
 
-# --- energy ----------------------------------------------------------------------------------------
-
-
 def closed_path(seed: int, top: float, ticks: int) -> Array:
-    """Positions (n, 3) m from above down to a random closed polyline and back up."""
     rng = np.random.default_rng(seed)
     begin = np.array([0.0, 0.0, top + 1e-3])
     below = np.array([0.0, 0.0, top - 2e-3]) + rng.uniform(-1.0, 1.0, (4, 3)) * [6e-4, 6e-4, 8e-4]
@@ -323,7 +312,7 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
     for seed in range(3):
         running.reset()
         places = closed_path(seed, top, 25) + np.array([offset, 0.0, 0.0])
-        records = running.run(np.hstack([places, np.tile(UPRIGHT, (len(places), 1))]))
+        records = running.run(posed(places))
         force = records["force"]
         touching = (records["contact.mode"] > 0) & np.roll(records["contact.mode"] > 0, 1)
         work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0), axis=1)
@@ -332,9 +321,6 @@ def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company:
         first, last = np.flatnonzero(inside)[[0, -1]]
         stored = 0.5 / K * np.sum(force**2, axis=1)
         assert abs(work[first : last + 1].sum() + stored[last + 1] - stored[first]) < 1e-9
-
-
-# --- a mesh of a box equals the box ----------------------------------------------------------------
 
 
 def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array:
@@ -363,7 +349,7 @@ def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, 
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
     mesh = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(*half)), "material": GRIP}
     places = over_a_box(seed, half, 700)
-    poses = np.hstack([places, np.tile(UPRIGHT, (len(places), 1))])
+    poses = posed(places)
     solid, made = engine([box]).run(poses), engine(with_company(mesh, company)).run(poses)
     assert {0.0, 1.0, 2.0} <= set(solid["contact.mode"])
     faces, edges, corners = ((np.count_nonzero(solid["contact.normal"], axis=1) == n).sum() for n in (1, 2, 3))

@@ -100,7 +100,6 @@ FEW = 6
     "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
 )
 def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> None:
-    """Mode and cause are equal on every tick; proxy, force, torque, roll and spin agree to rounding."""
     rng = np.random.default_rng(seed)
     scene, q = random_case(rng, plane_scene)
     engine, reference = Engine(scene), ReferenceContact(q)
@@ -121,7 +120,6 @@ def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> No
 
 @pytest.mark.scaled
 def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: Cases) -> None:
-    """The random motions contain every cause at least five times."""
     seen: dict[str, int] = {}
     for seed in SEEDS[: cases(FEW, len(SEEDS))]:
         rng = np.random.default_rng(seed)
@@ -134,7 +132,6 @@ def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: 
 
 
 def test_large_rotations_in_one_tick(plane_scene: SceneFactory) -> None:
-    """For rotations of up to half a turn in one tick, roll and spin equal the Euler angles."""
     friction = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
     torsion = {"torsion": {"stiffness_nm_per_rad": 1e-3, "friction_length_m": 0.01}}
     engine = Engine(plane_scene(material=friction | torsion))

@@ -20,7 +20,6 @@ POSE = [0.001, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]
 @pytest.mark.parametrize("scene", ["paper-plane", "heightmap", "plates", "roll-a-pencil"])
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
 def test_a_copy_continues(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
-    """Holds in contact, with arrays (heightmap) and with bodies; changes of the copy do not affect the original."""
     engine = Engine(scene)
     engine.step(*POSE)
     other = duplicate(engine)

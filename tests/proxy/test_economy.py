@@ -137,13 +137,10 @@ def of_modules(kernels: set[str], modules: tuple[str, ...]) -> set[str]:
 
 
 def test_bare_plane_has_no_kernel_of_absent_parts() -> None:
-    """Of friction, torsion, rolling, effects, motion and geometry it has only the kernels for absent parts, and the
-    plane."""
     assert of_modules(compiled("bare").kernels, PARTS) == STAND_INS
 
 
 def test_bare_plane_has_no_costly_instruction() -> None:
-    """The step has no sine, power or arc function, one root and three divisions."""
     bare = compiled("bare")
     # The root gives the magnitude of the tangential force, which is in every record.
     assert set(bare.calls) <= {"llvm.sqrt.f64"} and bare.calls["llvm.sqrt.f64"] <= 1
@@ -154,7 +151,6 @@ def test_bare_plane_has_no_costly_instruction() -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("without", "having"), ADDED)
 def test_each_feature_adds_code_only_to_scenes_with_it(without: str, having: str) -> None:
-    """A part adds kernels of its modules and arithmetic, which the scene without it lacks."""
     less, more = compiled(without), compiled(having)
     added = more.kernels - less.kernels
     assert {kernel.rpartition(".")[0] for kernel in added} >= ADDED[without, having]
@@ -180,8 +176,6 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
     "name", ["bare", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in CALLED if name != "bare")]
 )
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
-    """atan2 is called only with rolling and torsion, sin with an oscillation or a turntable, pow with a nonlinear
-    normal force."""
     called = {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls}
     least, most = CALLED[name]
     assert least <= called and (most is None or called <= most)
@@ -227,7 +221,6 @@ found["new"] = report(compile_step(bare._replace(objects=Single(bare.objects.bod
 
 
 def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
-    """Return the result of code in a new Python process with our modules in its path and another hash seed."""
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
     script = "\n".join([*code, "print(json.dumps(found))"])
@@ -239,7 +232,6 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.exhaustive
 def test_an_unused_surface_does_not_change_compiled_code() -> None:
-    """Registering another surface does not change the instructions of other scenes."""
     names = ["bare", "whole"]
     found = in_a_process(REGISTER, COMPILE % names, USE)
     for name in names:
@@ -252,7 +244,6 @@ def test_an_unused_surface_does_not_change_compiled_code() -> None:
 
 
 def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
-    """Each law, method, effect, motion and shape of the scene format is the difference of some pair."""
     pairs = [(feature.without, feature.having) for feature in all_features()]
 
     def news(of: Callable[[schema.Scene], set[str]]) -> set[str]:

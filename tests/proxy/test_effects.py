@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import examples
+from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
 from references.hand import Array
@@ -60,12 +61,10 @@ def moment(position: model.Vec3 = ZERO, velocity: model.Vec3 = ZERO, **changes: 
 
 
 def force_of(effect: Any, at: Situation) -> Array:
-    """Return the force (3,), N, of a single effect that has just started."""
     return np.array(apply_effects((effect,), start_states((effect,)), at)[0])
 
 
 def run(effect: Any, moments: Iterator[Situation]) -> Array:
-    """Return the forces (n, 3), N, of a single effect over many ticks."""
     states, forces = start_states((effect,)), []
     for at in moments:
         force, states = apply_effects((effect,), states, at)
@@ -75,7 +74,6 @@ def run(effect: Any, moments: Iterator[Situation]) -> Array:
 
 @pytest.fixture(scope="module")
 def compiled() -> Any:
-    """Return `apply_effects`, compiled as in the servo."""
     return numba.njit(**OPTIONS)(lambda effects, states, at: apply_effects(effects, states, at))
 
 
@@ -87,17 +85,12 @@ anywhere = st.tuples(finite, finite, finite)
 
 @st.composite
 def normals(draw: st.DrawFn) -> model.Vec3:
-    """Draw unit vectors."""
     z, angle = draw(st.floats(-1.0, 1.0)), draw(st.floats(0.0, 2 * math.pi))
     s = math.sqrt(1.0 - z * z)
     return (s * math.cos(angle), s * math.sin(angle), z)
 
 
-# --- fields --------------------------------------------------------------------------------------
-
-
 def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
-    """The force is -B v: everywhere without a region, otherwise only inside it."""
     v = (0.1, -0.2, 0.3)
     assert force_of(model.Viscosity(2.0, None), moment((9.0, 9.0, 9.0), v)) == pytest.approx([-0.2, 0.4, -0.6])
     assert force_of(model.Viscosity(2.0, BOX), moment((0.09, -0.19, 0.29), v)) == pytest.approx([-0.2, 0.4, -0.6])
@@ -108,14 +101,12 @@ def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
 @examples(100, 500)
 @given(places, anywhere, st.sampled_from([None, BOX, BALL, model.Touching(1.0)]), st.sampled_from([0.0, 1.0]))
 def test_viscosity_never_adds_energy(x: model.Vec3, v: model.Vec3, region: Any, touched: float) -> None:
-    """The power of a viscous force is never positive, at any speed, inside and around its region."""
     force, _ = apply_effects((model.Viscosity(2.0, region),), (None,), moment(x, v, touched=touched))
     # By component, since the sum may overflow.
     assert all(f == 0.0 or (f < 0.0) == (c > 0.0) for f, c in zip(force, v, strict=True))
 
 
 def test_a_soft_edge_fades_the_effect_in() -> None:
-    """At the edge of a region the force increases linearly from zero to its full value."""
     effect = model.ConstantForce((0.0, 0.0, -4.0), model.SphereRegion(ZERO, 0.05, 0.01))
     depths = {-0.001: 0.0, 0.0: 0.0, 0.0025: 0.25, 0.005: 0.5, 0.01: 1.0, 0.05: 1.0}
     for depth, share in depths.items():
@@ -129,9 +120,6 @@ def test_spring_pulls_beyond_its_rest_length_and_pushes_within(distance: float, 
     x, y, z = anchor + distance * along
     effect = model.Spring((0.01, -0.02, 0.03), 100.0, 0.02, 4.0, None)
     assert force_of(effect, moment((x, y, z))) == pytest.approx(expected * along, abs=1e-12)
-
-
-# --- boundary ------------------------------------------------------------------------------------
 
 
 boundaries = pytest.mark.parametrize(
@@ -155,7 +143,6 @@ boundaries = pytest.mark.parametrize(
     ],
 )
 def test_box_boundary_is_a_spring_and_damper(x: model.Vec3, v: model.Vec3, expected: model.Vec3) -> None:
-    """Perpendicular to a face, oblique at an edge; outward damping adds up to the limit; zero inside."""
     effect = model.BoxBoundary((0.1, 0.0, 0.0), (0.05, 0.06, 0.07), 400.0, 5.0, 6.0)
     assert force_of(effect, moment(x, v)) == pytest.approx(expected, abs=1e-12)
 
@@ -164,7 +151,6 @@ def test_box_boundary_is_a_spring_and_damper(x: model.Vec3, v: model.Vec3, expec
 @examples(100, 300)
 @given(x=places, v=places)
 def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> None:
-    """For any velocity the force points inward, does not exceed its limit, and is zero inside."""
     force = force_of(effect, moment(x, v))
     away = np.array(x) - effect.center
     size = np.linalg.norm(force)
@@ -183,13 +169,9 @@ def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> No
 
 @boundaries
 def test_boundary_starts_without_a_step(effect: Any) -> None:
-    """One nanometre outside, at full speed, the force is one micronewton."""
     edge = 0.1 + (0.05 if isinstance(effect, model.BoxBoundary) else 0.06)
     force = force_of(effect, moment((edge + 1e-9, 0.0, 0.0), (5.0, 0.0, 0.0)))
     assert 0.0 < -force[0] <= 2 * 400.0 * 1.001e-9
-
-
-# --- objects -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
@@ -247,13 +229,11 @@ def test_an_ellipsoid_gains_energy_when_it_turns_near_a_magnet() -> None:
 
 
 def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
-    """Yield n + 1 ticks of a straight path along x in contact."""
     for k in range(n + 1):
         yield moment((length * k / n, 0.0, 0.0), touched=1.0, **changes)
 
 
 def test_stick_slip_is_a_sawtooth() -> None:
-    """Dragged slowly, the force increases with the stiffness to its maximum, drops to zero and increases again."""
     effect = model.StickSlip(1000.0, 0.5)
     forces = run(effect, drag(0.005, 5000))
     # 0.5 N / 1000 N/m = 0.5 mm per ridge; it jumps on the first tick beyond it, a step of 1 um later.
@@ -268,7 +248,6 @@ def test_stick_slip_is_a_sawtooth() -> None:
 
 
 def test_stick_slip_ignores_depth_and_resets_on_release() -> None:
-    """Pressing deeper adds no force; after a tick out of contact the finger sticks at the new contact point."""
     effect = model.StickSlip(1000.0, 0.5)
     pressed = moment((0.0001, 0.0, -0.002), touched=1.0)
     away = moment((0.2, 0.0, 0.1))
@@ -277,7 +256,6 @@ def test_stick_slip_ignores_depth_and_resets_on_release() -> None:
 
 
 def test_stick_slip_moves_with_its_object() -> None:
-    """A finger that moves with a translating, rotating object gets no force; one that lags does."""
     effect = model.StickSlip(1000.0, 0.5)
     half = math.sqrt(0.5)
     before = model.Pose(ZERO, (1.0, 0.0, 0.0, 0.0))
@@ -287,9 +265,6 @@ def test_stick_slip_moves_with_its_object() -> None:
     assert run(effect, iter([touched, rides]))[1] == pytest.approx([0.0, 0.0, 0.0], abs=1e-10)
     lags = moment((1.0, 0.0997, 0.0), touched=1.0, carrier=after)
     assert run(effect, iter([touched, lags]))[1] == pytest.approx([0.0, 0.3, 0.0], abs=1e-9)
-
-
-# --- vibration -----------------------------------------------------------------------------------
 
 
 def test_vibration_is_a_sine_from_touch_on() -> None:
@@ -309,7 +284,6 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
     "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.Touching(1.0))]
 )
 def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
-    """After one tick out of contact the sine starts at zero again."""
     touches = [1.0] * 3 + [0.0] + [1.0] * 3
     forces = run(effect, iter([moment(normal=UP, touched=touched) for touched in touches]))[:, 2]
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(3))
@@ -317,7 +291,6 @@ def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
 
 
 def test_vibration_keeps_its_phase_over_a_month() -> None:
-    """After 10^9 turns, with an odd tick length, the phase is accurate to a millionth of a turn."""
     effect = model.Vibration(1.0, 250.0, UP, None)
     states: Any = (model.Phase(0.0),)
     for _ in range(1001):
@@ -327,7 +300,6 @@ def test_vibration_keeps_its_phase_over_a_month() -> None:
 
 
 def test_a_change_of_frequency_keeps_the_force_continuous() -> None:
-    """A vibration tuned from 10 to 11 Hz after a long run continues from its phase."""
     slow, fast = model.Vibration(1.0, 10.0, UP, None), model.Vibration(1.0, 11.0, UP, None)
     states: Any = start_states((slow,))
     forces = []
@@ -337,11 +309,7 @@ def test_a_change_of_frequency_keeps_the_force_continuous() -> None:
     assert np.abs(np.diff(forces)).max() <= 2 * np.pi * 11.0 * DT
 
 
-# --- several effects -----------------------------------------------------------------------------
-
-
 def test_forces_add_up_and_states_are_separate() -> None:
-    """A tuple of effects gives the sum of the separate forces; an empty tuple gives zero."""
     at = moment((0.02, 0.13, 0.04), (0.3, 0.1, -0.2), touched=1.0, gap=0.0)
     total, states = apply_effects(EVERY, start_states(EVERY), at)
     assert total == pytest.approx(sum(force_of(effect, at) for effect in EVERY), abs=1e-12)
@@ -355,7 +323,6 @@ def test_forces_add_up_and_states_are_separate() -> None:
     st.sampled_from([None, CARRIER]),
 )
 def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: Any) -> None:
-    """The compiled code gives the results of plain Python up to the last bits."""
     ours = theirs = start_states(EVERY)
     for x, v, touched, gap, normal in ticks:
         at = Situation(x, v, DT, touched, gap, normal, carrier)
@@ -376,16 +343,12 @@ def test_compiled_equals_plain_python(compiled: Any, ticks: list[Any], carrier: 
     st.sampled_from([None, CARRIER]),
 )
 def test_finite_input_gives_a_finite_force(compiled: Any, ticks: list[Any], carrier: Any) -> None:
-    """At any position, velocity and tick length the force is finite, also in the next tick."""
     states = start_states(EVERY)
     for x, v, dt, touched, gap, normal in ticks:
         force, states = compiled(EVERY, states, Situation(x, v, dt, float(touched), gap, normal, carrier))
         assert all(abs(f) <= len(EVERY) * FORCE_CEILING_N for f in force)
     calm, _ = compiled(EVERY, states, Situation(ZERO, ZERO, DT, 0.0, 1.0, UP, carrier))
     assert all(math.isfinite(f) for f in calm)
-
-
-# --- scene file ----------------------------------------------------------------------------------
 
 
 WORKSPACE: list[dict[str, Any]] = [
@@ -413,7 +376,6 @@ OBJECT: list[dict[str, Any]] = [
 
 
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    """Sizes are halved, directions normalised, and an object's effects are limited to contact."""
     scene = build_scene(plane_scene(table={"effect": OBJECT}, effect=WORKSPACE))
     touching = model.Touching(1.0)
     assert scene.effects == (
@@ -448,20 +410,16 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
     ],
 )
 def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], message: str) -> None:
-    """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
-    the workspace are faults."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(effect=[effect])
     assert message in str(refused.value)
 
 
 def page() -> str:
-    """Return the text of docs/model/effects.md."""
     return (Path(__file__).resolve().parents[2] / "docs" / "model" / "effects.md").read_text()
 
 
 def test_the_example_of_the_page_is_a_scene() -> None:
-    """The scene file in docs/model/effects.md loads with its effects, motion and material."""
     (example,) = re.findall(r"```toml\n(.*?)```", page(), re.DOTALL)
     scene = build(Scene, tomllib.loads(example), "docs/model/effects.md")
     kernels = build_scene(scene)
@@ -472,28 +430,18 @@ def test_the_example_of_the_page_is_a_scene() -> None:
 
 
 def test_the_page_names_every_kind() -> None:
-    """docs/model/effects.md lists all kinds of effects and motions."""
     kinds = [kind for union in (schema.Effect, schema.ObjectEffect, schema.Motion) for kind in get_args(union)]
     for kind in kinds:
         assert f"`{kind.kind}`" in page()
 
 
-# --- through the engine --------------------------------------------------------------------------
-
-
-def poses(positions: Array) -> Array:
-    """Return poses (n, 7) without rotation at positions (n, 3)."""
-    return np.hstack([positions, np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))])
-
-
 def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> None:
-    """Above the table magnet and viscosity act; in contact the magnet remains, and all forces add up."""
     magnet = {"kind": "magnet", "force_n": 2.0, "range_m": 0.02}
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
     scene = plane_scene(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
-    records = Engine(scene).run(poses(path), DT)
+    records = Engine(scene).run(posed(path), DT)
     force = records[:, AT.force : AT.force + 3]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
@@ -503,12 +451,11 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
 
 
 def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
-    """Dragged over a frictionless table with stick-slip, the finger has only the normal force and the sawtooth."""
     ridges = {"kind": "stick_slip", "stiffness_n_per_m": 1000.0, "force_max_n": 0.5}
     scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)
     x = np.arange(1001) * 5e-6
     path = np.stack([x, 0.0 * x, np.full_like(x, 0.009)], axis=1)
-    records = Engine(scene).run(poses(path), DT)
+    records = Engine(scene).run(posed(path), DT)
     force = records[:, AT.force : AT.force + 3]
     moments = (moment(tuple(p), touched=1.0) for p in path)
     texture = run(model.StickSlip(1000.0, 0.5), moments)
@@ -516,7 +463,6 @@ def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> 
 
 
 def test_a_scene_without_effects_has_none_to_compile() -> None:
-    """Without effects in the file, the tuples of the scene and of each object are empty."""
     scene = build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [PLAIN]}, "test"))
     assert scene.effects == ()
     assert scene.objects.effects == ()
@@ -528,8 +474,6 @@ PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 10
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
-    """The hand rests in a corner between a viscous floor at rest and a sliding wall. There is no viscous force,
-    whichever carries the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}
@@ -544,7 +488,6 @@ def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, dep
 
 
 def test_viscosity_of_a_moving_object_drags_the_hand() -> None:
-    """A hand at rest on a turntable, 0.1 m from its axis, is dragged by B times the local speed."""
     effect = {"effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     motion = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
     table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}

@@ -9,8 +9,8 @@ import pytest
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.elastic import solution
-from softfinger.proxy.elastic.body import Body, Report
 from softfinger.proxy.elastic.prepared import body_of
+from softfinger.proxy.elastic.solution import ElasticBody, Report
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.elastic import spots, step, surfaces
 from softfinger.proxy.kernels.elastic.response import compliance_of, compute_node_rows
@@ -49,14 +49,12 @@ def at(x: float, y: float, depth: float) -> list[float]:
 
 
 def compliance_at(engine: Engine, facet: int, point: Any) -> Any:
-    """Return the compliance (3, 3) m/N at a point of a facet."""
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     spot = spot_on(elastic, body, float(facet), tuple(point), (0.0, 0.0, 1.0))
     return np.array(compliance_of(spot, compute_node_rows(elastic, spot, spot)))
 
 
 def facet_below(engine: Engine, x: float, y: float) -> int:
-    """Return the facet of the top face below a point."""
     mesh = engine.scene.objects.body.shape.row[0]
     corners = mesh.vertices.array.reshape(-1, 3)[mesh.corners.array.reshape(-1, 3)]
     for number, (a, b, c) in enumerate(corners):
@@ -129,7 +127,7 @@ def groove(folder: Path, compliance: float) -> Any:
     config = scene_of(thing)
     elastic = config.object[0].elastic
     blocks = np.tile(elastic.youngs_pa * compliance * np.eye(3), (6, 6, 1, 1))
-    body = Body(
+    body = ElasticBody(
         surface=Arrays(vertices, triangles),
         nodes=np.arange(6, dtype=np.int32),
         compliance=ReadOnly(blocks),
@@ -211,7 +209,6 @@ def test_the_displacement_is_that_under_the_loads_for_any_modulus(fingers: int, 
 
 
 def spot_under(engine: Engine, records: Any, k: int) -> Any:
-    """Return the spot of a contact on the top of the pad in a tick."""
     point = records["contacts0.point"][k] - records["contact.displacement"][k]
     facet = facet_below(engine, *point[:2])
     return spot_on(engine.scene.elastic, engine.scene.objects.body, float(facet), tuple(point), (0.0, 0.0, 1.0))
@@ -241,7 +238,6 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
 @pytest.mark.parametrize("fingers", [1, 2])
 def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a singular matrix the displacement remains finite, the tick is reported, and the next one is solved."""
     engine, inverse = Engine(scene(True, fingers)), mat3.inverse
     pose = {name: [at(x, 0.0, 0.001)] for name, x in zip("ab"[:fingers], (-0.008, 0.008), strict=False)}
 
@@ -328,7 +324,6 @@ def test_the_work_across_facets_is_the_change_of_the_energy_of_springs_and_body(
     engine = Engine(scene())
 
     def step(turn: float) -> tuple[Any, Any, float]:
-        """Return position of the probe, force, and energy."""
         pose = at(0.003 * np.cos(turn), 0.003 * np.sin(turn), 0.001 + 0.0005 * np.sin(turn))
         found = engine.step(pose[:3], pose[3:])
         load = -found.normal_force * np.array(found.normal)
@@ -357,7 +352,6 @@ def test_the_forces_of_two_fingers_are_the_gradient_of_the_common_energy() -> No
     places = {"a": np.array(at(-0.0035, 0.001, 0.0015)), "b": np.array(at(0.0045, 0.002, 0.001))}
 
     def rendered(moved: str = "a", shift: Any = (0.0, 0.0, 0.0)) -> tuple[float, Any]:
-        """Return energy, and forces by finger, with one finger shifted."""
         tracks = {name: np.tile(place, (4, 1)) for name, place in places.items()}
         tracks[moved][:, :3] += shift
         records, energy = engine.run(tracks), 0.0
@@ -375,7 +369,6 @@ def test_the_forces_of_two_fingers_are_the_gradient_of_the_common_energy() -> No
 
 
 def trapezoid(start: Any, end: Any) -> float:
-    """Return the work between two steps of the cycle above."""
     return float(0.5 * (start[1] + end[1]) @ (end[0] - start[0]))
 
 

@@ -90,7 +90,6 @@ def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
 
 
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the extra's packages unavailable."""
     for name in ("gmsh", "skfem", "meshio"):
         monkeypatch.setitem(sys.modules, name, None)
 

@@ -78,16 +78,11 @@ def grown(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.
 
 
 def support(axes: ArrayLike, orientation: ArrayLike, n: ArrayLike) -> float:
-    """Largest p . n of the ellipsoid about the origin."""
     return float(np.linalg.norm(np.asarray(axes) * (matrix(orientation).T @ np.asarray(n))))
-
-
-# --- contact geometry --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
-    """At the contact point the two surfaces have opposite normals, and no sampled skin point is closer than the gap."""
     rng, shape = np.random.default_rng(1), SHAPES[name]
     for _ in range(8):
         _, foot, n = closest(shape, tuple(rng.normal(0.0, 0.05, 3)))
@@ -111,7 +106,6 @@ def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("names", [("cylinder",), ("plane", "sphere")])
 def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
-    """An ellipsoid of equal radii gives the same record as a sphere to 1e-12, on one object and on two."""
     t = np.arange(400) / 400
     x = np.stack([4e-3 * np.sin(7 * t), 3e-3 * np.sin(4 * t), 0.0095 + 1e-3 * np.sin(9 * t)], axis=1)
     q = np.stack([np.ones_like(t), 0.2 * np.sin(5 * t), 0.3 * np.sin(3 * t), 0.2 * t], axis=1)
@@ -140,9 +134,6 @@ def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
         found = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
         assert found == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
-
-
-# --- rolling -----------------------------------------------------------------------------------------
 
 
 def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> tuple[Array, Array, float]:
@@ -259,9 +250,6 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
     np.testing.assert_allclose((4.0 * found[1] - found[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
 
 
-# --- energy ----------------------------------------------------------------------------------------
-
-
 def work(rows: Array) -> Array:
     """Work (n,) J of the hand up to each tick, by the trapezoidal rule, of second order in the step."""
     moved = np.diff(column(rows, "probe.position", 3), axis=0)
@@ -272,7 +260,6 @@ def work(rows: Array) -> Array:
 
 
 def handled(ticks: int, lowest: float) -> Array:
-    """Poses of a smooth closed motion that stays in contact."""
     t = 2.0 * np.pi * np.arange(ticks + 1) / ticks
     s = np.sin(t)
     x = np.stack([8e-4 * s, 5e-4 * np.sin(2 * t), lowest - 4e-4 * s * s], axis=1)
@@ -284,7 +271,6 @@ def handled(ticks: int, lowest: float) -> Array:
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["plane", "cylinder"])
 def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) -> None:
-    """While the contact sticks, the work of the hand equals the stored energy, to second order in the step."""
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     torsion = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 1.0}
@@ -301,7 +287,6 @@ def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) 
 
 @pytest.mark.scaled
 def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
-    """On plane and sphere, each cycle with and without shared load costs work, to second order in the step."""
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     ticks = cases(200, 1000)
@@ -312,8 +297,6 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     per_cycle = np.diff(work(rows)[::ticks])
     assert (per_cycle[1:] > 0.0).all()
 
-
-# --- scene file --------------------------------------------------------------------------------------
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}
 FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
@@ -356,7 +339,6 @@ FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("tip", "changes", "message"), FAULTS)
 def test_unsupported_ellipsoid_scenes_are_refused(tip: dict[str, Any], changes: dict[str, Any], message: str) -> None:
-    """The error names the key and the remedy, for [fingertip] and for [[finger]]."""
     shape = {key: value for key, value in changes.items() if key != "rolling"} or {"shape": "plane"}
     made_of = {"stiffness_n_per_m": K, "friction": GRIP}
     tables: dict[str, Any] = {"object": [shape | {"name": "thing", "material": made_of}]}
@@ -370,7 +352,6 @@ def test_unsupported_ellipsoid_scenes_are_refused(tip: dict[str, Any], changes: 
 
 
 def test_a_hollow_box_becomes_six_planes() -> None:
-    """The inside of a box can be touched by an ellipsoid, as six planes."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "inside": True}
     entries = build_scene(scene({"radii_m": list(AXES)}, box)).objects.entries
     assert [type(entry.shape.sizes[0]) for entry in entries.trees] == [model.Plane] * 6

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.touching import go
 from references.hand import Array
 
 from softfinger.proxy.engine import Engine
@@ -23,7 +24,6 @@ def scene(ball: dict[str, Any], **tables: Any) -> dict[str, Any]:
 
 
 def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
-    """Interpolate between corners, with that many ticks per leg."""
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     return np.concatenate([*legs, [corners[-1]]])
 
@@ -75,7 +75,7 @@ def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
     way = np.concatenate([along([(0.0, -0.0005), (0.0, shallow)], 100)[:-1], along(round_trip, 100)])
     out = np.stack([np.sin(way[:, 0]), 0.0 * way[:, 0], np.cos(way[:, 0])], axis=1)
     places = (MIDDLE - way[:, 1])[:, None] * out
-    force = running.run(np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1))]))["force"]
+    force = go(running, places)["force"]
     work = np.sum((0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0))[100:])
     wanted = -sense * stiffness * MIDDLE * (deep - shallow) * (1.0 - np.cos(angle))
     assert work == pytest.approx(wanted, rel=1e-3)  # the trapezoidal rule at a hundred steps per leg: 2e-4

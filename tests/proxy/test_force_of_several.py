@@ -68,7 +68,6 @@ def engine(name: str, static: float, kinetic: float) -> Engine:
 
 
 def turned(points: Array, vectors: Array) -> Array:
-    """Poses (n, 7) of points (n, 3) m and rotation vectors (n, 3) rad."""
     angles = np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-30
     return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) / angles * vectors])
 
@@ -96,7 +95,6 @@ def closed_path(name: str, seed: int, turn: float) -> Array:
 
 
 def reach_of(name: str) -> float:
-    """Reach, m, that moves a hand deep into the objects and, if they are flat, out of them."""
     return 0.025 if name in FLAT else 0.012
 
 
@@ -115,8 +113,6 @@ def gap(thing: Mapping[str, Any], points: Array) -> Array:
 
 
 def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
-    """Check that the proxy is outside of all objects and all contact forces are within their cones. In ticks that are
-    `at_rest` the forces add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
     for thing in SCENES[name]:

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import SceneFactory, paper_mapping
-from helpers.examples import examples
-from hypothesis import given
-from references.hand import Hand, drive
+from references.hand import Hand, drive, pressed
 from references.laws import (
     ANISOTROPIC,
     LAWS,
     SPEED,
-    Handling,
+    Array,
+    check_random_handling,
     column,
-    handling,
     rolling,
     stored_energy,
     work_of_the_hand,
@@ -40,21 +38,12 @@ EXACT = 1e-12
 """Bound on the rounding error of several hundred additions of order 1e-2 m times 1000 N/m, N."""
 
 
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
-
-
-# --- Coulomb ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("speed", [0.002, 0.05, 0.5])
 def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
     plane_scene: SceneFactory, depth: float, speed: float
 ) -> None:
-    """At any drag speed and load, the force peaks once at mu_s f_N and equals mu_d f_N from the next tick on."""
     ticks = int(0.84 * depth / (speed / 1000)) + 20  # 1.4 times the distance to the peak, plus a margin
     trace = drive(Engine(plane_scene()), pressed(depth).go(ticks, move=[ticks * speed / 1000, 0, 0]))
     assert trace.causes == ["touch", "drag"]
@@ -69,7 +58,6 @@ def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(
 @pytest.mark.parametrize("stiffness", [1e1, 1e3, 1e6])
 @pytest.mark.parametrize("depth", [1e-6, 1e-3])
 def test_forces_contain_no_length_margin(plane_scene: SceneFactory, stiffness: float, depth: float) -> None:
-    """No length margin enters the force: pressing, sticking and sliding forces equal K times a depth, to rounding."""
     scene = plane_scene(
         material={"stiffness_n_per_m": stiffness}, coupling={"stiffness_n_per_m": stiffness, "damping_ns_per_m": 0.0}
     )
@@ -86,16 +74,12 @@ def test_forces_contain_no_length_margin(plane_scene: SceneFactory, stiffness: f
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("law", list(LAWS))
 def test_steady_slide_has_no_ripple(plane_scene: SceneFactory, law: str) -> None:
-    """In a steady slide the tangential force is constant, without ripple at half the tick rate."""
     hand = pressed().go(700, move=[0.035, 0.021, 0], turn=[0, 0, 0.7])
     records = Engine(plane_scene(material=LAWS[law], rolling=rolling(law))).run(np.array(hand.poses))
     # The low-passed speeds have settled to 1e-13 after thirty time constants.
     steady = column(records, "force", 3)[-350:, :2]
     assert np.abs(np.diff(steady, axis=0)).max() < 1e-11
     assert np.abs(np.fft.rfft(steady - steady.mean(axis=0), axis=0))[-1].max() / len(steady) < 1e-11
-
-
-# --- speed dependence --------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
@@ -131,7 +115,6 @@ def test_friction_follows_the_slip_and_not_the_hand(plane_scene: SceneFactory) -
 
 
 def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneFactory) -> None:
-    """When the hand stops, a slip with more viscous friction than mu_s f_N decays until the static cone can hold it."""
     hand = pressed().go(200, move=[0.2, 0, 0])
     stop = hand.at
     hand.go(300)
@@ -141,9 +124,6 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneF
     after = trace.events[2][0]
     assert (trace.tangential[after:] <= 0.6 * (1 + EXACT)).all()
     assert np.ptp(trace.tangential[after:]) < EXACT
-
-
-# --- anisotropic -----------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(3)
@@ -175,7 +155,6 @@ def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory,
 
 
 def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
-    """The friction direction is in the object's frame: rotating object and hand together rotates the force."""
     turn = multiply([0.8, 0.6, 0.0, 0.0], quaternion([0.0, 0.0, 0.7]))
     rotation = matrix(turn)
     straight = pressed().go(300, move=[0.01, 0.006, 0])
@@ -199,7 +178,6 @@ def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
     ids=["box", "cylinder", "sphere"],
 )
 def test_anisotropy_turns_with_every_kind_of_object(plane_scene: SceneFactory, table: dict[str, Any]) -> None:
-    """On the flat top of a box or cylinder, and on a sphere of 1 km, the anisotropic force equals that of a plane."""
     turn = list(quaternion([0.0, 0.0, 0.7]))
     material, hand = {"friction": ANISOTROPIC}, pressed().go(200, move=[0.004, 0.002, 0])
     plane = drive(Engine(plane_scene(material=material, table={"orientation_wxyz": turn})), hand)
@@ -211,7 +189,6 @@ def test_anisotropy_turns_with_every_kind_of_object(plane_scene: SceneFactory, t
 
 
 def test_anisotropy_turns_with_a_turning_object(plane_scene: SceneFactory) -> None:
-    """On a disk that has turned by 90 degrees, a drag along x gives the force of a drag along the other axis."""
     disk = {"shape": "cylinder", "radius_m": 0.1, "length_m": 0.04, "position_m": [0.0, 0.0, -0.02]}
     quarter = {"motion": {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": np.pi / 2}}
     material = {"friction": ANISOTROPIC}
@@ -229,7 +206,6 @@ def test_anisotropy_turns_with_a_turning_object(plane_scene: SceneFactory) -> No
 
 
 def test_a_direction_along_the_normal_still_gives_two_axes(plane_scene: SceneFactory) -> None:
-    """If the given direction is normal to the surface, two perpendicular tangents are chosen instead."""
     material = {"friction": {**ANISOTROPIC, "direction_x": [0.0, 0.0, 1.0]}}
     trace = drive(Engine(plane_scene(material=material)), pressed().go(300, move=[0.02, 0, 0]))
     assert np.isfinite(trace.force).all()
@@ -237,7 +213,6 @@ def test_a_direction_along_the_normal_still_gives_two_axes(plane_scene: SceneFac
 
 
 def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
-    """Equal scales of one give the same forces as no direction at all."""
     hand = pressed().go(200, move=[0.004, 0.003, 0]).go(100, turn=[0.2, -0.1, 0]).go(200, move=[-0.004, 0.001, 0.0005])
     plain = drive(Engine(plane_scene()), hand)
     round_ = drive(Engine(plane_scene(material={"friction": {"direction_x": [0.3, 1.0, 0.0]}})), hand)
@@ -245,24 +220,16 @@ def test_equal_scales_are_no_anisotropy(plane_scene: SceneFactory) -> None:
     assert round_.events == plain.events
 
 
-# --- properties of all laws -----------------------------------------------------------------------------
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
-    """For random hand motions, the force is inside the static cone, or inside the kinetic one if that is wider."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
     scale = np.array([1.0, 0.5]) if "anisotropic" in law else np.ones(2)
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
     # 90 hands of about 130 ticks are 10^4 cases.
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         force, normal = column(records, "force", 3)[:, :2], column(records, "contact.normal_force")
         assert np.isfinite(records).all()
         assert (normal >= 0.0).all()
@@ -278,29 +245,23 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
         largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
         assert (np.abs(column(records, "torque", 3)[:, 2]) <= largest * (1 + EXACT)).all()
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("law", list(LAWS))
 def test_contact_creates_no_energy(plane_scene: SceneFactory, law: str) -> None:
-    """The hand's work is never less than the energy stored in the springs, so no closed cycle gains energy."""
     engine = Engine(plane_scene(material=LAWS[law], rolling=rolling(law)))
 
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         # Several hundred terms of up to 1e-2 J each.
         assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -> None:
-    """For a drag, a roll and a spin in small steps without slip, the work of the hand equals the stored energy."""
     hand = pressed().go(400, move=[2e-4, -1e-4, 0]).go(400, turn=[0.01, 0.02, 0]).go(400, turn=[0, 0, 0.05])
     hand.go(400, move=[0, 0, -1e-3])
     records = Engine(plane_scene()).run(np.array(hand.poses))
@@ -309,9 +270,6 @@ def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -
     surplus = work[-1] - work[1] - (stored[-1] - stored[1])
     assert 0.0 < surplus < 4e-6
     assert stored[-1] > 2e-3
-
-
-# --- scene file --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -326,13 +284,11 @@ def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -
     ],
 )
 def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> None:
-    """A contradictory or out-of-range friction table raises ConfigError with the key to change."""
     with pytest.raises(ConfigError, match=message):
         build(Scene, paper_mapping(material={"friction": friction}), "test scene")
 
 
 def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
-    """The type of the friction law, which selects the compiled code, has only the parts that the scene specifies."""
     assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
     assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
     stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})
@@ -345,7 +301,6 @@ def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    """If one object has a richer law, all objects get its type, with neutral values for the parts they lack."""
     mapping = paper_mapping()
     table = mapping["object"][0]
     rich = {**table["material"], "friction": {"static": 0.4, "kinetic": 0.3, **SPEED, "direction_x": [1.0, 0.0, 0.0]}}

@@ -54,7 +54,6 @@ def bumpy(size: float) -> meshes.Mesh:
 
 
 def turned_back(centers: Array) -> Array:
-    """Vectors (n, 3) in the frame of a TILTED object."""
     half = np.sqrt(0.5)
     x, y, z = centers.T
     return np.stack([x, half * (y + z), half * (z - y)], axis=1)
@@ -118,12 +117,10 @@ def test_hostile_maps_next_to_another_object(tmp_path: Path, cases: Cases, kind:
 
 
 def test_hostile_maps_next_to_a_plane_with_friction(tmp_path: Path, cases: Cases) -> None:
-    """The same with friction, torsion and rolling."""
     touched_safely(tmp_path, "plane", some_of(cases, 5, 8), cases(10, 150))
 
 
 def test_hostile_maps_with_many_rolling_steps(tmp_path: Path, cases: Cases) -> None:
-    """The method is montana_rk45, and the hand turns by up to half a radian per tick."""
     for name in some_of(cases, 2, 6, 8):
         pitch, heights = MADE[name]()
         folder = tmp_path / name

@@ -44,7 +44,6 @@ def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
 
 
 def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
-    """Run a turning hand, check the invariants of every tick and return the ticks in contact."""
     records = running.run(posed(points, spun((0.0, 0.6, 0.8), np.sin(0.05 * np.arange(len(points))))))
     touches = records["contact.mode"] > 0
     assert np.isfinite(np.asarray(records)).all()
@@ -60,8 +59,6 @@ def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
-    """Dragged, pressed and thrown from outside: finite, outside of the map, with a force of at most K times the depth.
-    Holds with and without friction."""
     pitch, heights = MADE[name]()
     shape, met = kernel_heightmap(heights, pitch), False
     for smooth in (True, False):
@@ -76,7 +73,6 @@ def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["noise", "high noise", "steps", "pit"])
 def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
-    """A first pose three radii below the lowest point is in contact, with a finite proxy outside of the map."""
     pitch, heights = MADE[name]()
     points = np.tile([0.3 * pitch * len(heights), 0.0, heights.min() - 3.0 * R], (20, 1))
     running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
@@ -86,7 +82,6 @@ def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_no_query_exceeds_its_budget(name: str) -> None:
-    """Queries near the map and its middle stay within the budget, and their gap is never above the distance."""
     pitch, heights = MADE[name]()
     shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(6)
     spread = np.array([*[0.5 * pitch * max(heights.shape)] * 2, R])
@@ -102,7 +97,6 @@ def test_no_query_exceeds_its_budget(name: str) -> None:
 
 
 def test_a_tight_pit_exhausts_the_budget_and_stays_stable(tmp_path: Path) -> None:
-    """In a pit where all is equally near, ticks with an exhausted budget are flagged and do not move the proxy."""
     pitch, heights = MADE["pit"]()
     running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
     records = running.run(posed(np.vstack([[0.0, 0.0, 3.0 * R], hands(heights, pitch)["middle"]])))

@@ -25,8 +25,6 @@ KERNEL = re.compile(
 
 
 def hashed_with(file: str, module: str) -> bool:
-    """Return True if an edit of a module invalidates the cached kernels of a file. That holds for modules in the hashed
-    kernel folders, and in the file's folder."""
     path = module.removeprefix(OURS).replace(".", "/")
     return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
         not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))
@@ -35,7 +33,6 @@ def hashed_with(file: str, module: str) -> bool:
 
 
 def unseen(file: str, text: str) -> list[str]:
-    """Names in a file's kernels that come from modules outside of the cache key."""
     tree, found = ast.parse(text), []
     names = {
         alias.asname or alias.name: node.module
@@ -53,7 +50,6 @@ def unseen(file: str, text: str) -> list[str]:
 
 @pytest.mark.plain
 def test_names_in_kernels_are_from_hashed_sources() -> None:
-    """Checks every file of the program."""
     files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     texts = {str(path.relative_to(ROOT)): path.read_text("utf-8") for path in files}
     with_kernels = {file: text for file, text in texts.items() if f"{OURS}proxy.kernels.jit" in text}
@@ -74,7 +70,6 @@ def test_names_in_kernels_are_from_hashed_sources() -> None:
     ],
 )
 def test_names_from_unhashed_sources_are_found(file: str, module: str, seen: bool) -> None:
-    """A kernel that imports a constant from another folder is reported, unless that folder is hashed."""
     text = f"from softfinger.{module} import X\n@jit\ndef kernel(a):\n    return a * X\n"
     assert unseen(file, text) == ([] if seen else [f"{file}: kernel: X"])
 
@@ -106,7 +101,6 @@ for edited in sys.stdin:
 
 
 def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> None:
-    """An edit in a kernel folder changes the key of the cache, one in `tools` the key of its folder, others none."""
     package = tmp_path / "softfinger"
     for folder in PACKAGES:
         shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))

@@ -4,10 +4,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
-import numba
 import pytest
-
-from softfinger.proxy.kernels.model import FrictionInput
 
 KERNELS = Path(__file__).parents[2] / "proxy" / "kernels"
 BY_POSITION_MAX = 6
@@ -16,14 +13,12 @@ BY_POSITION_MAX = 6
 
 @cache
 def nodes(path, kind):
-    """Return all nodes of a class in a file."""
     tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
     return [node for node in ast.walk(tree) if isinstance(node, kind)]
 
 
 @cache
 def named_tuples():
-    """Names of all NamedTuple classes in the kernels."""
     classes = (node for path in sorted(KERNELS.rglob("*.py")) for node in nodes(path, ast.ClassDef))
     return {node.name for node in classes if any(ast.unparse(base) == "NamedTuple" for base in node.bases)}
 
@@ -31,24 +26,6 @@ def named_tuples():
 @pytest.mark.plain
 @pytest.mark.parametrize("path", sorted(KERNELS.rglob("*.py")), ids=lambda path: str(path.relative_to(KERNELS)))
 def test_long_tuples_are_built_by_keyword(path):
-    """No kernel builds a named tuple from more than BY_POSITION_MAX positional values."""
     known = named_tuples()
     built = [call for call in nodes(path, ast.Call) if isinstance(call.func, ast.Name) and call.func.id in known]
     assert [f"line {call.lineno}: {call.func.id}" for call in built if len(call.args) > BY_POSITION_MAX] == []
-
-
-def test_keywords_cost_nothing():
-    """A kernel that builds a tuple by keyword compiles to the instructions of one that builds it by position."""
-    names = FrictionInput._fields
-
-    def code(call):
-        scope = {"Patch": FrictionInput}
-        exec(f"def build(x):\n    return Patch({call})", scope)
-        kernel = numba.njit(scope["build"])
-        kernel.compile((numba.float64,))
-        (text,) = kernel.inspect_asm().values()
-        return [line.split()[0] for line in text.splitlines() if line.startswith("\t") and line[1] not in ".#"]
-
-    values = [f"x + {number}.0" for number in range(len(names))]
-    by_keyword = [f"{name}={value}" for name, value in zip(names, values, strict=True)]
-    assert code(", ".join(by_keyword)) == code(", ".join(values))

@@ -13,8 +13,8 @@ from conftest import SceneFactory, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
-from references.hand import Hand, drive
-from references.laws import ANISOTROPIC, Handling, column, handling
+from references.hand import drive, pressed
+from references.laws import ANISOTROPIC, Array, check_random_handling, column
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
@@ -31,13 +31,6 @@ F, TAU = 0.5, 0.004
 COUPLED = {"torsion": {"model": "limit_surface"}}
 
 
-def pressed(depth: float = 0.001) -> Hand:
-    """Hand that is free on its first tick and pressed in by `depth` from the second tick on."""
-    return Hand([0.0, 0.0, R + 0.001]).go_to(1, [0.0, 0.0, R - depth])
-
-
-# --- projection --------------------------------------------------------------------------------------
-
 sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
 
@@ -50,7 +43,6 @@ components = st.floats(-1e3, 1e3)
 def test_nearest_point_is_on_the_surface_and_straight_below(
     y: tuple[float, float, float], weight: tuple[float, float, float]
 ) -> None:
-    """What is outside comes back onto the surface along its normal, whatever the axes; what is inside stays."""
     m = multiplier(limit_distance(y), weight)
     p = shrink(limit_distance(y), weight, m)
     if np.linalg.norm(y) <= 1.0:
@@ -65,32 +57,6 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
     apart = min(abs(size - 1.0) for size in some)
     assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP, abs=1e-300)
-
-
-@pytest.mark.scaled
-@examples(50, 300)
-@given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
-def test_multiplier_equals_bisection(y: tuple[float, float, float], weight: tuple[float, float, float]) -> None:
-    """Newton's multiplier equals that of a bisection, which needs no derivative."""
-    if np.linalg.norm(y) < 1.0 + 1e-6:
-        return
-    w = np.array(weight)
-
-    def outside(m: float) -> bool:
-        return bool(np.linalg.norm(np.array(y) / (1.0 + w * m)) > 1.0)
-
-    low, high = 0.0, 1.0 / min(weight)
-    while outside(high):
-        high *= 2.0
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if outside(middle) else (low, middle)
-    # Where the surface is nearly flat the multiplier is ill-conditioned: compare the points.
-    expected = np.array(y) / (1.0 + w * high)
-    assert np.array(shrink(y, weight, multiplier(y, weight))) == pytest.approx(expected, abs=1e-9)
-
-
-# --- contact -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(2)
@@ -141,7 +107,6 @@ def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: f
 
 
 def test_no_coupling_inside_the_limit_surface(plane_scene: SceneFactory) -> None:
-    """Below the limit, and for a pure drag or a pure spin, the forces are those of the independent model."""
     hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
     drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
     spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
@@ -158,11 +123,7 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
     engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
 
     # 90 hands of about 130 ticks: 10^4 cases.
-    @examples(8, 90)
-    @given(handling())
-    def check(hand: Handling) -> None:
-        engine.reset()
-        records = engine.run(hand.poses)
+    def check(records: Array) -> None:
         normal = column(records, "contact.normal_force")
         force, moment = column(records, "contact.tangential_force"), column(records, "torque", 3)[:, 2]
         pushed = normal > 0.0
@@ -171,11 +132,10 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
         on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
         assert (on <= 1.0 + 1e-9).all()
 
-    check()
+    check_random_handling(engine, 8, 90, check)
 
 
 def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> None:
-    """If a slide turns into a pure spin, the contact continues to slip and the moment replaces the force."""
     hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
     trace = drive(Engine(plane_scene(material=COUPLED)), hand)
     assert trace.causes == ["touch", "drag"]
@@ -188,7 +148,6 @@ def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> No
 @pytest.mark.scaled
 @pytest.mark.parametrize("spin", [0.0, 0.4])
 def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, cases: Cases, spin: float) -> None:
-    """After a slip the contact sticks once and stays stuck at rest, with encoders that flicker by one step."""
     hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
     x = hand.x.copy()
     for _ in range(cases(1000, 3000)):
@@ -203,7 +162,6 @@ def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, c
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
 @pytest.mark.parametrize("kinetic", [0.0, 0.5])
 def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kinetic: float) -> None:
-    """A limit surface with a zero or tiny semi-axis gives finite forces within its limits."""
     material = {
         "torsion": {"model": "limit_surface", "friction_length_m": length},
         "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
@@ -217,6 +175,5 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
 
 
 def test_limit_surface_needs_friction() -> None:
-    """The limit-surface model without friction raises ConfigError when the scene is read."""
     with pytest.raises(ConfigError, match="needs friction to share its limit with"):
         build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

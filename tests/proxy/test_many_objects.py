@@ -80,21 +80,9 @@ def over_the_top(ticks: int) -> NDArray[np.float64]:
 
 
 @pytest.mark.plain
-@pytest.mark.skipif(not PLAIN, reason="compiled, each shape alone takes half a minute")
-@pytest.mark.parametrize("kind", SHAPES)
-def test_a_shape_among_many_gives_the_same_records(kind: str) -> None:
-    """All numbers are equal except for signs of zeros, over touch, roll, slip and release."""
-    alone = Engine(scene(SHAPES[kind])).run(over_the_top(100))
-    among = Engine(scene(SHAPES[kind], FAR)).run(over_the_top(100))
-    assert alone["contact.normal_force"].max() > 0.05 and set(alone["contact.mode"].ravel()) >= {0.0, 1.0}
-    np.testing.assert_array_equal(np.asarray(among) + 0.0, np.asarray(alone) + 0.0)
-
-
-@pytest.mark.plain
 @pytest.mark.skipif(not PLAIN, reason="compiled, each of four scenes takes half a minute")
 @pytest.mark.parametrize("company", [(), (FAR,)], ids=["alone", "among many"])
 def test_a_mesh_supports_the_closed_form_of_rolling(company: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
-    """The method rotation_vector on a face of a mesh box, single and among many, gives the forces of the box."""
     trimesh.creation.box((50.0, 40.0, 2000.0 * TOP)).export(tmp_path / "box.stl")
     mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
     rolling = {"rolling": {"method": "rotation_vector"}}
@@ -109,7 +97,6 @@ def test_a_mesh_supports_the_closed_form_of_rolling(company: tuple[dict[str, Any
 @pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 @pytest.mark.parametrize("kind", SHAPES)
 def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
-    """No surface point is outside of a shape's bounding sphere, or its contact would be missed."""
     shape = build_scene(scene(SHAPES[kind])).objects.body.shape
     points = np.random.default_rng(0).normal(size=(500, 3))
     farthest = max(np.linalg.norm(closest(shape, tuple(x))[1]) for x in 0.1 * points)
@@ -119,7 +106,6 @@ def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
 
 @pytest.mark.plain
 def test_an_index_encodes_row_and_triangle() -> None:
-    """Rows and triangles of the largest meshes are recovered from a float64."""
     for row in (0, 1, ENTRIES - 1):
         for facet in (0, 1, 2**31 - 1):
             index = float(row) + ENTRIES * float(facet)
@@ -128,7 +114,6 @@ def test_an_index_encodes_row_and_triangle() -> None:
 
 @pytest.mark.plain
 def test_the_type_does_not_depend_on_the_objects() -> None:
-    """Shapes, number, order, motions and textures of the objects do not change the type of a scene."""
     few = build_scene(scene(SHAPES["plane"], SHAPES["sphere"]))
     turning = SHAPES["box"] | {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0}}
     many = build_scene(scene(*SHAPES.values(), turning))

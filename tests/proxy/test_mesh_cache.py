@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,41 +19,24 @@ from softfinger.config import schema
 from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import array_cache, prepared
-from softfinger.proxy.meshes.prepared import Builder, about, tree_of
+from softfinger.proxy.meshes import tree as trees
+from softfinger.proxy.meshes.prepared import about, tree_of
+from softfinger.proxy.meshes.tree import Tree
 
 pytestmark = pytest.mark.plain
 BUILT: list[int] = []
 
 
-class Tree(NamedTuple):
-    """Stub of a real tree: arrays of several types, and numbers."""
-
-    boxes: np.ndarray
-    corners: np.ndarray
-    numbers: np.ndarray
-    size: float
-    count: int
-
-
-def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
-    """Build a tree; any function of the arrays would do."""
-    BUILT.append(len(triangles))
-    corners = vertices[triangles]
-    return Tree(corners.mean(axis=1).astype(np.float32), corners, triangles, float(np.ptp(vertices)), len(triangles))
-
-
-BUILDER = Builder(build, Tree)
+build_tree = trees.build_tree
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
-    """Cache folder of one test."""
     os.chmod(tmp_path, 0o700)
     return Folder(tmp_path / "kept", "nothing is kept")
 
 
 def part(folder: Path, frequency: int = 3, **keys: float) -> schema.Mesh:
-    """Return an object whose mesh is a sphere in a file of `folder`."""
     ball, path = meshes.geodesic(frequency), folder / f"ball{frequency}.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in ball.vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (ball.triangles + 1).tolist())]) + "\n")
@@ -64,11 +47,16 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clear the in-memory caches, as in a new process."""
     monkeypatch.setattr(prepared, "_trees", prepared._Memory(4))
     monkeypatch.setattr(prepared, "_abouts", prepared._Memory(4))
+
+    def build(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
+        BUILT.append(len(triangles))
+        return build_tree(vertices, triangles)
+
+    monkeypatch.setattr(trees, "build_tree", build)
     BUILT.clear()
 
 
 def same(a: Tree, b: Tree) -> bool:
-    """Return True if all values have the same types and bits."""
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
         if isinstance(x, np.ndarray)
@@ -78,14 +66,13 @@ def same(a: Tree, b: Tree) -> bool:
 
 
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tree is reused within a process and loaded by the next one, with its report and its preview mesh."""
     thing = part(tmp_path)
     forget(monkeypatch)
-    first = tree_of(thing, BUILDER, folder)
+    first = tree_of(thing, folder)
     description = about(thing)
-    assert tree_of(thing, BUILDER, folder) is first and BUILT == [180]
+    assert tree_of(thing, folder) is first and BUILT == [180]
     forget(monkeypatch)
-    again = tree_of(thing, BUILDER, folder)
+    again = tree_of(thing, folder)
     assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
     assert about(thing).report == description.report
@@ -93,31 +80,28 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A change of file or scale builds a tree; the same bytes under another name reuse it."""
     forget(monkeypatch)
     thing = part(tmp_path)
-    tree_of(thing, BUILDER, folder)
-    assert tree_of(part(tmp_path, scale=0.5), BUILDER, folder).size == 1.0 * tree_of(thing, BUILDER, folder).size / 2
-    tree_of(part(tmp_path, 4), BUILDER, folder)
+    tree_of(thing, folder)
+    assert tree_of(part(tmp_path, scale=0.5), folder).size == 1.0 * tree_of(thing, folder).size / 2
+    tree_of(part(tmp_path, 4), folder)
     assert BUILT == [180, 180, 320]
     (tmp_path / "copy.obj").write_bytes(Path(thing.file).read_bytes())
     copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=thing.material)
-    assert same(tree_of(copy, BUILDER, folder), tree_of(thing, BUILDER, folder)) and len(BUILT) == 3
+    assert same(tree_of(copy, folder), tree_of(thing, folder)) and len(BUILT) == 3
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tree built by another version of the sources is not used."""
     forget(monkeypatch)
     thing = part(tmp_path)
-    tree_of(thing, BUILDER, folder)
+    tree_of(thing, folder)
     forget(monkeypatch)
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
-    tree_of(thing, BUILDER, folder)
+    tree_of(thing, folder)
     assert BUILT == [180]
 
 
 def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mesh that is built reports each of its stages once, in order; one from the cache reports nothing."""
     forget(monkeypatch)
     reported: list[Any] = []
 
@@ -127,15 +111,14 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
         yield reported.append
 
     monkeypatch.setattr(progress, "display", display)
-    tree_of(part(tmp_path), BUILDER, folder)
+    tree_of(part(tmp_path), folder)
     assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
     forget(monkeypatch)
-    tree_of(part(tmp_path), BUILDER, folder)
+    tree_of(part(tmp_path), folder)
     assert len(reported) == 5
 
 
 def one(folder: Folder) -> Path:
-    """Return the only file in the folder."""
     assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
@@ -146,7 +129,6 @@ KEY = "ab" * 32
 
 
 def test_arrays_come_back_as_they_were(folder: Folder) -> None:
-    """Their kinds, shapes and bits, an empty one too; each begins where a vector register may."""
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1, "count": 3}), folder)
     found = array_cache.load(KEY, folder)
     assert found is not None and found.values == {"size": 0.1, "count": 3}
@@ -161,7 +143,6 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
-    """A bit flipped anywhere, the file cut off anywhere, bytes behind it: nothing is loaded, or it is as it was."""
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
     file = one(folder)
     whole = file.read_bytes()
@@ -182,35 +163,32 @@ def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
 def test_a_damaged_tree_is_built_again(
     tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The damage is logged, and the new tree is saved."""
     forget(monkeypatch)
     thing = part(tmp_path)
-    first = tree_of(thing, BUILDER, folder)
+    first = tree_of(thing, folder)
     file = one(folder)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)
     forget(monkeypatch)
-    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == [180]
+    assert same(tree_of(thing, folder), first) and BUILT == [180]
     assert "its numbers are damaged" in caplog.text
     forget(monkeypatch)
-    assert same(tree_of(thing, BUILDER, folder), first) and BUILT == []
+    assert same(tree_of(thing, folder), first) and BUILT == []
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a private folder, trees are built in memory only."""
     forget(monkeypatch)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     thing = part(tmp_path)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
         forget(monkeypatch)
-        assert tree_of(thing, BUILDER, folder).count == 180 and BUILT == [180]
+        assert tree_of(thing, folder).corners.shape == (180, 3) and BUILT == [180]
     assert list((tmp_path / "open").iterdir()) == []
 
 
 def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The newest stays, however large it is."""
     some = array_cache.CachedArrays({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):

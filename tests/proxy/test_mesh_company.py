@@ -14,7 +14,6 @@ FINGERS = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": 1000.
 
 
 def test_two_fingers_on_one_mesh_are_independent(tmp_path, cases):
-    """On a mesh at rest, each finger gets the bits of a run with that finger only."""
     bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(120, 1500)
     part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
     poses = {name: hand(bumpy, ticks, R, np.random.default_rng(seed)) for seed, name in ((5, "thumb"), (26, "index"))}
@@ -27,8 +26,6 @@ def test_two_fingers_on_one_mesh_are_independent(tmp_path, cases):
 
 
 def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
-    """With a mesh box on a plane, a mesh sphere and a sphere, the proxy is outside of all of them. The median
-    difference from the forces of the equivalent shapes is below 30 mN."""
     box, ball = bar(0.03, 0.03, 0.02), meshes.moved(meshes.geodesic(cases(10, 24), 0.03), (0.075, 0.0, 0.01))
     floor = thing("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
     other = thing("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
@@ -57,7 +54,6 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
 
 
 def test_a_moving_bumpy_mesh_is_touched_in_its_frame(tmp_path, cases):
-    """While a turntable turns a bumpy sphere under the finger, the proxy is outside of it."""
     bumpy = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.03)
     file, rate, ticks = saved(tmp_path, *bumpy), 0.8, cases(500, 2000)
     turns = thing("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})

@@ -21,7 +21,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
-from softfinger.proxy.meshes.reading import OTHER_FILES, Arrays, arrays_of
+from softfinger.proxy.meshes.reading import OTHER_FILES, arrays_of
 from softfinger.proxy.meshes.report import MeshReport
 
 pytestmark = pytest.mark.plain
@@ -34,12 +34,10 @@ FLOAT32 = 1e-6
 
 
 def report(path: Path) -> MeshReport:
-    """Return what the program makes of a file."""
     return about(schema.Mesh(name="m", file=str(path), material=schema.Material(stiffness_n_per_m=500.0))).report
 
 
 def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
-    """Check that a file is read as the box."""
     path.write_bytes(data)
     found = report(path)
     assert (found.triangles, found.watertight, found.open_edges) == (triangles, True, 0)
@@ -48,14 +46,10 @@ def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
 
 
 def refusal(path: Path, data: bytes) -> str:
-    """Return the error for an unusable file."""
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
         report(path)
     return str(caught.value)
-
-
-# --- OBJ -----------------------------------------------------------------------------------------
 
 
 def vertices(shift: float = 0.0) -> list[str]:
@@ -101,7 +95,6 @@ def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("name", OBJS)
 def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None:
-    """Each face has the corners found by a second parser, and the boxes are watertight."""
     lines, triangles = OBJS[name]
     data = "\n".join([*lines, ""]).replace("\n", end).encode()
     read, expected = arrays_of("a.obj", data), read_by_line(lines)
@@ -114,7 +107,6 @@ def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None
 
 
 def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
-    """Prisms over a C and over a star keep their area, which no fan from one corner has."""
     c = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (3, 2), (3, 3), (0, 3)]
     angles = np.arange(10) * np.pi / 5
     star = [(r * np.cos(a), r * np.sin(a)) for r, a in zip([3.0, 1.0] * 5, angles, strict=True)]
@@ -142,9 +134,6 @@ def test_unsupported_obj_files_are_refused(tmp_path: Path) -> None:
     assert "decimal commas" in refusal(path, box.replace(".", ",").encode())
     assert "'1.5' is not a number" in refusal(path, f"{box}\nf 1.5 2 3\n".encode())
     assert "UTF-16" in refusal(path, box.encode("utf-16"))
-
-
-# --- STL -----------------------------------------------------------------------------------------
 
 
 def stl(head: bytes = b"made by hand", tail: bytes = b"", attribute: int = 0, count: int = 12) -> bytes:
@@ -196,8 +185,6 @@ def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     assert "promises 12 faces, and has 11" in refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
     assert "no endsolid" in refusal(path, TEXT.replace("endsolid", "end").encode())
 
-
-# --- PLY -----------------------------------------------------------------------------------------
 
 XYZ = ["float x", "float y", "float z"]
 INDICES = "list uchar int vertex_indices"
@@ -273,9 +260,6 @@ def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     assert "has the corner -2" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
     for start, reason in OTHER_FILES.items():
         assert reason in refusal(path, start + PLYS["little endian"])
-
-
-# --- GLB -----------------------------------------------------------------------------------------
 
 
 class Glb:
@@ -377,7 +361,6 @@ def test_glb_positions_of_every_type_give_the_same_box(tmp_path: Path) -> None:
 
 
 def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
-    """Sparse values replace the upper four corners, or all eight of an accessor without data."""
     for base in (CORNERS.astype(np.float32) * [1, 1, 0], None):
         made = Glb()
         places = np.arange(4 if base is not None else 0, 8).astype(np.uint8)
@@ -404,7 +387,6 @@ def test_a_glb_without_scenes_uses_its_root_nodes(tmp_path: Path) -> None:
 
 
 def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
-    """Covers skins, instancing, morph targets, compression and nodes that are not a tree."""
     path = tmp_path / "a.glb"
     made = Glb()
     parts = [{"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}]
@@ -425,7 +407,6 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
-    """Above 1 m and below 1 mm the report suggests the likely scale."""
     path = tmp_path / "a.stl"
     path.write_bytes(stl())
 
@@ -450,9 +431,3 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
         "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
         in (about(of_model).report.noted[0])
     )
-
-
-def test_a_box_is_a_box() -> None:
-    """The volume of the test box matches its closed form, by trimesh."""
-    box = Arrays(CORNERS, np.array(FACES, np.int32))
-    assert trimesh.Trimesh(box.vertices, box.triangles, process=False).volume == pytest.approx(VOLUME)

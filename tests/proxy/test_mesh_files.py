@@ -32,7 +32,6 @@ FLOAT32 = 1.2e-7
 
 
 def thing(path: Path | str, **keys: Any) -> schema.Mesh:
-    """Object with that mesh file."""
     return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
 
 
@@ -73,15 +72,7 @@ def stl_binary(mesh: Mesh) -> bytes:
     return b"by hand".ljust(80) + struct.pack("<I", len(mesh.triangles)) + body
 
 
-def obj_text(mesh: Mesh) -> bytes:
-    """Return an OBJ file, not written by trimesh, with a missing material library."""
-    rows = ["v {!r} {!r} {!r}".format(*map(float, each)) for each in mesh.vertices]
-    faces = ["f {} {} {}".format(*(each + 1)) for each in mesh.triangles]
-    return "\n".join(["mtllib ../../etc/passwd", *rows, "usemtl skin", *faces, ""]).encode()
-
-
 def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
-    """Return a GLB file, not written by trimesh; `changes` edits its JSON header."""
     body = mesh.vertices.astype("<f4").tobytes() + mesh.triangles.astype("<u4").tobytes()
     split, n, m = 12 * len(mesh.vertices), len(mesh.vertices), len(mesh.triangles)
     head = {
@@ -114,7 +105,6 @@ def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda he
 
 
 def written(mesh: Mesh, kind: str) -> bytes:
-    """Return a file as written by trimesh."""
     made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
     if kind == "ply text":
         return trimesh.exchange.ply.export_ply(made, encoding="ascii")
@@ -131,14 +121,12 @@ FILES: dict[str, tuple[str, bytes]] = {
     "glb": (".glb", written(BALL, "glb")),
     "ply by hand": (".ply", ply_text(BALL)),
     "stl by hand": (".stl", stl_binary(BALL)),
-    "obj by hand": (".obj", obj_text(BALL)),
     "glb by hand": (".glb", glb_binary(BALL)),
 }
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
-    """All triangles and their winding are equal; the sixfold vertices of STL files are merged."""
     ending, data = FILES[name]
     path = tmp_path / f"ball{ending}"
     path.write_bytes(data)
@@ -152,15 +140,12 @@ def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
 
 
 def test_text_files_preserve_all_digits(tmp_path: Path) -> None:
-    """float64 values are read back to the bit."""
     (tmp_path / "ball.ply").write_bytes(ply_text(BALL))
     read = arrays_of("ball.ply", read_bytes(tmp_path / "ball.ply"))
     assert read.vertices.tobytes() == BALL.vertices.tobytes() and read.triangles.tobytes() == BALL.triangles.tobytes()
 
 
 def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
-    """One mesh in two nodes is moved, and mirrored and halved, with its winding still outward."""
-
     def two(head: dict[str, Any]) -> None:
         head["nodes"] = [{"mesh": 0, "translation": [5, 0, 0]}, {"mesh": 0, "scale": [-0.5, 0.5, 0.5]}]
         head["scenes"] = [{"nodes": [0, 1]}]
@@ -172,16 +157,7 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
 
 
-def test_quads_become_triangles(tmp_path: Path) -> None:
-    """A face with four corners is split into two triangles."""
-    square = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
-    (tmp_path / "square.obj").write_bytes(square)
-    report = about(thing(tmp_path / "square.obj")).report
-    assert report.triangles == 2 and report.open_edges == 4
-
-
 def test_scale_converts_to_metres(tmp_path: Path) -> None:
-    """A sphere of 20 mm in a file in millimetres; sizes out of range are refused."""
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
     report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
@@ -191,12 +167,10 @@ def test_scale_converts_to_metres(tmp_path: Path) -> None:
 
 
 def spoilt(value: float) -> Mesh:
-    """The sphere with a few invalid coordinates."""
     return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
 
 
 def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`check` prints rows or JSON; an unusable file gives the error and exit code 2."""
     (tmp_path / "ball.stl").write_bytes(stl_binary(BALL))
     scene = tmp_path / "scene.toml"
     scene.write_text(
@@ -253,13 +227,11 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     ],
 )  # fmt: skip
 def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: bytes, text: str) -> None:
-    """The error names file, fault and remedy."""
     (tmp_path / name).write_bytes(data)
     assert text in refusal(tmp_path / name)
 
 
 def test_missing_files_raise_a_one_line_error(tmp_path: Path) -> None:
-    """Covers a missing file, a folder and an unknown extension."""
     assert "No such file" in refusal(tmp_path / "none.ply")
     (tmp_path / "folder.stl").mkdir()
     assert "Is a directory" in refusal(tmp_path / "folder.stl")
@@ -285,13 +257,11 @@ LIARS: list[tuple[str, bytes, str]] = [
 
 @pytest.mark.parametrize(("name", "data", "text"), LIARS, ids=range(len(LIARS)))
 def test_false_counts_are_refused(tmp_path: Path, name: str, data: bytes, text: str) -> None:
-    """Counts that do not match the data, external files and compression raise a one-line error."""
     (tmp_path / name).write_bytes(data)
     assert text in refusal(tmp_path / name)
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
-    """The cached result is used only while the file is unchanged."""
     path = tmp_path / "ball.ply"
     path.write_bytes(ply_text(BALL))
     first = about(thing(path))
@@ -308,7 +278,6 @@ NUMBERS = itertools.count()
 
 
 def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
-    """Check that the file raises one ConfigError or gives a mesh that can be rendered."""
     path = folder / f"{next(NUMBERS)}{ending}"
     path.write_bytes(data)
     message = ""
@@ -331,7 +300,6 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
 @settings(examples(80, 200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(FILES)), data=st.data())
 def test_damaged_files_are_refused_or_repaired(tmp_path: Path, name: str, data: st.DataObject) -> None:
-    """Damage at random positions: a flipped bit, changed, deleted or doubled bytes, a truncated end."""
     ending, whole = FILES[name]
     at = data.draw(st.integers(0, len(whole) - 1), "at")
     kind = data.draw(st.sampled_from(["bit", "bytes", "without", "cut", "doubled", "head"]), "kind")

@@ -28,19 +28,16 @@ LANES = 8
 
 
 def smooth_and_rough(tmp_path, made, **keys):
-    """Return an engine without friction, for the depth of the probe, and one with friction, torsion and rolling."""
     file = saved(tmp_path, *made)
     smooth = engine(thing("part", "mesh", file=file, material=SLIPPERY, **keys))
     return smooth, engine(thing("part", "mesh", file=file, **keys))
 
 
 def is_outside(made, records):
-    """Return whether the proxy is outside of all triangles in every tick."""
     return brute_distances(balls_of(*made), records["proxy.position"]).min() >= OUTSIDE
 
 
 def largest_query(running, points):
-    """Return the largest number of nodes and triangles visited by a query."""
     shape = running.scene.objects.body.shape
     found = np.zeros((len(points), 3))
     ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, found)
@@ -74,7 +71,6 @@ def test_it_is_touched_safely(tmp_path, name):
 
 
 def test_a_mended_mesh_equals_the_intact_one(tmp_path):
-    """A ball with duplicate, inverted and degenerate triangles gives the forces of the ball."""
     ball, poses = meshes.geodesic(12, 0.05), hand(meshes.geodesic(12, 0.05), TICKS, R, np.random.default_rng(5))
     whole, _ = smooth_and_rough(tmp_path, ball)
     mended, _ = smooth_and_rough(tmp_path, hostile_meshes.messy_ball(12, 0.05))
@@ -113,8 +109,6 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
 
 @pytest.mark.parametrize("room", [0.1, 0.3])
 def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
-    """Without friction the proxy moves to the side of the hand from any other side, though all triangles are equally
-    close."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
         reach = R * (room + 0.2)
@@ -126,7 +120,6 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, 2000.0])
 def test_an_invalid_vertex_is_refused(tmp_path, wrong):
-    """The error is one line that names the object and the file."""
     made = meshes.geodesic(4, 0.05)
     vertices = made.vertices.copy()
     vertices[7, 1] = wrong
@@ -137,7 +130,6 @@ def test_an_invalid_vertex_is_refused(tmp_path, wrong):
 
 
 def test_an_ellipsoid_is_refused_by_name(tmp_path):
-    """An ellipsoid fingertip has no closed form on a triangle: one line names the mesh and the ellipsoid."""
     part = thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(4, 0.05)))
     with pytest.raises(ConfigError, match="ellipsoid") as refused:
         engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})

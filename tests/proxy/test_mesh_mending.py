@@ -20,13 +20,11 @@ TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
 
 
 def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, MeshReport]:
-    """The mesh as it is rendered, and what is said of it."""
     result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
     return result.arrays, report_of(result, loose, None)
 
 
 def soup(mesh: Mesh) -> Mesh:
-    """Return the same triangles with three separate vertices each."""
     return Mesh(
         mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size, dtype=np.int32).reshape(-1, 3)
     )
@@ -45,7 +43,6 @@ def soup(mesh: Mesh) -> Mesh:
     ids=["icosahedron", "ball", "geodesic", "torus", "cylinder", "bumpy"],
 )
 def test_closed_meshes_are_unchanged(mesh: Mesh, euler: int, volume: float, share: float) -> None:
-    """Generated closed meshes have the right Euler number and volume, and nothing is repaired."""
     (vertices, triangles), report = mended(mesh)
     assert triangles.tobytes() == mesh.triangles.tobytes() and vertices.tobytes() == mesh.vertices.tobytes()
     assert report.watertight and report.bodies == 1 and report.mended == ()
@@ -67,20 +64,17 @@ def test_vertex_and_triangle_count_of_a_geodesic_sphere() -> None:
     ids=["sheet", "tube"],
 )
 def test_open_meshes_report_their_border_edges(mesh: Mesh, edges: int) -> None:
-    """Every border edge is counted, and an open mesh has no volume."""
     _, report = mended(mesh)
     assert report.open_edges == edges and not report.watertight and report.volume_m3 is None
     assert f"open, {edges} edges of one" in dict(report.rows())["surface"]
 
 
 def test_a_hole_is_reported_and_not_filled() -> None:
-    """A missing triangle leaves three open edges."""
     (_, triangles), report = mended(Mesh(BALL.vertices, BALL.triangles[1:]))
     assert len(triangles) == 319 and report.open_edges == 3 and not report.watertight
 
 
 def test_a_moebius_strip_is_reported_and_not_rewound() -> None:
-    """A one-sided body is reported, and none of its triangles is turned."""
     (_, triangles), report = mended(meshes.moebius())
     assert triangles.tobytes() == meshes.moebius().triangles.tobytes()
     assert (
@@ -91,7 +85,6 @@ def test_a_moebius_strip_is_reported_and_not_rewound() -> None:
 
 @pytest.mark.parametrize("loose", [False, True])
 def test_coincident_vertices_are_merged(loose: bool) -> None:
-    """Separate triangles are merged to the original sphere; -0.0 equals 0.0."""
     mesh = soup(BALL)
     mesh.vertices[mesh.vertices == 0.0] = -0.0
     (vertices, triangles), report = mended(mesh, loose)
@@ -101,7 +94,6 @@ def test_coincident_vertices_are_merged(loose: bool) -> None:
 
 
 def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
-    """With `loose`, offsets of 0.1 tolerances are merged and the mesh closes; offsets of up to 20 leave it open."""
     rng = np.random.default_rng(3)
     mesh = soup(BALL)
     near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
@@ -113,7 +105,6 @@ def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
 
 
 def test_duplicate_and_degenerate_triangles_are_dropped() -> None:
-    """Rotated or reversed copies are duplicates; triangles with two equal corners or collinear ones are degenerate."""
     a, b, c = BALL.triangles[0]
     middle = 0.5 * (BALL.vertices[a] + BALL.vertices[b])
     vertices = np.concatenate([BALL.vertices, [middle, [9.0, 9.0, 9.0]]])
@@ -125,7 +116,6 @@ def test_duplicate_and_degenerate_triangles_are_dropped() -> None:
 
 @pytest.mark.parametrize("thinness", [1e-3, 1e-6])
 def test_thin_triangles_are_preserved(thinness: float) -> None:
-    """A triangle a million times as long as high has an area, at any size."""
     for size in (1e-6, 1e3):
         vertices = size * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, thinness, 0.0]])
         (_, triangles), report = mended(Mesh(vertices, np.array([[0, 1, 2]], np.int32)))
@@ -133,7 +123,6 @@ def test_thin_triangles_are_preserved(thinness: float) -> None:
 
 
 def test_an_edge_of_three_triangles_is_reported() -> None:
-    """A fin on a sphere gives one non-manifold edge."""
     a, b, _ = BALL.triangles[0]
     fin = np.concatenate([BALL.triangles, [[a, b, 162]]]).astype(np.int32)
     _, report = mended(Mesh(np.concatenate([BALL.vertices, [[0.0, 0.0, 3.0]]]), fin))
@@ -141,7 +130,6 @@ def test_an_edge_of_three_triangles_is_reported() -> None:
 
 
 def test_a_sphere_inside_out_is_turned() -> None:
-    """A fully inverted mesh is turned by the sign of its volume, single inverted triangles by their neighbours."""
     (_, triangles), report = mended(TURNED)
     assert report.turned_triangles == 320 and report.volume_m3 == pytest.approx(meshes.volume(BALL))
     wound = BALL.triangles.copy()
@@ -153,7 +141,6 @@ def test_a_sphere_inside_out_is_turned() -> None:
 
 
 def test_a_sheet_gets_the_winding_of_its_majority() -> None:
-    """A sheet has no outside, so the smaller group of its triangles is turned."""
     mesh = meshes.sheet()
     wound = mesh.triangles.copy()
     wound[:20] = wound[:20][:, ::-1]
@@ -163,7 +150,6 @@ def test_a_sheet_gets_the_winding_of_its_majority() -> None:
 
 
 def test_inward_winding_is_preserved_only_for_hollows() -> None:
-    """An inward-wound body inside another one is a hollow; an inward-wound body elsewhere is turned."""
     small = meshes.icosphere(2, 0.5)
     inward = Mesh(small.vertices, small.triangles[:, ::-1])
     _, report = mended(meshes.joined(BALL, inward))
@@ -174,7 +160,6 @@ def test_inward_winding_is_preserved_only_for_hollows() -> None:
 
 
 def test_first_alike_finds_equal_rows() -> None:
-    """Matches a Python dictionary, for rows with many duplicates and rows that differ in one bit."""
     rng = np.random.default_rng(7)
     rows = rng.integers(0, 3, (2000, 3)).astype(np.uint64) << np.uint64(62)
     seen: dict[bytes, int] = {}
@@ -183,7 +168,6 @@ def test_first_alike_finds_equal_rows() -> None:
 
 
 def test_thinned_meshes_preserve_the_shape() -> None:
-    """A thinned mesh has at most the given number of triangles, close to the surface; a small mesh is not thinned."""
     ball = meshes.geodesic(60)
     thin = thin_mesh(Arrays(*ball), 5000)
     assert 1000 < len(thin.triangles) <= 5000

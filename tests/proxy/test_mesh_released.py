@@ -68,7 +68,6 @@ def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> fl
 
 
 def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: int) -> list[Array]:
-    """Return straight paths that enter a mesh from outside and leave on the other side."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 3.0 * radius
     found = []
@@ -85,7 +84,6 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
 @pytest.mark.parametrize("radius", [0.004, 0.001])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_proxy_is_blocked_by_triangles_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
-    """A proxy at rest away from its probe is blocked by touched triangles; a proxy without contact has zero force."""
     mesh = KINDS[kind]
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
@@ -118,8 +116,6 @@ SLIDES = ("tube", "needles")
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
 def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
-    """Two fingers follow separate strokes in the frame of a moving mesh, or opposite strokes through a fixed one; each
-    is blocked only by triangles it touches."""
     mesh, count = KINDS[kind], cases(3, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = thing("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
@@ -239,7 +235,6 @@ def test_a_thin_wall_that_sweeps_over_the_hand_touches_it(speed: float, tmp_path
 
 @pytest.mark.parametrize("radius", [0.01, 0.003])
 def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: Cases) -> None:
-    """Dragged over 12 000 coplanar triangles, up to four radii deep, the proxy equals that of a plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
     running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
     rng, t = np.random.default_rng(1), 1e-3 * np.arange(600)

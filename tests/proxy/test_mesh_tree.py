@@ -57,7 +57,6 @@ def mesh_of(tree: Tree, side: float = 1.0, shade: float = 0.0) -> Mesh:
 
 
 def soup(rng, count, size):
-    """Return vertices and triangles of unconnected triangles, some of them needle-shaped."""
     middle = rng.normal(size=(count, 1, 3)) * size
     spread = rng.normal(size=(count, 3, 3)) * size * 10.0 ** rng.uniform(-6.0, 0.0, (count, 1, 1))
     return (middle + spread).reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
@@ -81,7 +80,6 @@ CASES = {
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", CASES)
 def test_distance_equals_the_brute_force_minimum(name):
-    """For points near, far, on and inside, the distance matches the brute-force minimum to 1e-9 of the mesh size."""
     vertices, triangles = CASES[name]
     tree = build_tree(np.asarray(vertices, float), np.asarray(triangles, np.int32))
     mesh, rng = mesh_of(tree), np.random.default_rng(3)
@@ -102,7 +100,6 @@ def test_distance_equals_the_brute_force_minimum(name):
 @examples(60, 200)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(-6.0, 3.0), st.floats(0.1, 1e4))
 def test_random_triangles_at_all_sizes(seed, count, exponent, away):
-    """The distance is right for random triangles of 1 um to 1 km and for points up to 1e4 sizes away."""
     rng, size = np.random.default_rng(seed), 10.0**exponent
     vertices, triangles = soup(rng, count, size)
     tree = build_tree(vertices, triangles)
@@ -115,8 +112,6 @@ def test_random_triangles_at_all_sizes(seed, count, exponent, away):
 
 
 def test_sign_of_the_gap_at_faces_edges_and_corners():
-    """The gap of a closed mesh is positive exactly outside, for points whose nearest feature is a face, edge or corner.
-    The meshes are a sphere and a bumpy sphere. A mesh with side -1 gives the opposite gap and normal."""
     rng = np.random.default_rng(4)
     for made in (meshes.geodesic(3, 1.0), meshes.bumpy_sphere(6, 1.0, height=0.2)):
         tree = build_tree(*made)
@@ -138,7 +133,6 @@ def test_sign_of_the_gap_at_faces_edges_and_corners():
 
 
 def test_an_open_mesh_is_a_sheet_with_two_sides():
-    """The normal of an open mesh points to the side of the query point, above and below."""
     tree = build_tree(*meshes.sheet(1.0, 1.0, 4, 4))
     assert not tree.closed
     for z in (0.3, -0.3):
@@ -147,8 +141,6 @@ def test_an_open_mesh_is_a_sheet_with_two_sides():
 
 
 def test_a_limit_and_known_triangles_change_no_answer():
-    """A distance limit hides only triangles beyond it, and a known start triangle does not change the distance. Among
-    equally near triangles, the query returns the known one."""
     tree = build_tree(*meshes.geodesic(10, 0.05))
     mesh, rng = mesh_of(tree), np.random.default_rng(5)
     for _ in range(200):
@@ -197,7 +189,6 @@ def test_a_query_stops_early_at_a_triangle_within_reach():
 
 
 def test_all_queries_of_a_tick_share_one_budget():
-    """Each query reduces the remaining budget by its cost; after it is spent, even a cheap query reports SPENT."""
     mesh = mesh_of(build_tree(*meshes.geodesic(40, 0.05)))
     hard, easy, left, total = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
     for _ in range(100):
@@ -214,7 +205,6 @@ def test_all_queries_of_a_tick_share_one_budget():
 
 
 def test_tree_contains_each_triangle_once():
-    """Every triangle belongs to exactly one leaf lane and is inside the boxes of all lanes above it."""
     vertices, triangles = meshes.bumpy_sphere(15, 0.05)
     tree = build_tree(vertices, triangles)
     least, most = vertices.min(axis=0), vertices.max(axis=0)
@@ -248,7 +238,6 @@ def test_tree_contains_each_triangle_once():
 
 
 def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
-    """Return the tree of a bumpy sphere and the records of a hand that presses and drags on it."""
     bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
     running = engine(thing("part", "mesh", file=saved(folder, *bumpy)))
     records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
@@ -267,7 +256,6 @@ np.savez(sys.argv[1], **in_a_scene(Path(sys.argv[1]).parent))
 
 @pytest.mark.exhaustive
 def test_plain_python_gives_the_same_bits(tmp_path):
-    """Without JIT, the tree with its boxes in float32 and all records of a scene are identical."""
     path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parent), *sys.path])
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path, "SOFTFINGER_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", PLAIN, str(tmp_path / "found.npz")], env=environment, check=True)

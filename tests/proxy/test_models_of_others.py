@@ -50,7 +50,6 @@ def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
 
 
 def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
-    """An undeclared namespace prefix, common in URDF files, and a comment with two hyphens are accepted."""
     scene = written(tmp_path / "m.xml", '<!-- the robot\'s -- own -->\n<worldbody><geom size="1"/></worldbody>')
     assert len(load_scene(scene).object) == 1
     urdf = tmp_path / "m.urdf"
@@ -76,7 +75,6 @@ def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
 
 
 def placed(thing: schema.Object) -> np.ndarray:
-    """Return the vertices of a mesh (n, 3), in the world."""
     assert isinstance(thing, schema.Mesh)
     w, x, y, z = thing.orientation_wxyz
     turn = np.zeros(9)
@@ -93,7 +91,6 @@ MESH = '<asset><mesh name="wedge" file="{}"/></asset><worldbody>' + BOX_GEOM + "
 
 
 def test_files_of_a_sibling_folder_need_a_root(tmp_path: Path) -> None:
-    """Without a root the error names file and key; with it the mesh loads, but no file above the root."""
     stl(tmp_path / "stls/wedge.stl")
     path = tmp_path / "models/part.xml"
     for option, file in (("", "../stls/wedge.stl"), ('<compiler meshdir="../stls"/>', "wedge.stl")):
@@ -167,7 +164,6 @@ def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
 
 
 def test_an_attached_model_reads_only_its_folder(tmp_path: Path) -> None:
-    """Its `meshdir` and file names cannot combine to a path outside of the scene's folder."""
     stl(tmp_path / "wedge.stl")
     scene = written(tmp_path / "scene/scene.xml", ATTACHED)
     for option, file in (("", "../../wedge.stl"), ('<compiler meshdir=".."/>', "../wedge.stl")):
@@ -182,7 +178,6 @@ def test_an_attached_model_reads_only_its_folder(tmp_path: Path) -> None:
 
 
 def test_textures_are_not_read(tmp_path: Path) -> None:
-    """Textures may be outside of the folder, missing or invalid; a mesh file with the same name may not be outside."""
     looks = (
         '<asset><texture name="a" type="2d" file="../none/grey.png"/><material name="a" texture="a"/>'
         '<texture name="b" type="skybox" fileright="../r.png" fileleft="l.png"/>'
@@ -198,7 +193,6 @@ def test_textures_are_not_read(tmp_path: Path) -> None:
 
 
 def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
-    """Covers mirrored, scaled, moved and rotated meshes, and vertices given in the model."""
     stl(tmp_path / "wedge.stl")
     inline = " ".join(f"{each:g}" for each in (0.01 * WEDGE).ravel())
     turn = "refpos='0.01 0 0' refquat='0.7071067811865476 0 0 0.7071067811865476'"
@@ -224,7 +218,6 @@ def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
 
 
 def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
-    """The mesh is read again although the model's file is unchanged."""
     stl(tmp_path / "wedge.stl")
     path = written(tmp_path / "part.xml", MESH.format("wedge.stl"))
     np.testing.assert_allclose(by_row(placed(load_scene(path).object[0])), by_row(0.01 * WEDGE), atol=FLOAT32)
@@ -256,7 +249,6 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
 
 
 def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
-    """Geoms of a contact pair collide although their contype and conaffinity are 0."""
     body = (
         '<default><geom contype="0" conaffinity="0"/></default><worldbody>'
         '<geom name="floor" type="plane" size="1 1 1"/>'
@@ -275,7 +267,6 @@ ARM = """
 
 
 def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Positions and controls start at the keyframe, also after a reset; the time step is a tick's or the file's."""
     option = '<option timestep="0.005"/>'
     path = written(tmp_path / "arm.xml", ARM, option, keyframe="home")
     engine = Engine(str(path))

@@ -15,11 +15,9 @@ from references.hand import Array
 from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.query.motion import pose_at
-from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
@@ -35,18 +33,15 @@ both = pytest.mark.parametrize("motion", MOTIONS, ids=["sinusoid", "turntable"])
 
 
 def placed(pose: model.Pose, point: Any) -> Array:
-    """World coordinates (3,) of a point (3,) of the body."""
     return np.asarray(matrix(np.array(pose.orientation)) @ np.asarray(point) + pose.position)
 
 
 def test_without_a_motion_an_object_does_not_move() -> None:
-    """Objects without a motion, and driven ones, have their rest pose at any time, to the last bit."""
     assert pose_at(None, TILTED, 123.4) == TILTED
     assert pose_at(model.Driven(), TILTED, 123.4) == TILTED
 
 
 def test_sinusoid_swings_by_its_amplitude_in_both_directions() -> None:
-    """The rest pose is reached at zeros of the sine, plus and minus the amplitude a quarter period from them."""
     swing = model.Sinusoid((0.01, 0.0, 0.0), (0.0, 0.0, 1.0), 0.5, 2.0, 0.0)
     for time, s in [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1000.125, 1.0)]:
         pose = pose_at(swing, STILL, time)
@@ -55,7 +50,6 @@ def test_sinusoid_swings_by_its_amplitude_in_both_directions() -> None:
 
 
 def test_phase_sets_the_start_within_the_cycle() -> None:
-    """A phase of pi / 2 starts at the amplitude."""
     swing = model.Sinusoid((0.0, 0.0, 0.02), (0.0, 0.0, 1.0), 0.0, 5.0, math.pi / 2)
     assert pose_at(swing, STILL, 0.0).position == pytest.approx((0.0, 0.0, 0.02))
 
@@ -63,7 +57,6 @@ def test_phase_sets_the_start_within_the_cycle() -> None:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(times)
 def test_turntable_does_not_move_its_axis(time: float) -> None:
-    """Points on the axis do not move; other points have a constant distance from it."""
     pose = pose_at(TABLE, TILTED, time)
     for along in (-1.0, 0.0, 2.0):
         point = np.array(TABLE.pivot) + along * np.array(TABLE.axis)
@@ -75,7 +68,6 @@ def test_turntable_does_not_move_its_axis(time: float) -> None:
 
 
 def test_turntable_turns_at_its_rate() -> None:
-    """A quarter of the period turns it by 90 degrees, right-handed, also after a million turns."""
     table = model.Turntable((0.0, 0.0, 1.0), 2.0, (0.0, 0.0, 0.0))
     for turns in (0.25, 1e6 + 0.25):
         pose = pose_at(table, STILL, turns * math.pi)
@@ -87,7 +79,6 @@ def test_turntable_turns_at_its_rate() -> None:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(time=times)
 def test_motion_is_relative_to_the_rest_pose(motion: Any, time: float) -> None:
-    """In the frame of the rest pose the motion is the same for any rest pose."""
     here, there = pose_at(motion, STILL, time), pose_at(motion, TILTED, time)
     for point in [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3)]:
         assert placed(there, point) == pytest.approx(placed(TILTED, placed(here, point)), abs=1e-14)
@@ -97,14 +88,12 @@ def test_motion_is_relative_to_the_rest_pose(motion: Any, time: float) -> None:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(time=st.floats(allow_nan=False, allow_infinity=False))
 def test_pose_is_valid_at_any_finite_time(motion: Any, time: float) -> None:
-    """At any time the orientation is a unit quaternion and the position is bounded."""
     pose = pose_at(motion, TILTED, time)
     assert math.hypot(*pose.orientation) == pytest.approx(1.0, abs=1e-14)
     assert np.linalg.norm(np.array(pose.position) - TILTED.position) < 0.2
 
 
 def test_compiled_equals_plain_python() -> None:
-    """Compiled code and plain Python give the same poses, to the last digits."""
     compiled = numba.njit(**OPTIONS)(lambda m, p, t: pose_at(m, p, t))
     for motion in MOTIONS:
         for time in np.linspace(0.0, 7.0, 57):
@@ -113,11 +102,7 @@ def test_compiled_equals_plain_python() -> None:
             assert np.hstack(ours) == pytest.approx(np.hstack(plain), abs=1e-14)
 
 
-# --- scene file ----------------------------------------------------------------------------------
-
-
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    """Axes are normalised, and omitted keys are zero."""
     swing = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2, "axis": [0, 3, 4]}
     table = {"kind": "turntable", "rate_rad_per_s": -1, "pivot_m": [0.1, 0, 0]}
     expected = [
@@ -144,24 +129,6 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
     ],
 )
 def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, message: str) -> None:
-    """Covers an unknown kind, a missing rate, an excessive speed, a zero axis and a wrong type."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(table={"motion": motion})
     assert message in str(refused.value)
-
-
-# --- through the engine --------------------------------------------------------------------------
-
-
-def test_an_oscillating_table_presses_on_a_finger_at_rest(plane_scene: SceneFactory) -> None:
-    """The normal force follows the sine of the table's height tick by tick; the tangential force is zero."""
-    bob = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.001], "frequency_hz": 4.0}
-    scene = plane_scene(table={"motion": bob}, material={"friction": None, "torsion": None}, rolling=None)
-    n, dt = 600, 0.001
-    poses = np.tile([0.0, 0.0, 0.0085, 1.0, 0.0, 0.0, 0.0], (n, 1))
-    records = Engine(scene).run(poses, dt)
-    force = records[:, AT.force : AT.force + 3]
-    # The first pose is that of the first dt.
-    height = 0.001 * np.sin(2 * np.pi * 4.0 * dt * np.arange(1, n + 1))
-    assert force[:, 2] == pytest.approx(1000.0 * (0.0015 + height), abs=1e-9)
-    assert np.abs(force[:, :2]).max() < 1e-12

@@ -38,7 +38,6 @@ PLATE = """
 
 
 def finger_on_a_plate(folder: Path, floor: float) -> Engine:
-    """Engine with one finger, and a plate on a floor of this friction."""
     (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
     material = {
         "stiffness_n_per_m": STIFFNESS,
@@ -72,7 +71,6 @@ def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
 
 
 def down(depth: float, ticks: int = 120) -> Array:
-    """Centres (n, 3) down onto the middle of the plate, where the finger stops."""
     u = np.clip(np.arange(ticks) / (0.5 * ticks), 0.0, 1.0)
     way = np.zeros((ticks, 3))
     way[:, 2] = 2.0 * THIN + R - depth * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)

@@ -55,7 +55,6 @@ RESULT = "(6.0, True, 5, (1.0, 6.0, 3.0), 18.0)"
 
 @pytest.fixture
 def scripts(tmp_path: Path) -> Path:
-    """Two programs that call the same outlined kernels, one of which calls the other."""
     folder = tmp_path / "scripts"
     folder.mkdir()
     for name, text in {"both": MODULE, "first": FIRST, "second": SECOND}.items():
@@ -71,7 +70,6 @@ def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def units(cache: Path) -> dict[str, int]:
-    """Outlined kernels on disk, with the time of their last change, ns."""
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT}*.kernel")}
 
 
@@ -93,7 +91,6 @@ def test_outlined_kernels_are_compiled_once_for_all_callers(
 
 
 def test_plain_python_gives_the_same(scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With NUMBA_DISABLE_JIT they are plain functions."""
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     script = scripts / "first.py"
     script.write_text(FIRST.replace(", sum(first.stats.cache_hits.values())", ""))
@@ -122,8 +119,6 @@ def test_a_caller_contains_a_call_and_not_the_code() -> None:
 
 
 def test_outlined_kernels_return_only_numbers() -> None:
-    """A return annotation of str is refused at the first call."""
-
     @outlined.outlined
     def named(x: float) -> str:
         return "x"
@@ -139,8 +134,6 @@ class Pair(NamedTuple):
 
 
 def test_an_annotation_without_a_type_is_inferred() -> None:
-    """If the annotation has no definite type, the compiler infers the type of the result, here that of the argument."""
-
     @outlined.outlined
     def swapped(pair: Pair) -> tuple[Pair, float]:
         return Pair(pair.first + 1.0, pair.rest), pair.first
@@ -151,8 +144,6 @@ def test_an_annotation_without_a_type_is_inferred() -> None:
 
 
 def test_where_selects_the_outlined_types() -> None:
-    """For other types the kernel is inlined into its callers."""
-
     @outlined.outlined_where(lambda *given: given[0] == numba.types.float64)
     def halved(x: float) -> float:
         return x / 2

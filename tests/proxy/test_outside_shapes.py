@@ -63,7 +63,6 @@ def beads() -> Iterator[ModuleType]:
 
 
 def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
-    """Return a scene with rolling and one object with friction and torsion."""
     material = {
         "stiffness_n_per_m": STIFFNESS,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -74,12 +73,8 @@ def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
     return build(schema.Scene, merged(base, tables) | {"object": [thing]}, "f.toml")
 
 
-# --- a surface is one file and one table ---------------------------------------------------------
-
-
 @pytest.mark.plain
 def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -> None:
-    """Its tag is accepted, its keys are checked, and a scene with it survives a round trip."""
     found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
     assert isinstance(found.object[0], cone.ConeTable)
     assert build(schema.Scene, describe(found), "again") == found
@@ -93,7 +88,6 @@ def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -
 
 @pytest.mark.plain
 def test_a_tag_is_registered_once(cone: ModuleType) -> None:
-    """A second table with a registered tag, or one without a tag, raises TypeError."""
     before = list(schema.ObjectBase.added)
     for tag in ("cone", "sphere"):
 
@@ -113,8 +107,6 @@ def test_a_tag_is_registered_once(cone: ModuleType) -> None:
 
 @pytest.mark.plain
 def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
-    """The gap is the distance to the closest of many points of the flank; the point is on the flank, along the
-    normal."""
     rng = np.random.default_rng(1)
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     spacing = 1e-4
@@ -132,7 +124,6 @@ def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
 
 @pytest.mark.plain
 def test_curvature_of_cone_is_the_rotation_of_its_normal(cone: ModuleType) -> None:
-    """On the offset surface the normal changes by k1 along d1 and by k2 across, by finite differences."""
     shape, step = cone.Cone(np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)), 1e-6
     for x in ((0.02, 0.01, -0.01), (0.003, 0.0, 0.002), (0.0, 0.001, 0.02)):
         _, point, normal = closest(shape, x)
@@ -176,8 +167,6 @@ def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None
 
 
 def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> None:
-    """`otherwise` serves every type without a kernel, but None raises TypeError."""
-
     @by_type
     def half(node: Any) -> Any: ...
 
@@ -204,8 +193,6 @@ def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> Non
     assert is_hollow(shape) is False
     assert transport(shape, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0)
 
-
-# --- cached kernels ------------------------------------------------------------------------------
 
 TOUCH = """
 import sys
@@ -254,24 +241,6 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     return process.stdout.strip()
 
 
-@pytest.mark.exhaustive  # the beads below also test this, with a called kernel
-def test_an_edited_shape_is_compiled_again(tmp_path: Path) -> None:
-    """The step is cached, but compiled again after the file of the shape changes."""
-    file = tmp_path / "softfinger_cone.py"
-    shutil.copy(OUTSIDE / file.name, file)
-    keys = "half_angle_rad = 0.5"
-    assert touched("cone", tmp_path, keys) == "0.1 0"
-    assert touched("cone", tmp_path, keys) == "0.1 1"
-    text = file.read_text()
-    assert "return gap, (0.0, 0.0, 0.0), normal" in text
-    lower = "return gap + 5e-5, vec3.scale(-5e-5, normal), normal"
-    file.write_text(text.replace("return gap, (0.0, 0.0, 0.0), normal", lower))
-    assert touched("cone", tmp_path, keys) == "0.05 0"
-    assert touched("cone", tmp_path, keys) == "0.05 1"
-
-
-# --- arrays that a scene owns, and kernels that are called ---------------------------------------
-
 BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])
 
 
@@ -286,7 +255,6 @@ def beads_of(file: Path) -> dict[str, Any]:
 
 
 def rolling_over(ball: Array) -> Array:
-    """Return poses (300, 7) that touch a ball from above, roll, and move on until the fingertip slides."""
     t = np.linspace(0.0, 1.0, 300)
     poses = np.zeros((len(t), 7))
     depth = np.interp(t, [0.0, 0.2, 1.0], [-0.001, 0.001, 0.001])
@@ -300,7 +268,6 @@ def rolling_over(ball: Array) -> Array:
 
 @pytest.mark.plain
 def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) -> None:
-    """Each ball of the array gives the records of a built-in sphere at its position, with friction and rolling."""
     engine = Engine(scene(beads_of(balls_file)))
     for ball in BALLS:
         sphere = {"shape": "sphere", "radius_m": ball[3], "position_m": ball[:3].tolist()}
@@ -314,8 +281,6 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
 
 @pytest.mark.plain
 def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, balls_file: Path) -> None:
-    """Two engines whose arrays have different addresses give the same bits with one compiled kernel; only the address
-    differs in their parameters."""
     one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
     first, second = one.scene.objects.body.shape.balls, other.scene.objects.body.shape.balls
     assert first.address != second.address
@@ -326,7 +291,6 @@ def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, ba
 
 
 def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Path) -> None:
-    """The engine holds the only reference, replaced by `tune` and released with the engine."""
     config = scene(beads_of(balls_file))
     engine = Engine(config)
     was = weakref.ref(engine.scene.objects.body.shape.balls.array)
@@ -369,7 +333,6 @@ def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, ba
 
 
 def test_an_array_is_read_only(beads: ModuleType) -> None:
-    """Writing raises in Python and does not compile in a kernel; the given numbers are copied."""
     given = np.arange(6.0).reshape(2, 3)
     held = ReadOnly(given)
     given[0, 0] = 7.0
@@ -396,8 +359,6 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
 def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, program: str) -> None:
-    """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
-    again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")

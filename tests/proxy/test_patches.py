@@ -6,9 +6,9 @@ Finger 10 mm, K = 1000 N/m, mu .6/.5. Pressed 1 mm into a 90 degree groove, each
 
 from itertools import pairwise
 
-import numba
 import numpy as np
 import pytest
+from helpers import touching
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -16,7 +16,6 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
-from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
 
@@ -36,13 +35,6 @@ BASE = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}
 PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "rolling": {"method": "rotation_vector"}}
 
 
-def facing(normal):
-    """Return the quaternion that rotates +z to `normal` (3,)."""
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
-    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
-
-
 def material(friction=GRIP, torsion=None, **keys):
     return (
         {"stiffness_n_per_m": 1000.0}
@@ -53,19 +45,10 @@ def material(friction=GRIP, torsion=None, **keys):
 
 
 def wall(name, normal, stuff=None, offset=0.0, **keys):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    return {
-        "name": name,
-        "shape": "plane",
-        "position_m": (offset * n).tolist(),
-        "orientation_wxyz": facing(n),
-        "material": stuff or material(),
-        **keys,
-    }
+    return touching.wall(name, normal, stuff or material(), offset, **keys)
 
 
 def tile(name, x, y=0.0, edge=0.1, stuff=None):
-    """Return a box whose top face is z = 0."""
     return {
         "name": name,
         "shape": "box",
@@ -88,12 +71,16 @@ def engine(*things, **tables):
 
 
 def poses(points, vectors=None):
-    """Return poses (n, 7) with positions (n, 3) and rotation vectors (n, 3)."""
     points = np.asarray(points, float)
     vectors = np.zeros_like(points) if vectors is None else np.asarray(vectors, float)
     angles = np.linalg.norm(vectors, axis=1, keepdims=True)
     axes = np.divide(vectors, angles, out=np.zeros_like(vectors), where=angles > 0.0)
     return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) * axes])
+
+
+def turning(axis, angle, ticks):
+    """Return the rotation vectors (ticks, 3) of a turn about a coordinate axis."""
+    return np.outer(np.linspace(0.0, angle, ticks + 1)[1:], np.eye(3)[axis])
 
 
 def line(start, end, ticks):
@@ -106,7 +93,6 @@ def part(records, name, size=3):
 
 
 def pressing(goal, ticks=20):
-    """Return points of a straight path down to a goal."""
     above = np.add(goal, [0.0, 0.0, 0.003])
     return np.vstack([above, line(above, goal, ticks)])
 
@@ -117,7 +103,6 @@ PRESS = pressing(IN_GROOVE, 100)
 
 
 def in_groove(running, points, vectors=None):
-    """Return the records of a path in the groove, after pressing 1 mm into it."""
     running.run(poses(PRESS))
     return running.run(poses(points, vectors))
 
@@ -141,7 +126,6 @@ def test_friction_along_a_groove_is_the_sum_of_both_laws(order, laws, expected):
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("shifted", [-1e-5, 1e-5])
 def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
-    """The drag does not depend on which wall was touched first."""
     running = engine(*groove(order, [material(None), material()]))
     begin = np.add(ABOVE, [shifted, 0.0, 0.0])
     running.run(poses(np.vstack([begin, line(begin, IN_GROOVE, 100)])))
@@ -150,7 +134,6 @@ def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
 
 
 def test_each_patch_is_in_the_record():
-    """The record contains object, point, normal, force and mode of each wall; the forces sum to the total."""
     running = engine(*groove(stuff=[material(), material(LATE)]))
     record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
     for i in (0, 1):
@@ -167,7 +150,6 @@ def test_each_patch_is_in_the_record():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_first_patch_has_the_largest_load(order):
-    """At equal depth the wall that is three times as stiff is listed first, in either scene order."""
     running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
     record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
     for i in (0, 1):
@@ -188,8 +170,7 @@ def test_equal_walls_give_no_moment_about_the_bisector():
 def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
     """By symmetry the tangential forces cancel, and the torques add."""
     running = engine(*groove(order))
-    spin = np.zeros((400, 3))
-    spin[:, 2] = np.linspace(0.0, 1.0, 401)[1:]
+    spin = turning(2, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
     assert np.abs(part(records, "force")[:, :2]).max() < 1e-12
     # Each patch rubs with mu_d f at a distance r sin 45 from the bisector.
@@ -202,8 +183,7 @@ def test_rotation_about_the_groove_rubs_on_both_walls(order):
     """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
     (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove(order))
-    turn = np.zeros((400, 3))
-    turn[:, 1] = np.linspace(0.0, 1.0, 401)[1:]
+    turn = turning(1, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
     np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
     np.testing.assert_allclose(part(records, "force")[-1], [0.0, 0.0, 1.0], atol=1e-12)
@@ -217,7 +197,6 @@ ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
 def test_friction_is_constant_across_a_seam(order, speed):
-    """Two flush boxes act like one plane: sliding friction is mu_d f_N on both sides of the seam."""
     running = engine(*[SEAM[i] for i in order])
     half = min(0.03, 0.5 * speed)  # at most one second
     start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
@@ -252,13 +231,11 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
 
 
 def tiled(edge, stuff, side=10):
-    """Return side x side flush boxes around the origin whose tops form the surface z = 0."""
     at = edge * (np.arange(side) - 0.5 * (side - 1))
     return [tile(f"tile {i} {j}", x, y, edge, stuff) for i, x in enumerate(at) for j, y in enumerate(at)]
 
 
 def all_over():
-    """Return poses that press, drag, roll and spin within 30 mm x 30 mm."""
     t = np.linspace(0.0, 20.0, 4000)
     points = np.stack([0.014 * np.sin(1.3 * t), 0.014 * np.sin(1.7 * t), R - 0.0006 + 0.001 * np.sin(2.9 * t)], axis=1)
     return poses(points, np.stack([0.9 * np.sin(1.1 * t), 0.9 * np.sin(1.9 * t), 0.5 * np.sin(2.3 * t)], axis=1))
@@ -282,7 +259,6 @@ WAYS = {
 @pytest.mark.scaled
 @pytest.mark.parametrize(("path", "tip"), [*((path, {}) for path in WAYS), ("all over", SOFT)])
 def test_a_tiled_surface_equals_a_plane(cases, path, tip):
-    """A hundred flush boxes of 6 mm give the same records as a plane."""
     stuff = material(GRIP, LIMP)
     whole = WAYS[path]()
     path = whole[:: len(whole) // cases(200, len(whole))]
@@ -315,16 +291,7 @@ def test_object_indices_follow_the_scene_file():
     assert running.run(poses(pressing([0.0, 0.05, 0.009])))[-1, AT.contact_object] == 4.0
 
 
-def test_any_number_of_moving_objects_is_one_type():
-    """Scenes of 25 driven boxes, four driven boxes and four fixed boxes have the same compiled type."""
-    moving = [each | {"motion": {"kind": "driven"}} for each in tiled(0.004, material(), 5)]
-    fixed = tiled(0.004, material(), 2)
-    scenes = [build_scene(build(Scene, BASE | PLAIN | {"object": each}, "")) for each in (moving, moving[:4], fixed)]
-    assert len({numba.typeof(scene) for scene in scenes}) == 1
-
-
 def test_another_number_of_objects_is_another_scene():
-    """Tuning to a scene with fewer objects raises ValueError, because a patch could refer to a removed object."""
     more, fewer = (build(Scene, BASE | PLAIN | {"object": tiled(0.004, material(), side)}, "") for side in (4, 3))
     with pytest.raises(ValueError, match="other parts"):
         Engine(more).tune(fewer)
@@ -332,12 +299,10 @@ def test_another_number_of_objects_is_another_scene():
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
-    """Torsion wound on one box persists on the next."""
     running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
     start = ON_SEAM - [0.004, 0.0, 0.0]
     running.run(poses(pressing(start)))
-    spin = np.zeros((50, 3))
-    spin[:, 2] = np.linspace(0.0, 0.06, 51)[1:]
+    spin = turning(2, 0.06, 50)
     running.run(poses(np.tile(start, (50, 1)), spin))
     ticks = 400
     angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
@@ -355,8 +320,7 @@ def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
 def test_weight_shifted_between_walls_hands_the_moment_on():
     """When the load shifts between walls, the torque changes no faster than the shift of the load."""
     running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))
-    spin = np.zeros((300, 3))
-    spin[:, 2] = np.linspace(0.0, 0.4, 301)[1:]
+    spin = turning(2, 0.4, 300)
     in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2001))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(2000), np.zeros(2000)], axis=1)
@@ -374,8 +338,7 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
 def test_each_wall_winds_its_share_of_the_torsional_spring(law):
     """Spun by phi about the bisector, each of two equal walls winds k_z / 2 by phi cos 45 about its normal."""
     running = engine(*groove(stuff=[material(None, STRONG | law)] * 2), rolling=None)
-    spin = np.zeros((50, 3))
-    spin[:, 2] = np.linspace(0.0, 0.05, 51)[1:]
+    spin = turning(2, 0.05, 50)
     records = in_groove(running, np.tile(IN_GROOVE, (50, 1)), spin)
     # A rotation of 1 mrad about an axis 45 degrees off projects exactly up to a relative error of 1e-6 / 24.
     np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
@@ -402,8 +365,7 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
     """The moment against rolling is 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
     stored energy."""
     running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
-    turn = np.zeros((20, 3))
-    turn[:, 1] = np.linspace(0.0, 0.02, 21)[1:]
+    turn = turning(1, 0.02, 20)
     in_groove(running, np.tile(IN_GROOVE, (20, 1)), turn)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 401))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(400), np.zeros(400)], axis=1)
@@ -470,7 +432,6 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_wall_that_moves_in_has_its_damping(order):
-    """The finger rests on the floor while a wall with 20 N s/m moves in at 10 mm/s."""
     stuff = material(None, damping_ns_per_m=20.0)
     turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
     things = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
@@ -487,7 +448,6 @@ def test_a_wall_that_moves_in_has_its_damping(order):
 
 
 def test_a_shallow_valley_is_nearly_a_plane():
-    """Dragged through a valley of one degree, friction equals that of the plane up to the effect of the slope."""
     half = np.radians(0.5)
     running = engine(*groove(angle=half))
     start, end = np.array([-0.005, 0.0, R - 0.001]), np.array([0.005, 0.0, R - 0.001])
@@ -517,7 +477,6 @@ def test_forces_of_a_pinch_add(order):
 
 
 def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
-    """Only the floor presses while there is room; once the ceiling reaches the probe, it adds a spring."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
     records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
@@ -533,7 +492,6 @@ CLOSING = 0.003
 
 
 def jaws():
-    """Return an engine with three plates at 120 degrees that close within half a second."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, CLOSING], "frequency_hz": 0.5}
     stuff = material(GRIP, STRONG)
     return engine(*(wall(f"jaw {i}", n, stuff, -R - 0.001) | {"motion": motion} for i, n in enumerate(JAWS)))
@@ -571,22 +529,17 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     running, angle = jaws(), 0.01
     closed = running.run(poses(np.zeros((500, 3))))
     np.testing.assert_allclose(part(closed, "force")[-1], 0.0, atol=1e-11)
-    vectors = np.zeros((10, 3))
-    vectors[:, 0] = np.linspace(0.0, angle, 11)[1:]
+    vectors = turning(0, angle, 10)
     tilted = part(running.run(poses(np.zeros((10, 3)), vectors)), "torque")
     # A roll in steps of 1 mrad about an axis that no patch rotates about: exact up to second order.
     np.testing.assert_allclose(tilted[-1], [-0.5 * (0.05 + 1000.0 * R**2) * angle, 0.0, 0.0], atol=1e-9)
     running.reset()
     running.run(poses(np.zeros((500, 3))))
-    vectors = np.zeros((200, 3))
-    vectors[:, 2] = np.linspace(0.0, 1.5, 201)[1:]
+    vectors = turning(2, 1.5, 200)
     spun = part(running.run(poses(np.zeros((200, 3)), vectors)), "torque")
     # The jaws are opening again, 0.7 s after they started to close.
     load = 3.0 * 1000.0 * (CLOSING * np.sin(0.7 * np.pi) - 0.001)
     np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
-
-
-# --- a soft fingertip ------------------------------------------------------------------------------
 
 
 @pytest.mark.sampled(1)
@@ -594,8 +547,7 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
 def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     """Spun by phi about the bisector, each patch winds by phi / sqrt 2 with stiffness f R, up to mu_s 3 pi / 16 a f."""
     running = engine(*groove(order, [material(GRIP, LIMP)] * 2), **SOFT)
-    spin = np.zeros((300, 3))
-    spin[:, 2] = np.linspace(0.0, 1.0, 301)[1:]
+    spin = turning(2, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
     limit = 0.6 * 3.0 * np.pi / 16.0 * a * F
@@ -612,8 +564,7 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
 def test_each_wall_resists_rolling_by_its_own_load(order):
     """Rotated about the groove's axis without friction, each wall resists with 3/16 alpha a f once it slips."""
     running = engine(*groove(order, [material(None)] * 2), rolling=None, **SOFT)
-    turn = np.zeros((300, 3))
-    turn[:, 1] = np.linspace(0.0, 1.0, 301)[1:]
+    turn = turning(1, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), turn)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
     moment = 2.0 * np.minimum(3.0 / 16.0 * 0.4 * R * F * turn[:, 1], 3.0 / 16.0 * 0.4 * a * F)

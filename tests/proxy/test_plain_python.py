@@ -44,7 +44,6 @@ def way(center: Any) -> Any:
 
 
 def records_of(name: str) -> Any:
-    """Records (n, fingers, RECORD_SIZE) of the scene."""
     engine = Engine(name)
     if len(engine.fingers) == 1:
         return engine.run(way(CENTERS[name]))[:, None].copy()
@@ -54,7 +53,6 @@ def records_of(name: str) -> Any:
 
 
 def write_records(folder: Path, names: Sequence[str]) -> None:
-    """Write a file of records for each scene, in a process without a compiler."""
     assert PLAIN
     for name in names:
         np.save(folder / name, records_of(name))
@@ -84,33 +82,6 @@ def test_logic_part_runs_plain_kernels_and_its_programs_machine_code() -> None:
     assert PLAIN and "NUMBA_DISABLE_JIT" not in os.environ
 
 
-@pytest.mark.exhaustive
-def test_rows_of_objects_and_a_single_object_compile() -> None:
-    """Objects of equal type are stored in rows, a single one directly; contacts of both compile. Both have friction and
-    torsion."""
-    wood = {
-        "stiffness_n_per_m": 1000.0,
-        "friction": {"static": 0.6, "kinetic": 0.5},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
-    balls = [
-        {
-            "name": f"ball {i}",
-            "shape": "sphere",
-            "radius_m": 0.005,
-            "position_m": [0.03 * i, 0.0, 0.05],
-            "material": wood,
-        }
-        for i in range(8)
-    ]
-    floor = {"name": "floor", "shape": "plane", "material": wood}
-    running = Engine({"fingertip": {"radius_m": 0.01}, "object": [*balls, floor]})
-    still = [1.0, 0.0, 0.0, 0.0]
-    assert running.step([0.0, 0.05, 0.009], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
-    running.reset()
-    assert running.step([0.03, 0.0, 0.064], still).force.round(9).tolist() == [0.0, 0.0, 1.0]
-
-
 LESS = ("paper-plane", "pinch")
 """Scenes in `make test`: one object; two fingers with a fourth-order method."""
 
@@ -119,7 +90,6 @@ LESS = ("paper-plane", "pinch")
     "name", [pytest.param(name, marks=[] if name in LESS else [pytest.mark.exhaustive]) for name in CENTERS]
 )
 def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
-    """All columns of all ticks and fingers are equal, over all contact modes."""
     compiled = records_of(name)
     assert np.load(plain / f"{name}.npy").tobytes() == compiled.tobytes()
     met = set(compiled[..., AT.contact_mode].ravel().tolist())
@@ -137,7 +107,6 @@ SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_
 )
 @pytest.mark.skipif(PLAIN, reason="there is nothing compiled to compare with")
 def test_rolls_are_the_same_numbers(method: str, name: str) -> None:
-    """Compiled steps of 0.3 rad and the same source in Python end with the same numbers."""
     center, normal = touching(SHAPES[name], np.random.default_rng(19))
     case = (METHODS[method], SHAPES[name], RADIUS, center, normal, (0.2, -0.15, 0.17), 8)
     (off, stretched, compiled), (plain_off, plain_stretched, plain) = roll_long(*case), roll_long.py_func(*case)

@@ -20,7 +20,6 @@ SETTLED = 18
 
 
 def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None:
-    """From left to right, the normal force is K d, and the friction peaks at mu_s K d and then is mu_d K d."""
     scene, poses = load_scene("plates"), load_poses("plates")
     records = Engine("plates").run(np.hstack([poses.position, poses.orientation]))
     touched = records["contact.object"]

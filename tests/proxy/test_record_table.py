@@ -19,7 +19,6 @@ NEW = '    fault_level: Annotated[int, 2, "float", "V", "rotor", "a field that a
 
 
 def test_columns_follow_each_other():
-    """Each field starts where the previous one ends; names, sizes and kinds are consistent."""
     assert [field.at for field in FIELDS] == list(AT)
     ends = [field.at + field.size for field in FIELDS]
     assert [0, *ends] == [*AT, RECORD_SIZE]
@@ -30,7 +29,6 @@ def test_columns_follow_each_other():
 
 
 def test_step_has_every_field_that_the_contact_fills():
-    """The engine's Step contains every field that a contact writes, except its inputs and the list of patches."""
     row = np.full(RECORD_SIZE, np.nan)
     outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
@@ -49,7 +47,6 @@ def contact_types():
 
 
 def test_step_has_the_types_of_the_table():
-    """Each value is an int, a float or an array as in the table; the cause is returned by name."""
     step = Step(np.arange(1.0, RECORD_SIZE + 1.0) % len(CAUSE_NAMES))
     assert step.cause in CAUSE_NAMES
     for name, field in STEP_FIELDS.items():
@@ -119,7 +116,6 @@ sys.exit(main(["schema", "telemetry"]))
 
 
 def test_new_field_is_everywhere(tree):
-    """One new line in the table adds the field to the record, the wire format, all result files and the schema."""
     done = run_in(tree, "-c", EVERYWHERE)
     assert done.returncode == 0, done.stderr
     assert '"fault.level"' in done.stdout
@@ -128,7 +124,6 @@ def test_new_field_is_everywhere(tree):
 
 @pytest.mark.exhaustive
 def test_a_new_field_makes_the_reference_page_fail(tree):
-    """The reference page of the fields is out of date, and the failure names the command that updates it."""
     page = "tests/tools/test_reference.py::test_a_page_equals_the_generated_one[record.md]"
     done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
     assert done.returncode == 1, done.stdout + done.stderr

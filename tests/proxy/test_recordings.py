@@ -31,7 +31,6 @@ def engine() -> Engine:
 
 @pytest.fixture(scope="module")
 def letter() -> Engine:
-    """Engine with the same scene and the paper's original state machine."""
     scene = load_scene("paper-plane")
     assert scene.rolling is not None
     rolling = msgspec.structs.replace(scene.rolling, state_machine="paper")
@@ -49,7 +48,6 @@ def causes(records: np.ndarray) -> list[str]:
 
 
 def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
-    """The generator reproduces the shipped files byte for byte, and they are small."""
     written = recordings.write(tmp_path)
     assert sorted(path.stem for path in written) == list_shipped_recordings()
     for path in written:
@@ -59,7 +57,6 @@ def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", list(recordings.RECORDINGS))
 def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
-    """A recording starts and ends at rest in the same pose off the object, so a loop needs no return path."""
     poses = load_poses(name)
     start = list(recordings.RECORDINGS[name].start)
     assert poses.position[0].tolist() == poses.position[-1].tolist() == start
@@ -69,7 +66,6 @@ def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
 
 
 def test_all_modes_occur() -> None:
-    """The main recording contains free, rolling and sliding contact, and its spins reach the torsional limit."""
     records = run(Engine("paper-plane", rate_hz=250.0), "press-roll-spin-drag")
     assert {FREE, ROLLING, SLIDING} == set(records[:, AT.contact_mode].astype(int))
     order = causes(records)
@@ -83,7 +79,6 @@ def test_all_modes_occur() -> None:
 
 
 def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
-    """A roll of 1 rad that the hand follows never slides, and its tangential force is near zero."""
     records, _ = rolled(engine)
     assert causes(records) == ["touch", "release"]
     # positions rounded to 0.1 um, and slerp against cubic between 100 Hz samples: 0.2 um at 1000 N/m
@@ -92,13 +87,9 @@ def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
 
 
 def test_three_taps(engine: Engine) -> None:
-    """Each of three taps touches and releases, with a peak of 1 N."""
     records = run(engine, "tap")
     assert causes(records) == ["touch", "release"] * 3
     assert records[:, AT.contact_normal_force].max() == pytest.approx(1.0, abs=1e-9)
-
-
-# --- the paper's two failure cases, in a recorded roll -----------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -187,7 +178,6 @@ def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> Non
 
 
 def test_every_recording_has_a_description() -> None:
-    """motions.toml describes exactly the shipped recordings."""
     descriptions = tomllib.loads((SHIPPED / "motions.toml").read_text("utf-8"))
     assert sorted(descriptions) == list_shipped_recordings()
     assert all(set(description) == {"motion", "course"} for description in descriptions.values())

@@ -53,7 +53,6 @@ def stepped(model, data, count):
 
 
 def output_of(code: str, *words: str, **environment: str) -> str:
-    """Return the output of a program that starts with HEAD."""
     process = subprocess.run(
         [sys.executable, "-c", HEAD + code, *words],
         env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment,

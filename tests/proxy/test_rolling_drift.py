@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from conftest import SceneFactory
 from helpers.examples import Cases
 from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, roll_long, touching
-from references.rotation import matrix, multiply, quaternion
-
-from softfinger.proxy.engine import Engine
 
 pytestmark = pytest.mark.plain
 
@@ -27,25 +21,9 @@ SHORT = 1000
 @pytest.mark.scaled
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: str) -> None:
-    """At every step the contact point is on the object within 1e-12 m, and the normal has unit length."""
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     ticks = cases(SHORT, 10 * MILLION if name in LONG else MILLION // 5)
     off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)
     # On a plane the path leads far away, and rounding grows with the distance: 1e-16 of at most 10 m.
     assert off < 1e-12
     assert stretched < 1e-14
-
-
-# The fingertip's contact point does not depend on the method: three methods, since each compiles an engine.
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "montana_rk45"])
-def test_contact_on_the_fingertip_agrees_with_its_orientation(plane_scene: SceneFactory, method: str) -> None:
-    """Rotated into the world, the contact point on the fingertip is the one on the object, to rounding."""
-    options: dict[str, Any] = {"method": method} | ({"tolerance": 1e-12} if method == "montana_rk45" else {})
-    engine = Engine(plane_scene(rolling=options, material={"friction": {"static": 1000.0, "kinetic": 1000.0}}))
-    rng, q = np.random.default_rng(32), np.array([1.0, 0.0, 0.0, 0.0])
-    for _ in range(200):
-        q = multiply(quaternion(rng.normal(0, 0.3, 3)), q)
-        step = engine.step([0, 0, RADIUS - 0.001], q)
-        assert step.finger_point == pytest.approx(-RADIUS * matrix(q).T @ step.normal, abs=1e-16)
-        assert step.proxy_position + matrix(q) @ step.finger_point == pytest.approx(step.point, abs=1e-15)

@@ -37,7 +37,6 @@ CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", CLOSED)
 def test_rotation_vector_is_exact(name: str) -> None:
-    """A constant rate of up to half a turn per tick gives the integrated end point and spin to 1e-13 m."""
     rng, shape = np.random.default_rng(11), SHAPES[name]
     worst = 0.0
     for _ in range(6):
@@ -53,7 +52,6 @@ def test_rotation_vector_is_exact(name: str) -> None:
 
 @pytest.mark.parametrize("begins", ["barrel", "end"])
 def test_rotation_vector_is_exact_from_barrel_and_end_of_a_cylinder(begins: str) -> None:
-    """Rolls that start on the barrel or end of a capped cylinder match the integrated path, also across the rim."""
     rng, shape, crossed = np.random.default_rng(14), SHAPES["capped cylinder"], 0
     out_of = shape.radius + RADIUS, shape.half_length + RADIUS
     for _ in range(10):
@@ -76,7 +74,6 @@ def test_rotation_vector_is_exact_from_barrel_and_end_of_a_cylinder(begins: str)
 
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
 def test_rotation_vector_at_all_sizes(scale: float) -> None:
-    """From 10 um to 1 km the closed forms have the same relative accuracy."""
     rng = np.random.default_rng(12)
     for shape in (model.Sphere(3.0 * scale, 1.0), model.Sphere(3.0 * scale, -1.0), model.Cylinder(2.0 * scale, 1.0)):
         x = tuple(float(v) for v in rng.normal(0, 0.1 * scale, 3))
@@ -93,7 +90,6 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", SHAPES)
 def test_step_control_reaches_its_tolerance(name: str) -> None:
-    """montana_rk45 at 1e-12 has an error below 1e-10 of the radius for up to half a turn, also across edges."""
     rng, shape = np.random.default_rng(13), SHAPES[name]
     for _ in range(2):
         center, normal = touching(shape, rng)
@@ -131,7 +127,6 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     ],
 )
 def test_order_of_convergence(method: str, name: str, order: float) -> None:
-    """Halving the tick divides the error by two to the power of the method's order."""
     found = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
     for coarse, fine in pairwise(found):
         # At these ticks the next order contributes two per cent.
@@ -141,7 +136,6 @@ def test_order_of_convergence(method: str, name: str, order: float) -> None:
 
 @pytest.mark.parametrize("name", ["plane", "sphere", "hollow sphere"])
 def test_euler_zxz_is_exact_without_spin(name: str) -> None:
-    """A roll about a tangent axis follows the great circle of a sphere and the line of a plane, to rounding."""
     rng, shape = np.random.default_rng(14), SHAPES[name]
     for _ in range(20):
         center, normal = touching(shape, rng)
@@ -157,7 +151,6 @@ def test_euler_zxz_is_exact_without_spin(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_rolling_over_the_edge_of_a_box(method: str) -> None:
-    """A roll round an edge and down the side is on the offset surface; the normal turns without a jump."""
     box, center, normal = SHAPES["box"], (0.0, 0.0148, 0.02), (0.0, 0.0, 1.0)
     turn = rotations.exp((-1e-3, 0.0, 0.0))
     angles = []
@@ -178,7 +171,6 @@ def test_rolling_over_the_edge_of_a_box(method: str) -> None:
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_no_rotation_moves_nothing(method: str, name: str) -> None:
-    """The identity rotation gives no roll and no spin and does not move the centre, to rounding."""
     center, normal = touching(SHAPES[name], np.random.default_rng(15))
     out = roll(METHODS[method], SHAPES[name], RADIUS, center, normal, (1.0, 0.0, 0.0, 0.0))
     assert (out.motion, out.theta, out.spin) == ((0.0, 0.0, 0.0), 0.0, 0.0)
@@ -187,7 +179,6 @@ def test_no_rotation_moves_nothing(method: str, name: str) -> None:
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_tiny_rotation_rolls_by_its_tangential_part(method: str, name: str) -> None:
-    """A rotation of 1e-12 rad moves the centre by r w x n and spins by w . n, with the same relative accuracy."""
     rng, shape = np.random.default_rng(16), SHAPES[name]
     center, normal = touching(shape, rng)
     w = rotation(rng, 1e-12, 1e-12)
@@ -199,7 +190,6 @@ def test_tiny_rotation_rolls_by_its_tangential_part(method: str, name: str) -> N
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_pure_spin_does_not_roll(method: str, name: str) -> None:
-    """A rotation about the normal, of 1e-3 to 3 rad in either direction, gives spin and no roll."""
     center, normal = touching(SHAPES[name], np.random.default_rng(17))
     for angle in (1e-3, np.pi / 2, 3.0, -3.0):
         turn = rotations.exp(tuple(angle * float(n) for n in normal))
@@ -211,7 +201,6 @@ def test_pure_spin_does_not_roll(method: str, name: str) -> None:
 
 @pytest.mark.parametrize(("method", "name"), pairs())
 def test_rotations_near_half_a_turn(method: str, name: str) -> None:
-    """Just below and at pi, where the rotation axis may flip, the result is finite and on the offset surface."""
     rng, shape = np.random.default_rng(18), SHAPES[name]
     for angle in (np.pi - 1e-9, np.pi, np.pi * (1 - 1e-16)):
         center, normal = touching(shape, rng)
@@ -227,7 +216,6 @@ def test_rotations_near_half_a_turn(method: str, name: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> None:
-    """Method, k_tau and tolerance of the scene reach the kernels; k_tau defaults to the coupling's stiffness."""
     built = build_scene(plane_scene(rolling={"method": method}))
     assert type(built.rolling) is type(METHODS[method])
     assert built.fingers[0].torque_stiffness == 1000.0
@@ -249,6 +237,5 @@ def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> N
 def test_a_scene_is_refused(
     plane_scene: SceneFactory, table: dict[str, Any], rolling: dict[str, Any], message: str
 ) -> None:
-    """Missing closed forms and options of another method raise ConfigError with the remedy."""
     with pytest.raises(ConfigError, match=message):
         plane_scene(table=table, rolling={"method": "rotation_vector"} | rolling)

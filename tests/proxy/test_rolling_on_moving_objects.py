@@ -33,7 +33,6 @@ def company(things: list[dict[str, Any]]) -> Scene:
 
 
 def along(where: list[dict[str, Any]], which: dict[str, Any], place: tuple[Array, Array]) -> list[Any]:
-    """Pose of one object, and None for the others."""
     return [place if each is which else None for each in where]
 
 

@@ -21,7 +21,6 @@ print(touch.force.tolist())
 
 
 def rendered(package: Path) -> str:
-    """Force of the paper's plane on a probe 0.5 mm deep, by the package in that folder."""
     environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
     process = subprocess.run(
         [sys.executable, "-c", RENDERED], capture_output=True, text=True, timeout=120, env=environment, check=False
@@ -33,7 +32,6 @@ def rendered(package: Path) -> str:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("room", ["heightmap", "mesh"])
 def test_the_plane_is_rendered_without_another_shape(tmp_path: Path, room: str) -> None:
-    """Only the shape's folder and its name in `shapes/__init__.py` are removed."""
     package = tmp_path / "softfinger"
     for folder in ("config", "drivers", "proxy", "server", "tools"):
         shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))

@@ -1,82 +1,36 @@
 """Several objects, thin objects and moving objects: the proxy is the nearest point outside all of them."""
 
-import itertools
+from functools import partial
 
 import numpy as np
 import pytest
+from helpers import touching
+from helpers.touching import R, facing, go, wall
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
 
-R = 0.01
-UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def facing(normal):
-    """Quaternion that turns +z to `normal` (3,)."""
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    q = np.array([1.0 + n[2], -n[1], n[0], 0.0])
-    return (q / np.linalg.norm(q)).tolist() if np.linalg.norm(q) > 1e-9 else [0.0, 1.0, 0.0, 0.0]
-
-
-def wall(name, normal, offset=0.0, **material):
-    n = np.asarray(normal, float) / np.linalg.norm(normal)
-    return {
-        "name": name,
-        "shape": "plane",
-        "position_m": (offset * n).tolist(),
-        "orientation_wxyz": facing(n),
-        "material": {"stiffness_n_per_m": 1000.0} | material,
-    }
+SLICK = {"stiffness_n_per_m": 1000.0}
+engine = partial(touching.engine, rolling=None)
 
 
 def thing(name, shape, position=(0.0, 0.0, 0.0), **keys):
-    material = keys.pop("material", {"stiffness_n_per_m": 1000.0})
-    return {"name": name, "shape": shape, "position_m": list(position), "material": material, **keys}
-
-
-def engine(*objects, **tables):
-    scene = {
-        "fingertip": {"radius_m": R},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "object": list(objects),
-        **tables,
-    }
-    return Engine(build(Scene, scene, "several objects"))
-
-
-def go(running, points):
-    """Records of a run with one tick at each of `points` (n, 3), upright."""
-    return running.run(np.hstack([np.asarray(points, float), np.tile(UPRIGHT, (len(points), 1))]))
+    return {"name": name, "shape": shape, "position_m": list(position), "material": SLICK, **keys}
 
 
 def way(start, end, ticks):
     return np.linspace(start, end, ticks)
 
 
-def proxy(records):
-    at = AT.proxy_position
-    return records[:, at : at + 3]
-
-
-def force(records):
-    at = AT.force
-    return records[:, at : at + 3]
-
-
 def test_corner_of_three_planes():
-    """Behind three walls, the proxy is in the corner and each wall pushes with K times its depth."""
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
     records = go(
         corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
     )
     # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
-    np.testing.assert_allclose(proxy(records)[-1], [R, R, R], atol=1e-15)
-    np.testing.assert_allclose(force(records)[-1], [2.0, 1.0, 1.5], atol=1e-10)
+    np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
+    np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
 
 
 @pytest.mark.sampled(2)
@@ -91,19 +45,7 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     final = np.array([0.0005, 0.003, height - 0.002])
     inside = [R - n @ final for n in (n1, n2)]
     assert min(inside) > 0.0
-    np.testing.assert_allclose(proxy(records)[-1], [0.0, 0.003, height], atol=1e-12)
-
-
-def test_drag_along_a_groove_has_no_ripple():
-    """In a drag along a groove at constant depth, the force does not alternate between the walls from tick to tick."""
-    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
-    groove = engine(wall("one", n1), wall("two", n2))
-    height = R / 0.6
-    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
-    along = way((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
-    pushed = force(go(groove, np.vstack([down, along])))[110:]
-    # 50 um of travel per tick would appear as 0.05 N if the walls were solved alternately.
-    assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
+    np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.003, height], atol=1e-12)
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
@@ -117,17 +59,16 @@ def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     records = go(corner, np.vstack([begin, alike, more, alike]))
     first = records[:, AT.contact_object].tolist()
     assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
-    np.testing.assert_allclose(force(records)[-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
+    np.testing.assert_allclose(records["force"][-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
 
 
 def test_sphere_rests_between_three_spheres():
-    """On three balls the proxy is at a distance of one radius from each of them."""
     corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]
     balls = [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
     height = np.sqrt(0.02**2 - 0.012**2)
     target = (0.0003, 0.0002, height - 0.001)
     records = go(engine(*balls), np.vstack([way((0.0, 0.0, 0.03), target, 300), [target] * 20]))
-    at = proxy(records)[-1]
+    at = records["proxy.position"][-1]
     np.testing.assert_allclose([np.linalg.norm(at - p) for p in corners], 0.02, atol=1e-12)
     np.testing.assert_allclose(at, [0.0, 0.0, height], atol=1e-12)
 
@@ -145,17 +86,15 @@ def test_sphere_rests_between_three_spheres():
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_thin_object_is_not_jumped_over(shape, keys, tilt):
-    """A probe that crosses a thin object in a single tick leaves the proxy on its first side."""
     passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = go(passing, [start, start, end, end, end])
     assert (records[2:, AT.contact_mode] != 0).all()
-    assert proxy(records)[2][2] > 0.0
-    assert (force(records)[2:, 2] > 1.0).all()
+    assert records["proxy.position"][2][2] > 0.0
+    assert (records["force"][2:, 2] > 1.0).all()
 
 
 def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
-    """A finger that slides along one plate stops at a second thin plate in its path."""
     plates = [
         thing("plate", "box", size_m=[0.2, 0.2, 0.001]),
         thing("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
@@ -164,61 +103,10 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
     records = go(
         running, [(0.0, 0.0, 0.03), (0.0, 0.0, 0.03), (0.0, 0.0, 0.008), (0.09, 0.0, 0.008), (0.09, 0.0, 0.008)]
     )
-    np.testing.assert_allclose(proxy(records)[-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
-
-
-def test_no_gap_at_the_seam_of_two_objects():
-    """Two boxes next to each other form one table: a drag across the seam does not change the proxy's height."""
-    table = [thing(f"half {i}", "box", (x, 0.0, -0.05), size_m=[0.1, 0.1, 0.1]) for i, x in enumerate((-0.05, 0.05))]
-    down = way((-0.03, 0.0, 0.02), (-0.03, 0.0, 0.009), 100)
-    records = go(engine(*table), np.vstack([down, way((-0.03, 0.0, 0.009), (0.03, 0.0, 0.009), 1000)]))
-    touching = records[:, AT.contact_mode] != 0
-    np.testing.assert_allclose(proxy(records)[touching][:, 2], R, atol=1e-12)
-    assert touching[110:].all()
-
-
-def test_inside_of_a_box_is_a_corner_too():
-    """In the corner of a hollow box, three walls push with K times their depths."""
-    room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
-    records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
-    np.testing.assert_allclose(proxy(records)[-1], [0.04, 0.04, -0.04], atol=1e-12)
-    np.testing.assert_allclose(force(records)[-1], [-2.0, -3.0, 4.0], atol=1e-9)
-    assert records[-1, AT.contact_object] == 0
-
-
-def test_friction_in_a_groove_carries_the_load_of_both_walls():
-    """In a groove the friction limit is the sum of the limits of both normal forces."""
-    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
-    grip = {"friction": {"static": 0.6, "kinetic": 0.5}}
-    groove = engine(wall("one", n1, **grip), wall("two", n2, **grip))
-    height = R / 0.6
-    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
-    along = way((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
-    records = go(groove, np.vstack([down, along]))
-    # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
-    tangential = -force(records)[:, 1]
-    np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
-    np.testing.assert_allclose(np.median(tangential[-200:]), 0.5, rtol=1e-9)
-
-
-def test_contact_rides_on_a_moving_object():
-    """On a table that oscillates, the stuck contact moves with the table and pulls the still hand."""
-    grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
-    motion = {"kind": "sinusoid", "translation_m": [0.0002, 0.0, 0.0], "frequency_hz": 2.0}
-    table = thing("table", "plane", material=grip, motion=motion)
-    stiff = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}}
-    records = go(engine(table, **stiff), [(0.0, 0.0, 0.0095)] * 500)
-    t = np.arange(1, 501) * 0.001
-    moved = 0.0002 * np.sin(2.0 * np.pi * 2.0 * t)
-    # The first tick sticks. With 0.5 N of load, the drag of up to 0.4 mm * 1000 N/m is limited to 0.3 N.
-    expected = np.clip(1000.0 * (moved - moved[0]), -0.3, 0.3)
-    stuck = records[:, AT.contact_mode] == 1
-    assert stuck[:100].all()
-    np.testing.assert_allclose(force(records)[:100, 0], expected[:100], atol=1e-9)
+    np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 
 def test_turning_table_spins_the_contact():
-    """A turntable under a still fingertip winds up torsion in the opposite direction."""
     material = {
         "stiffness_n_per_m": 1000.0,
         "friction": {"static": 0.6, "kinetic": 0.5},
@@ -232,24 +120,8 @@ def test_turning_table_spins_the_contact():
     np.testing.assert_allclose(records[-1, AT.torque + 2], 0.0025, rtol=1e-9)
 
 
-def test_relative_rotation_of_a_rolling_ball_drives_rolling():
-    """A ball that turns under a still fingertip rolls the contact as far as a fingertip that turns oppositely."""
-    grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
-    tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
-    turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
-    ball = thing("ball", "sphere", radius_m=0.03, material=grip)
-    moving = go(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
-    angle = 0.2 * 0.001 * np.arange(201)
-    poses = np.zeros((201, 7))
-    poses[:, 2], poses[:, 3], poses[:, 4] = 0.039, np.cos(angle / 2), np.sin(angle / 2)
-    still = engine(ball, **tables).run(poses)
-    rolled = AT.contact_rolled
-    np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
-
-
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
-    """If the probe rests anywhere in a cluttered corner, the proxy converges to rest as well."""
     rng = np.random.default_rng(5)
     clutter = [
         wall("floor", (0, 0, 1)),
@@ -259,27 +131,7 @@ def test_proxy_never_oscillates_at_rest(cases):
     for _ in range(cases(4, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
-        moved = np.linalg.norm(np.diff(proxy(records)[-50:], axis=0), axis=1)
+        moved = np.linalg.norm(np.diff(records["proxy.position"][-50:], axis=0), axis=1)
         # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
         assert moved[-1] < 1e-6, target
-
-
-@pytest.mark.scaled
-def test_proxy_is_outside_every_object_on_random_walks(cases):
-    """For random walks of the probe between several objects, the proxy's distance to each is at least its radius."""
-    rng = np.random.default_rng(6)
-    balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
-    scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), -0.02)]
-    scene += [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
-    running = engine(*scene)
-    count = cases(1000, 5000)
-    steps = rng.normal(0.0, 0.003, (count, 3)) * rng.choice([0.1, 1.0, 10.0], (count, 1))
-    points = np.array(
-        list(itertools.accumulate(steps, lambda p, s: np.clip(p + s, -0.06, 0.08), initial=np.full(3, 0.05)))
-    )
-    at = proxy(go(running, points))
-    planes = [((0, 0, 1), 0.0), ((1, 0.2, 1), 0.0), ((0, 1, 0.1), -0.02)]
-    gaps = [at @ (np.array(n) / np.linalg.norm(n)) - d for n, d in planes]
-    gaps += [np.linalg.norm(at - p, axis=1) - 0.015 for p in balls]
-    assert np.min(gaps) > R * (1.0 - 1e-9)

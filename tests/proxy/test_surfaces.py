@@ -12,7 +12,6 @@ from helpers.examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from references.surface_points import Array, contacts, ellipsoid_foot, signed_distance, unit
-from scipy.optimize import minimize
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -70,12 +69,10 @@ def triple(v: Array) -> Triple:
 
 
 def size_of(shape: Any) -> float:
-    """Largest dimension, m."""
     return max(abs(v) for v in leaves(shape))
 
 
 def leaves(shape: Any) -> list[float]:
-    """All numbers of a shape except its side and normal."""
     fields = shape._asdict()
     fields.pop("side", None)
     fields.pop("normal", None)
@@ -83,7 +80,6 @@ def leaves(shape: Any) -> list[float]:
 
 
 def scaled(shape: Any, factor: float) -> Any:
-    """Return the shape scaled by `factor`."""
     fields = shape._asdict()
     for key, value in fields.items():
         if key not in {"side", "normal"}:
@@ -92,7 +88,6 @@ def scaled(shape: Any, factor: float) -> Any:
 
 
 def random_shape(kind: type, rng: np.random.Generator, size: float) -> Any:
-    """Return a random shape of that class, with proportions up to 1 : 100."""
     a, b, c = (float(v) for v in size * 10.0 ** rng.uniform(-2.0, 0.0, 3))
     side = 1.0 if rng.random() < 0.5 else -1.0
     build = {
@@ -114,19 +109,14 @@ kinds = st.sampled_from(KINDS)
 
 
 def near_or_far(shape: Any, rng: np.random.Generator) -> Array:
-    """Return a point deep inside to far outside a shape, sometimes in a plane of symmetry."""
     x = unit(rng) * size_of(shape) * 10.0 ** rng.uniform(-3.0, 1.5)
     return np.where(rng.random(3) < 0.15, 0.0, x)
-
-
-# --- distance, point and normal ------------------------------------------------------------------
 
 
 @pytest.mark.scaled
 @examples(150, 1250)
 @given(kind=st.sampled_from(EXPLICIT), size=scales, seed=seeds)
 def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
-    """The gap matches formulas that need no nearest point, for random proportions and sizes, inside and outside."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     for _ in range(8):
@@ -141,7 +131,6 @@ def test_gap_is_the_signed_distance(kind: type, size: float, seed: int) -> None:
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -> None:
-    """x = point + gap normal with a unit normal, and the point is on the surface."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     x = near_or_far(shape, rng)
@@ -163,7 +152,6 @@ def test_nearest_point_is_along_the_normal(kind: type, size: float, seed: int) -
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds)
 def test_nearest_point_recovers_the_surface_point(kind: type, size: float, seed: int) -> None:
-    """A point at r along the normal of a surface point, on face, edge or corner, has that nearest point."""
     rng = np.random.default_rng(seed)
     shape = random_shape(kind, rng, size)
     for point, normal, _, room in contacts(shape, rng):
@@ -215,48 +203,8 @@ def test_ellipsoid_at_the_end_of_its_medial_surface(thin: float, off: float) -> 
         assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= 1e-15 / thin
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("axes", [(0.9, 0.5, 0.7), (2.0, 0.3, 0.3), (1.0, 1.0, 0.05)])
-def test_ellipsoid_against_minimisation(axes: Triple) -> None:
-    """A general minimiser finds the same distance to the ellipsoid."""
-    rng, a = np.random.default_rng(7), np.array(axes)
-
-    def distance(free: Array, x: Array) -> float:
-        return float(np.linalg.norm(a * free / np.linalg.norm(free) - x))
-
-    for _ in range(12):
-        x = unit(rng) * rng.uniform(0.05, 2.0)
-        gap, _, _ = compiled_closest(model.Ellipsoid(axes, 1.0), triple(x))
-        starts = [x / a, *np.eye(3), *-np.eye(3)]
-        least = min(minimize(distance, start, args=(x,), tol=1e-10).fun for start in starts)
-        assert (gap > 0.0) == (np.linalg.norm(x / a) > 1.0)
-        # precision of the minimiser near a minimum
-        assert abs(gap) == pytest.approx(least, abs=1e-9)
-
-
-@every_shape
-def test_gradient_of_the_gap_is_the_normal(shape: Any) -> None:
-    """The normal equals central differences of the signed distance, except near points with several nearest points."""
-    rng, h, tested = np.random.default_rng(3), 1e-5, 0
-    while tested < 40:
-        x = near_or_far(shape, rng)
-        _, _, normal = compiled_closest(shape, triple(x))
-        steps = [
-            (compiled_closest(shape, triple(x + h * e)), compiled_closest(shape, triple(x - h * e))) for e in np.eye(3)
-        ]
-        turned = max(float(np.linalg.norm(np.subtract(side[2], normal))) for pair in steps for side in pair)
-        # At a jump of the normal there is no gradient; where the normal turns fast, the difference is inaccurate.
-        if turned > 1e-2:
-            continue
-        gradient = np.array([(plus[0] - minus[0]) / (2.0 * h) for plus, minus in steps])
-        # turned^2: truncation error of central differences; 1e-10: rounding of numbers up to 30 over 2 h.
-        assert np.linalg.norm(gradient - normal) <= turned**2 + 1e-9
-        tested += 1
-
-
 @pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 0.0) > 0.0])
 def test_inside_negates_gap_and_normal(shape: Any) -> None:
-    """The inside of a shape has the same nearest point; gap and normal change sign."""
     rng = np.random.default_rng(4)
     for _ in range(50):
         x = triple(near_or_far(shape, rng))
@@ -286,7 +234,6 @@ SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
 def test_tied_nearest_points_are_resolved_deterministically(
     shape: Any, x: Triple, gap: float, point: Triple, normal: Triple
 ) -> None:
-    """At centres, on axes and on core circles, a fixed one of the nearest points is returned, exactly."""
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 
@@ -294,7 +241,6 @@ def test_tied_nearest_points_are_resolved_deterministically(
 @examples(150, 1500)
 @given(kind=kinds, size=scales, seed=seeds, x=st.tuples(*[st.floats(-1e100, 1e100)] * 3))
 def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
-    """For coordinates up to 1e100 m, gap, point and curvatures are finite and the normal is a unit vector."""
     shape = random_shape(kind, np.random.default_rng(seed), size)
     gap, point, normal = compiled_closest(shape, x)
     assert math.isfinite(gap)
@@ -309,16 +255,12 @@ def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: T
 @pytest.mark.parametrize("x", [(5e-324, 0.0, 0.0), (1e-320, 1e-310, 0.0), (0.0, 1e-170, -1e-200), (1e-160, 1e-90, 0.1)])
 @every_shape
 def test_tiny_coordinates_count_as_zero(shape: Any, x: Triple) -> None:
-    """Coordinates whose squares or inverses are out of the range of float64 give the result of zeros."""
     gap, point, normal = compiled_closest(shape, x)
     nothing = compiled_closest(shape, triple(np.where(np.abs(x) < 1e-80, 0.0, x)))
     # Rounding of lengths below 1 m.
     assert gap == pytest.approx(nothing[0], abs=4 * EPS)
     assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
     assert all(math.isfinite(v) for v in point)
-
-
-# --- curvature -----------------------------------------------------------------------------------
 
 
 @pytest.mark.scaled
@@ -370,7 +312,6 @@ def test_curvature_at_the_ends_of_long_ellipsoids(ratio: float) -> None:
 
 @every_shape
 def test_curvature_at_edges_tolerates_rounded_normals(shape: Any) -> None:
-    """A normal without exact zeros, rounded by 1e-15, gives the same curvature."""
     rng = np.random.default_rng(8)
     for point, normal, _, room in contacts(shape, rng):
         r = min(0.2, 0.5 * room)
@@ -392,7 +333,6 @@ def test_edges_have_a_fan_of_normals(slope: float) -> None:
 
 @pytest.mark.parametrize("shape", [s for s in SHAPES if getattr(s, "side", 1.0) < 0.0 or isinstance(s, model.Torus)])
 def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
-    """A hollow that the fingertip fills or does not fit into gives large but finite curvatures."""
     rng = np.random.default_rng(9)
     # The last case is a spherical ellipsoid that is filled exactly.
     for hollow, radius in [
@@ -406,14 +346,10 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
             assert math.isfinite(k2)
 
 
-# --- transport -----------------------------------------------------------------------------------
-
-
 @pytest.mark.scaled
 @examples(100, 500)
 @given(seed=seeds, nearness=st.floats(-17.0, 0.0), opposite=st.booleans())
 def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite: bool) -> None:
-    """The old normal is rotated to the new one about their common perpendicular, also close to opposite ones."""
     rng = np.random.default_rng(seed)
     before, v = unit(rng), unit(rng)
     after = (-before if opposite else before) + 10.0**nearness * unit(rng)
@@ -437,7 +373,6 @@ def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite
 
 
 def test_transport_between_opposite_normals() -> None:
-    """Half a turn preserves lengths, tangents and the handedness of the frame."""
     rng = np.random.default_rng(10)
     for _ in range(50):
         n = unit(rng)
@@ -448,11 +383,7 @@ def test_transport_between_opposite_normals() -> None:
 
 
 def test_transport_on_a_plane_is_the_identity() -> None:
-    """On a plane the normal does not turn: a vector is returned bit for bit."""
     assert compiled_transport(SHAPES[0], (0.1, 0.2, 0.3), (0.6, 0.0, 0.8), (0.6, 0.0, 0.8)) == (0.1, 0.2, 0.3)
-
-
-# --- scale, symmetry, compilation ----------------------------------------------------------------
 
 
 @every_shape
@@ -470,26 +401,8 @@ def test_results_scale_with_the_size(shape: Any) -> None:
             assert compiled_curvature(large, factor * 0.125, p, n) == (k1 / factor, k2 / factor, d1)
 
 
-@pytest.mark.parametrize("kind", [model.Box, model.Ellipsoid])
-def test_permuted_axes_give_permuted_results(kind: type) -> None:
-    """Permuting and mirroring the axes of a box or an ellipsoid permutes and mirrors the result."""
-    rng = np.random.default_rng(12)
-    for _ in range(100):
-        shape, order = random_shape(kind, rng, 1.0), rng.permutation(3)
-        shape = shape._replace(side=1.0) if kind is model.Ellipsoid else shape
-        signs, x = np.where(rng.random(3) < 0.5, -1.0, 1.0), unit(rng)
-        other = shape._replace(**{shape._fields[0]: triple(np.array(shape[0])[order])})
-        gap, point, normal = compiled_closest(shape, triple(x))
-        g, p, n = compiled_closest(other, triple((signs * x)[order]))
-        # Sums of three terms are added in another order.
-        assert g == pytest.approx(gap, abs=1e-14)
-        assert p == pytest.approx((signs * point)[order], abs=1e-13)
-        assert n == pytest.approx((signs * normal)[order], abs=1e-11)
-
-
 @every_shape
 def test_compiled_kernels_match_plain_python(shape: Any) -> None:
-    """Results are equal bit for bit, so that a kernel can be debugged as plain Python."""
     rng = np.random.default_rng(13)
     for _ in range(60):
         x, v = triple(near_or_far(shape, rng)), triple(unit(rng))
@@ -505,9 +418,6 @@ def test_closest_is_not_defined_for_meshes_and_height_maps(searched: Any) -> Non
     """`closest` cannot report an incomplete search, so it is not defined for shapes that need one."""
     with pytest.raises(TypeError, match="closest is not defined"):
         closest(searched(*searched._fields), (0.0, 0.0, 0.0))
-
-
-# --- continuous collision ------------------------------------------------------------------------
 
 
 def on_a_ring(rng: np.random.Generator) -> Array:
@@ -529,8 +439,6 @@ SAMPLED = 400
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", THIN)
 def test_no_path_crosses_a_thin_object(name: str) -> None:
-    """A path that takes the fingertip clearly inside a thin object is stopped, at a point outside of it. Start and end
-    are outside; the path may be nearly parallel to the object."""
     (shape, within), rng, radius, stopped = THIN[name], np.random.default_rng(8), 0.002, 0
     for _ in range(400):
         through = within(rng)

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from conftest import merged
 from helpers.examples import Cases, examples
+from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -70,27 +71,18 @@ def scene(tmp_path: Path) -> Make:
     return made
 
 
-def poses_at(points: Array) -> Array:
-    """Return poses (n, 7) of an unrotated fingertip."""
-    return np.hstack([points, np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))])
-
-
 def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
-    """Return random points (count, 3) over several periods, at this depth below first contact with an even plane."""
     points = np.random.default_rng(seed).uniform(-2.2 * SIZE, 2.2 * SIZE, (count, 3))
     points[:, 2] = R - depth
     return points
 
 
 def forces(engine: Engine, points: Array) -> Array:
-    return engine.run(poses_at(points))[:, AT.force : AT.force + 3]
+    return engine.run(posed(points))[:, AT.force : AT.force + 3]
 
 
 def extent(wave: Wave) -> dict[str, Any]:
     return {"texture": {"size_m": [wave.width, wave.depth]}}
-
-
-# --- heights --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("wave", [OBLIQUE, Wave(64, 1, SIZE, SIZE, (4, 0)), Wave(3, 31, SIZE, SIZE, (0, 9))])
@@ -122,23 +114,8 @@ def test_ripple_above_the_cutoff_is_removed(scene: Make, speed: float) -> None:
     assert ripple < REST or cutoff < 2e-3
 
 
-@examples(70, 200)
-@given(pitch=st.floats(0.02, 3.0), turns=st.floats(0.0, 1.0), image=st.integers(-3, 3))
-def test_frequencies_above_the_cutoff_are_reduced_to_a_hundredth(pitch: float, turns: float, image: int) -> None:
-    """For any pitch, a wave of `turns` / 2 of a turn per sample, and its images in the spline, are reduced above the
-    cutoff.
-
-    In units of the cutoff. An image at f + k / pitch has the filter's gain at f times sinc^4 at the image.
-    """
-    f = 0.5 * turns / pitch
-    frequency = abs(f + image / pitch)
-    if frequency >= 1.0:
-        assert REST ** (f * f) * np.sinc(f * pitch + image) ** 4 <= REST * (1.0 + 4.0 * EPS)
-
-
 @pytest.mark.parametrize(("border", "rows"), [("period", 24), ("clamp", 24), ("period", 1), ("clamp", 1)])
 def test_filter_is_the_gaussian_mean_of_the_extended_array(border: str, rows: int) -> None:
-    """The filter equals a direct Gaussian-weighted sum over the repeated or mirrored array."""
     grid = np.random.default_rng(1).uniform(0.0, 1.0, (rows, 18))
     pitch, cutoff = (1.0e-3, 0.8e-3), 6.0e-3
     repeats = border == "period"
@@ -191,12 +168,11 @@ def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, 
 
 
 def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> None:
-    """At a penetration smaller than the valley's depth the force is exactly zero, still in contact, and never pulls."""
     wave = Wave(64, 1, SIZE, SIZE, (2, 0))
     depth = 0.3 * HEIGHT
     points = over_plane(200, depth)
     z, _, _ = wave.texture(CUTOFF, points[:, 0], points[:, 1])
-    rows = Engine(scene(wave.samples())).run(poses_at(points))
+    rows = Engine(scene(wave.samples())).run(posed(points))
     expected = K * np.maximum(depth - HEIGHT * (1.0 - z), 0.0)
     np.testing.assert_allclose(rows[:, AT.force + 2], expected, rtol=0.0, atol=ROUNDING)
     assert (expected == 0.0).any() and (expected > 0.0).any() and (rows[:, AT.contact_mode] != FREE).all()
@@ -211,7 +187,7 @@ def test_damping_dissipates_along_the_slope(scene: Make) -> None:
     points = over_plane(30)
     steps = np.random.default_rng(3).uniform(-2e-4, 2e-4, (30, 3))  # up to 0.2 m/s: the spring force remains larger
     for point, step in zip(points, steps, strict=True):
-        without, having = (engine.run(poses_at(np.stack([point - step, point])))[1] for engine in engines)
+        without, having = (engine.run(posed(np.stack([point - step, point])))[1] for engine in engines)
         elastic = without[AT.force : AT.force + 3]
         m = elastic / elastic[2]
         expected = elastic - damping * (m @ step) / dt * m
@@ -303,7 +279,6 @@ TURN = np.array([0.5, -0.1, 0.7, 0.5]) / np.linalg.norm([0.5, -0.1, 0.7, 0.5])
 
 
 def test_texture_moves_with_the_pose_of_its_object(scene: Make) -> None:
-    """Rotating and moving hand and object together rotates the force."""
     grid, place, points = OBLIQUE.samples(), np.array([0.02, -0.03, 0.01]), over_plane(40)
     there = {"position_m": place.tolist(), "orientation_wxyz": TURN.tolist()}
     at_rest = forces(Engine(scene(grid, extent(OBLIQUE))), points)
@@ -312,7 +287,6 @@ def test_texture_moves_with_the_pose_of_its_object(scene: Make) -> None:
 
 
 def test_texture_moves_with_a_moving_object(scene: Make) -> None:
-    """A finger that moves with the object has the same force in every tick."""
     motion = {"kind": "sinusoid", "translation_m": [0.02, 0.01, 0.0], "frequency_hz": 1.5}
     engine = Engine(scene(OBLIQUE.samples(), extent(OBLIQUE), motion=motion))
     point, count = np.array([0.003, 0.001, R - DEPTH]), 700
@@ -325,8 +299,6 @@ def test_texture_moves_with_a_moving_object(scene: Make) -> None:
 
 
 def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
-    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
-    forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -344,14 +316,13 @@ def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
     for x in at:
         # Start in free space: a first pose inside several objects touches only the deepest.
         way = np.stack([x + 2e-3, x, x])
-        got = together.run(poses_at(way))[-1, AT.force : AT.force + 3]
-        expected = sum(engine.run(poses_at(way))[-1, AT.force : AT.force + 3] for engine in alone)
+        got = together.run(posed(way))[-1, AT.force : AT.force + 3]
+        expected = sum(engine.run(posed(way))[-1, AT.force : AT.force + 3] for engine in alone)
         np.testing.assert_allclose(got, expected, rtol=0.0, atol=ROUNDING)
         together.reset()
 
 
 def test_clamped_border_is_level(scene: Make) -> None:
-    """Beyond the array the value of its border applies, without a tangential force across it."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     engine = Engine(scene(grid, texture={"border": "clamp"}))
     y = np.linspace(-0.4 * SIZE, 0.4 * SIZE, 15)
@@ -363,7 +334,6 @@ def test_clamped_border_is_level(scene: Make) -> None:
 
 
 def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make) -> None:
-    """Beyond the rows the value of the border applies all around; the texture repeats after an eighth of a turn."""
     grid = np.random.default_rng(2).uniform(size=(9, 12))
     texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
     engine = Engine(scene(grid, SHAPES["cylinder"], texture=texture))
@@ -377,8 +347,6 @@ def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make
         load = np.linalg.norm(found, axis=1)
         assert load[0] == pytest.approx(load[-1], abs=1e-9) and np.ptp(load) > 1e-3
 
-
-# --- friction -------------------------------------------------------------------------------------
 
 FRICTION = {"static": 0.6, "kinetic": 0.5}
 LAWS: dict[str, dict[str, Any]] = {
@@ -397,7 +365,7 @@ def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) ->
     friction = {"stiffness_n_per_m": K, "friction": FRICTION | LAWS[law]}
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
     x = np.linspace(0.0, 0.03, 400)
-    rows = engine.run(poses_at(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
+    rows = engine.run(posed(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
     slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 decay from static friction
     before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
     z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
@@ -420,7 +388,7 @@ def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> 
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)
-    rows = engine.run(poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
+    rows = engine.run(posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
     breaks = int(np.argmax(rows[:, AT.contact_mode] == SLIDING))
     # On the level crest and floor of a wave of 1 m, a filter of 1 mm removes 5e-6.
     limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
@@ -435,7 +403,7 @@ def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[s
     made = scene(np.array([[0.0, 1.0]]), texture=texture, material=material)
     made = build(schema.Scene, describe(made) | {"fingertip": {"radius_m": R, "patch": patch}}, "scaled")
     x = np.full(100, 0.25)
-    poses = poses_at(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
+    poses = posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
     half = np.linspace(0.0, 1.0, 100)  # 2 rad: both springs have slipped by then
     poses[:, 3], poses[:, 6] = np.cos(half), np.sin(half)
     rows = Engine(made).run(poses)
@@ -450,7 +418,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material={"friction": FRICTION}))
     x = np.linspace(0.0, 0.03, 400)
     points = np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)
-    rows = engine.run(poses_at(points))
+    rows = engine.run(posed(points))
     slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]
     z, by_u, by_v = OBLIQUE.texture(CUTOFF, points[slides, 0], points[slides, 1])
     load = K * (DEPTH - HEIGHT * (1.0 - z))
@@ -464,9 +432,6 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     np.testing.assert_allclose(np.linalg.norm(rest, axis=1), drag, rtol=1e-8)
 
 
-# --- the array ------------------------------------------------------------------------------------
-
-
 @examples(40, 100)
 @given(
     grid=arrays.arrays(np.float64, st.tuples(st.integers(1, 7), st.integers(2, 7)), elements=st.floats(-1e3, 1e3)),
@@ -477,7 +442,6 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
 def test_texture_stays_between_its_minimum_and_maximum(
     tmp_path_factory: Any, grid: Array, u: float, v: float, border: str
 ) -> None:
-    """The interpolated value stays in range for any array and any coordinate."""
     if grid.min() == grid.max():
         grid.flat[0] += 1.0
     file = tmp_path_factory.mktemp("grid") / "grid.npy"
@@ -490,8 +454,6 @@ def test_texture_stays_between_its_minimum_and_maximum(
 
 
 def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
-    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
-    compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -501,9 +463,6 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
     np.testing.assert_array_equal(forces(engine, points), forces(Engine(second), points))
     engine.tune(first)
     np.testing.assert_array_equal(forces(engine, points), before)
-
-
-# --- scene file ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -526,8 +485,6 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
 
 
 def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
-    `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]

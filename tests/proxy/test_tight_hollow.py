@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import Cases
+from helpers.touching import engine, go, wall
 from numpy.typing import NDArray
 from references.laws import column
 from scipy.optimize import brentq
-from test_several_objects import engine, go, wall
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES
@@ -28,7 +28,6 @@ R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 
 
 def equilibrium_angle(h: float, d: float, mu: float) -> float:
-    """Angle a, rad, between zero and the angle of zero depth."""
     sign = np.sign(h)
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
 
@@ -93,7 +92,7 @@ def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(plane_scene: SceneFacto
     assert causes(records) == ["touch"]
 
 
-GRIP: dict[str, Any] = {"friction": {"static": 0.6, "kinetic": 0.5}}
+GRIP: dict[str, Any] = {"stiffness_n_per_m": K, "friction": {"static": 0.6, "kinetic": 0.5}}
 TABLES: dict[str, Any] = {"rolling": {"method": "rotation_vector"}, "coupling": {"damping_ns_per_m": 0.0}}
 
 
@@ -102,7 +101,7 @@ TABLES: dict[str, Any] = {"rolling": {"method": "rotation_vector"}, "coupling": 
 def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant: float) -> None:
     """From one wall to the other within a tick: a touch without wind-up, and no drag or reversal event."""
     offset = -R - clearance
-    slot = engine(wall("left", (1, 0, 0), offset, **GRIP), wall("right", (-1, 0, 0), offset, **GRIP), **TABLES)
+    slot = engine(wall("left", (1, 0, 0), GRIP, offset), wall("right", (-1, 0, 0), GRIP, offset), **TABLES)
     x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
     records = go(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
     force = column(records, "force", 3)
@@ -204,8 +203,6 @@ ALONE: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
 def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
-    has no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

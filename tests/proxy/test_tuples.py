@@ -19,8 +19,6 @@ from softfinger.proxy.kernels.jit.tuples import (
 
 
 class Thing(NamedTuple):
-    """Fields of three types, one of which may be None."""
-
     size: float
     place: Any
     number: int
@@ -72,7 +70,6 @@ def of_all(numbers: Any, others: Any, things: Any) -> Any:
 @pytest.mark.plain
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_functions_apply_to_tuples_of_any_length(count: int) -> None:
-    """Maps preserve the order; a fold starts with the last element."""
     numbers, others = (1.0, 2.0, 4.0)[:count], (3.0, 6.0, 9.0)[:count]
     things = (Thing(0.5, None, 3), Thing(1.5, None, 3), Thing(2.5, None, 3))[:count]
     mapped, made = of_all(numbers, others, things)

@@ -113,7 +113,6 @@ def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", ["package://toys/../../secret.stl", "package://../secret.stl", "../secret.stl"])
 def test_no_file_outside_of_its_folder_is_read(file: str, tmp_path: Path) -> None:
-    """A package's name cannot lead out of the folder either."""
     world = schema.World(model=written(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
     with pytest.raises(ConfigError, match="outside of its folder"):
         list(convert_geoms(world))

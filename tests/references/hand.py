@@ -42,6 +42,11 @@ class Hand:
         return len(self.poses) - 1
 
 
+def pressed(depth: float = 0.001) -> Hand:
+    """Hand of 10 mm that is free on its first tick and pressed into the plane z = 0 by `depth` m from the second on."""
+    return Hand([0.0, 0.0, 0.011]).go_to(1, [0.0, 0.0, 0.01 - depth])
+
+
 @dataclass(frozen=True)
 class Trace:
     """The engine's answers over n ticks: vectors (n, 3), scalars (n,)."""

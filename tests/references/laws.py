@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from helpers.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from references.hand import Hand
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import NAMED
 
 Array = NDArray[np.float64]
@@ -42,19 +45,12 @@ def rolling(law: str) -> dict[str, Any] | None:
     return None if law.startswith("frictionless") else {"method": "euler_zxz"}
 
 
-@dataclass(frozen=True)
-class Handling:
-    """Poses (n, 7) of a hand that has just begun above the plane z = 0."""
-
-    poses: Array
-
-
 @st.composite
-def handling(draw: st.DrawFn, pieces: int = 8) -> Handling:
-    """Presses, drags, rolls, spins, lifts and rests, in any order; a tick has a roll or a spin, not both.
+def handling(draw: st.DrawFn, pieces: int = 8) -> Array:
+    """Poses (n, 7) of a hand above the plane z = 0 that presses, drags, rolls, spins, lifts and rests, in any order.
 
-    With both, the rotation of a tick is not the sum of the two, and the work of the torque would be known
-    to second order only.
+    A tick has a roll or a spin, not both: otherwise the rotation of a tick is not the sum of the two, and the work of
+    the torque is known to second order only.
     """
     hand = Hand([0.0, 0.0, R + 0.0005])
     small = st.floats(-1.5e-3, 1.5e-3)
@@ -68,7 +64,19 @@ def handling(draw: st.DrawFn, pieces: int = 8) -> Handling:
         turn = [angle * roll * np.cos(heading), angle * roll * np.sin(heading), angle * (1.0 - roll)]
         rest = draw(st.sampled_from([0.0, 1.0, 1.0]))
         hand.go(draw(st.integers(1, 30)), rest * np.asarray(move), rest * np.asarray(turn))
-    return Handling(np.array(hand.poses))
+    return np.array(hand.poses)
+
+
+def check_random_handling(engine: Engine, few: int, many: int, check: Callable[[Array], None]) -> None:
+    """Call `check` with the records (n, RECORD_SIZE) of random handlings, each a new contact."""
+
+    @examples(few, many)
+    @given(handling())
+    def run(poses: Array) -> None:
+        engine.reset()
+        check(engine.run(poses))
+
+    run()
 
 
 def column(records: Array, name: str, size: int = 1) -> Array:

@@ -29,10 +29,12 @@ def quaternion(w: ArrayLike) -> Array:
 
 
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Quaternion product a b (4,): rotate by b, then by a."""
+    """Quaternion products a b (..., 4): rotate by b, then by a."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
+    scalar = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
+    return np.concatenate(
+        [scalar, a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])], axis=-1
+    )
 
 
 def matrix(q: ArrayLike) -> Array:
