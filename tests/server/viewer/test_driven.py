@@ -30,7 +30,6 @@ def told(tick: int, **what: Any) -> dict[str, Any]:
 
 
 def test_events_set_the_poses_of_driven_objects() -> None:
-    """Before the first event the scene's pose; without orientation the last one is kept; invalid ones are ignored."""
     scene = build(Scene, paper_mapping(table=LID), "test scene")
     events = [
         told(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
@@ -48,7 +47,6 @@ def test_events_set_the_poses_of_driven_objects() -> None:
 
 
 def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None:
-    """All geoms of a knob, only one of which is touched, turn by 90 degrees at tick 500."""
     scene = load_scene("turn-a-knob")
     file = tmp_path / "turned.mcap"
     with file.open("wb", buffering=0) as out:
@@ -76,7 +74,6 @@ def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> None:
-    """Scrubbing in both directions, and playing over a command, shows the last commanded position."""
     moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
     events = [told(tick, object="lid", position_m=place) for tick, place in moves.items()]
     scene = build(Scene, paper_mapping(table=LID), "recorded")

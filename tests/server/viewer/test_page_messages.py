@@ -60,7 +60,6 @@ def resident_kb(pid: int) -> int:
 
 
 def talk(address: str, messages: list[bytes]) -> None:
-    """Open the page's websocket like its script, receive one message, and send `messages`."""
     where = urlsplit(address)
     with connect(
         f"ws://{where.netloc}{where.path}", origin=Origin(f"http://{where.netloc}"), compression=None, max_queue=None,
@@ -81,8 +80,6 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
     waiters: Any = buffer.message_event._waiters
 
     class Connecting:
-        """Waiter that adds another waiter when it is checked."""
-
         def done(self) -> bool:
             waiters.append(self)
             return True
@@ -98,7 +95,6 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
 
 @pytest.mark.parametrize("seconds", [0.8, pytest.param(15.0, marks=pytest.mark.exhaustive)])
 def test_corrupted_messages_do_not_harm_the_page(seconds: float, tmp_path: Path) -> None:
-    """After random corruption the process still runs and serves, has not grown, and has logged no traceback."""
     seeds = [msgpack.packb(each) for each in SAID]
     chance = random.Random(25 if seconds < 5.0 else None)
     log = tmp_path / "said"

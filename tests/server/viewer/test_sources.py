@@ -47,7 +47,6 @@ def results() -> np.ndarray:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending: str) -> None:
-    """Records of one finger are equal bit for bit, on the named scene."""
     file = tmp_path / f"run{ending}"
     write_results(file, results)
     shown = load(str(file), None)
@@ -56,7 +55,6 @@ def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending
 
 
 def test_poses_are_rendered_first(results: np.ndarray) -> None:
-    """The name of a shipped recording gives the records that the daemon would compute."""
     assert load("tap", None).fingers[""].tobytes() == results.tobytes()
 
 
@@ -78,14 +76,12 @@ def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """Page that no browser has opened."""
     page = Page("127.0.0.1", 8300)
     yield page
     page.close()
 
 
 def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.ndarray) -> None:
-    """Playing returns each tick once, a jump also returns the ticks before it, and after the end it starts again."""
     file = tmp_path / "run.npz"
     write_results(file, results)
     player = Player(page.server.gui, load(str(file), None), tick=0)
@@ -108,7 +104,6 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
 def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_the_initial_camera_later(
     page: Page,
 ) -> None:
-    """A window of 100 x 200 pixels has twice the distance; an orbit of its user remains."""
     scene = load_scene("paper-plane")
     page.add_views()
     page.change(scene, BEGAN)
@@ -134,7 +129,6 @@ def test_plots_have_the_name_of_their_finger_if_there_are_several(page: Page) ->
 
 
 def fed(live: LivePage, until: Any) -> bool:
-    """Step until a condition is true; return False after WAIT_S."""
     end = time.monotonic() + WAIT_S
     while not until():
         if time.monotonic() > end:
@@ -145,7 +139,6 @@ def fed(live: LivePage, until: Any) -> bool:
 
 
 def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> None:
-    """It draws the described scene, follows changes by other clients, and shows why a command is refused."""
     live = LivePage(page, Addresses(*endpoints))
     try:
         assert fed(live, lambda: page.fingers)
@@ -228,7 +221,6 @@ def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page,
 
 
 def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
-    """A tick that touches an unknown object draws no trace, and later ticks are drawn."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1100]
     assert (rows[:, AT.contact_mode] > 0).all()
     page.add_views()
@@ -240,7 +232,6 @@ def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
 
 
 def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
-    """0.01 mN m is drawn as half a degree, 0.5 mN m as 30 degrees."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1001]
     page.add_views()
     page.change(load_scene("paper-plane"), BEGAN)
@@ -268,7 +259,6 @@ HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
 def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
-    """Simulate a drag of the first object's handles through these positions (cm), without its end."""
     node = handles._nodes[0]
     for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
         node.position = position
@@ -276,7 +266,6 @@ def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> No
 
 
 def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
-    """A frame sends only the last drag, and the next frame none. The handles follow the drag until it ends."""
     sent: list[Any] = []
     handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
@@ -295,7 +284,6 @@ def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
 
 
 def test_an_excessive_drag_is_refused_and_reset(page: Page) -> None:
-    """The page shows the daemon's reason and the object's old pose; a valid drag then succeeds."""
     ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
     scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
     with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
@@ -339,7 +327,6 @@ def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
 
 
 def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then they show its target, even if the contact stops the finger elsewhere."""
     monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731

@@ -21,14 +21,12 @@ HIGH_M = 0.06
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Run the shipped hands, which lift the box and put it down repeatedly."""
     with Daemon(load_rig("simulated-lift-a-box", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
         running.start()
         yield running
 
 
 def test_taking_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client: Client) -> None:
-    """After a key for the left finger in the air, the height of the box no longer changes."""
     screen.tab("Hand")
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 

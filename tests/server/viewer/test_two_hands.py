@@ -29,7 +29,6 @@ RESTS_M = 0.02
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Run two hands that can be controlled, next to the box."""
     with Daemon(load_rig("simulated-hands", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
         running.start()
         yield running
@@ -37,7 +36,6 @@ def daemon() -> Iterator[Daemon]:
 
 @pytest.fixture
 def heights(daemon: Daemon) -> Iterator[object]:
-    """Return a function that returns the height (m) of the centre of the box."""
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 
         def height() -> float:
@@ -67,14 +65,12 @@ def beside(client: Client, screen: Screen) -> None:
 
 
 def test_the_button_lifts_the_box(screen: Screen, heights) -> None:  # type: ignore[no-untyped-def]
-    """It lifts the box to at least 80 % of the nominal height, which friction reduces, and puts it down."""
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: heights() > RESTS_M + 0.8 * LIFT_M)
     assert eventually(lambda: heights() < RESTS_M + 1e-3)
 
 
 def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """A drag with shift moves the ball up while the wheel closes both fingers; the camera does not move."""
     mouse, keyboard = screen.page.mouse, screen.page.keyboard
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     corner = screen.at((0.0, 0.0, 0.0))
@@ -98,7 +94,6 @@ def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, he
 
 
 def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Client) -> None:
-    """The dragged ball is not recreated, so the finger still follows the mouse."""
     mouse = screen.page.mouse
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     mouse.move(x, y)
@@ -117,7 +112,6 @@ def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Clien
 
 
 def test_two_hands_on_keys_lift_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """D and J squeeze, E and U together lift; none of these keys moves the camera."""
     keyboard = screen.page.keyboard
     corner = screen.at((0.0, 0.0, 0.0))
     for _ in range(NOTCHES):

@@ -25,7 +25,6 @@ STROKE_S = 0.05
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Run a hand above the near end of the first plate, because keys would need long from the middle of the scene."""
     scene = load_scene("plates")
     x, y, _ = next(plate.position_m for plate in scene.object if plate.name == FELT[0])
     rig = load_rig("simulated-hand", RIG | {"device.position_m": [x, y - 0.02, 0.01]})
@@ -35,7 +34,6 @@ def daemon() -> Iterator[Daemon]:
 
 
 def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    """Return drag / normal force while a pressed plate slides under keys away from the person."""
     found = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
