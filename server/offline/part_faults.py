@@ -53,7 +53,6 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 
 
 def _has_complaint(table: Any, key: str) -> bool:
-    """Return True if the check of a table itself reports a key."""
     return any(name == key for name, *_ in table.faults())
 
 
@@ -63,12 +62,10 @@ def _is_faulty_body(item: Object) -> bool:
 
 
 def _check_object(item: Object) -> None:
-    """Raise ConfigError for an unusable file of an object."""
     object_rows(item, has_patch=False)
 
 
 def _check_world(world: World) -> None:
-    """Raise ConfigError for an unusable model."""
     from softfinger.config.mjcf import read_model
 
     read_model(world)

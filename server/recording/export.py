@@ -78,7 +78,6 @@ def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
 
 
 def column_names(ticks: TickBlock) -> list[str]:
-    """Return the names of the columns."""
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.parts for i in range(p.size)]
 
 

@@ -73,17 +73,14 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes written."""
         return self._offset
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a table of texts immediately."""
         data, offset = _record(records.Metadata(name=name, metadata=dict(values))), self._offset
         self._write(data)
         self._metadata.append(records.MetadataIndex(offset=offset, length=len(data), name=name))
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Return the number of a new topic with protobuf messages of this type."""
         schema_record = next((each for each in self._schemas if each.name == schema), None)
         if schema_record is None:
             schema_record = records.Schema(
@@ -100,7 +97,6 @@ class McapFile:
         return number
 
     def message(self, channel: int, time_ns: int, data: bytes, sequence: int = 0) -> None:
-        """Add one message."""
         header = np.zeros(1, _MESSAGE_HEADER)
         header[0] = (Opcode.MESSAGE, _COUNTED_HEADER_BYTES + len(data), channel, sequence, time_ns, time_ns)
         self._add_to_index(channel, np.array([time_ns]), np.array([self._pending_bytes]))

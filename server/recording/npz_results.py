@@ -28,16 +28,10 @@ def write_npz(path: Path, file: IO[bytes], prefixes: Sequence[str], blocks: Iter
     Only constant fields are compressed: varying float64 shrink little, and that would take most of the time. Arrays of
     an archive are stored in sequence, so the records are collected in an unnamed temporary file first.
 
-    Parameters
-    ----------
-    path
-        Final path of the file; the temporary file is in its folder.
-    file
-        File to write.
-    prefixes
-        Prefix of each finger's arrays.
-    blocks
-        Records (m, fingers, RECORD_SIZE).
+    path      final path of the file; the temporary file is in its folder
+    file      file to write
+    prefixes  prefix of each finger's arrays
+    blocks    records (m, fingers, RECORD_SIZE)
     """
     with (
         TemporaryFile(dir=follow_links(path).parent) as file_of_columns,
@@ -70,7 +64,6 @@ class _Columns:
         self.varying: NDArray[np.bool_] = np.zeros(fingers * RECORD_SIZE, bool)
 
     def append(self, block: Array) -> None:
-        """Append a block (m, fingers, RECORD_SIZE)."""
         rows = block.reshape(len(block), -1)
         if not self.count and len(rows):
             self._first = rows[0].copy()

@@ -141,7 +141,6 @@ class Recorder:
 
     @property
     def recorded(self) -> RecorderState:
-        """Current state of the recording."""
         ended = not self._thread.is_alive()
         return RecorderState(
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
@@ -155,7 +154,6 @@ class Recorder:
 
     @property
     def failed(self) -> bool:
-        """Whether the recording ended because of an error."""
         return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:

@@ -152,7 +152,6 @@ def _unknown_suffix(path: Path) -> str:
 
 
 def _prefix(finger: str) -> str:
-    """Return the prefix of column and array names."""
     return f"{finger}." if finger else ""
 
 
@@ -306,7 +305,6 @@ class McapResults(Closeable):
             self._recording.ticks(np.atleast_2d(records), finger)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Add a message of a topic of the scene, a map as on the wire."""
         with self._translate_errors():
             self._recording.message(topic, message)
 

@@ -122,7 +122,6 @@ class CommandService:
         self._queue.put((client, message, too_much))
 
     def _run_queue(self) -> None:
-        """Answer queued requests one after the other; runs in its own thread."""
         while (item := self._queue.get()) is not None:
             started = time.monotonic()
             client, message, too_much = item
@@ -148,7 +147,6 @@ class CommandService:
             return encode_refusal(self._as_declined(error), command_id)
 
     def _handle(self, request: Request) -> bytes:
-        """Handle a request and return the answer."""
         return encode_answer(request.command_id, getattr(self._handlers, request.method)(request))
 
     def _reply(self, client: bytes, command_id: str, outcome: Any) -> None:

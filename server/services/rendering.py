@@ -49,7 +49,6 @@ class Replacing(HapticError):
 
 @contextmanager
 def _acquire(lock: threading.Lock) -> Iterator[None]:
-    """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
     try:
@@ -171,7 +170,6 @@ class Rendering:
 
     @property
     def scene(self) -> schema.Scene:
-        """Scene being rendered."""
         return self._scene
 
     @property
@@ -181,7 +179,6 @@ class Rendering:
 
     @property
     def rig(self) -> schema.Rig:
-        """Rig in use."""
         return self._rig
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:

@@ -6,10 +6,8 @@ from typing import Any
 
 
 def is_on_slider(slider: Any) -> bool:
-    """Return whether a slider's value is a number within its limits."""
     return bool(slider.min <= slider.value <= slider.max)
 
 
 def is_in_list(choice: Any) -> bool:
-    """Return whether the value of a list is one of its choices."""
     return choice.value in choice.options

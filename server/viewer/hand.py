@@ -134,7 +134,6 @@ class HandControls:
         self._show()
 
     def attach_drag(self, finger: str, ball: Any) -> None:
-        """Let a mouse drag a finger's ball."""
         for modifier, mode in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
             async def on_drag(event: Any, mode: str | None = mode) -> None:  # in order: viser awaits each call
@@ -198,7 +197,6 @@ class HandControls:
             action()
 
     def nudge(self, nudge: Nudge) -> None:
-        """Move the chosen finger, or all, by an increment."""
         self.on_interrupt()
         nudges = dict.fromkeys(self._moved_fingers(), nudge._replace(close=0.0))
         self.hold_then(partial(self._nudge, nudges, nudge.close))
@@ -235,7 +233,6 @@ class HandControls:
         return str(self._finger.value) if self._finger.value in self._fingers else next(iter(self._fingers), "")
 
     def _moved_fingers(self) -> list[str]:
-        """Return the fingers that keys and a drag move."""
         return list(self._fingers) if self._finger.value == BOTH else [self._chosen_finger()]
 
     def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
@@ -250,7 +247,6 @@ class HandControls:
         return self._targets.get(finger) or self._poses[finger]
 
     def radius(self, finger: str) -> float:
-        """Return the radius of a finger, m."""
         return self._fingers[finger].radius
 
     def chosen_finger(self) -> str | None:

@@ -26,7 +26,6 @@ MAX_SPEED_M_PER_S: Final = 0.05
 """m/s at full deflection of a stick or trigger."""
 SPIN_RAD_S: Final = 1.5
 STEP_M: Final = 0.001
-"""Step of a key."""
 STEP_RAD: Final = radians(5.0)
 
 
@@ -48,7 +47,6 @@ class Nudge(NamedTuple):
     close: float = 0.0
 
     def times(self, factor: float) -> Nudge:
-        """Return the increment multiplied by `factor`."""
         return Nudge(*(factor * part for part in self))
 
 

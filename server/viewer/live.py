@@ -127,7 +127,6 @@ class LivePage:
                 self._page.show_message(SILENT)
 
     def _request_description(self) -> None:
-        """Request the daemon's description."""
         self._since_request_s, self._is_outdated = 0.0, False
         self._prompt.request()
         self._commands.submit("describe", QueuedCommand("describe", {}, self._store_description, self._set_outdated))
@@ -141,7 +140,6 @@ class LivePage:
         self._is_outdated = True
 
     def _show_description(self) -> None:
-        """Show the described scene."""
         description = self._description
         assert description is not None
         try:

@@ -226,12 +226,10 @@ class Page:
         client.camera.look_at, client.camera.fov = look_at, camera.fov
 
     def drive(self, scene_index: int, position: Any, orientation: Any) -> None:
-        """Move a driven object of the scene."""
         if self.bodies is not None:
             self.bodies.drive(scene_index, position, orientation)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
-        """Move the bodies of the scene's [world], by name."""
         if self.bodies is not None and not self._paused.value:
             self.bodies.move_bodies(bodies)
             if bodies and self._awaits_body_poses:  # their poses are unknown before
@@ -239,7 +237,6 @@ class Page:
                 self._set_camera()
 
     def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
-        """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
             self.bodies.draw(scene_index, mesh)
             self._file_vertices[scene_index] = mesh.vertices
@@ -268,7 +265,6 @@ class Page:
         self._update_panel()
 
     def clear_traces(self) -> None:
-        """Clear the traces."""
         for nodes in self.fingers.values():
             nodes.clear_traces()
 
@@ -344,7 +340,6 @@ def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | 
 
 
 def parse_scene_start(description: dict[str, Any]) -> SceneStart:
-    """Return the start of the scene in a daemon's description."""
     has_own_clock = all(finger["device"]["own_clock"] for finger in description["fingers"])
     return SceneStart(description["since"], description["since_missed"], 1.0 / description["rate_hz"], has_own_clock)
 

@@ -90,8 +90,6 @@ def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, en
 
 
 class TickReceiver(Protocol):
-    """Receiver of ticks and events."""
-
     def take(self, records: NDArray[np.float64], finger: int) -> None:
         """Receive records (n, RECORD_SIZE) of the finger with this index."""
 
@@ -142,7 +140,6 @@ class TickBatcher:
             self.flush()
 
     def flush(self) -> None:
-        """Pass the collected ticks to the receiver."""
         self._due_s = time.monotonic() + BATCH_S
         for index, rows in self._rows.items():
             if rows:
@@ -151,7 +148,6 @@ class TickBatcher:
 
     @property
     def failed(self) -> bool:
-        """Return whether the receiver stopped because of an error."""
         failed: bool = self._receiver.failed
         return failed
 
@@ -199,7 +195,6 @@ def _is_over(sample: Sample, job: RecordingJob, batcher: TickBatcher) -> bool:
 
 
 def subscribe_all(job: RecordingJob) -> Subscription:
-    """Subscribe to all recorded topics."""
     return subscribe(job.addresses.telemetry, (CONTACT, FINGERS, EVENT, *SCENE_TOPICS), keys=job.keys)
 
 

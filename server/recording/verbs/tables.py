@@ -11,7 +11,6 @@ from softfinger.server.recording.tables import make_layout, read_table, write_po
 
 
 def run(args: argparse.Namespace) -> int:
-    """Convert the table; return 0."""
     layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")

@@ -30,7 +30,6 @@ TRACE_HEIGHT_M: Final = 2e-4
 TRACE_TICKS: Final = 5
 """Ticks between two points of a trace."""
 MIN_DRAWN_FORCE_N: Final = 1e-4
-"""Minimum force that is drawn."""
 STATE_TICKS: Final = 100
 """Ticks over which rolling and spinning are detected."""
 SHADOW_HEIGHTS_M: Final = (6e-4, 1e-4)
@@ -75,10 +74,7 @@ _PATCHES: Final = [
 class FingerNodes:
     """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    Parameters
-    ----------
-    bodies
-        Objects; the traces on them are in their frames.
+    bodies  Objects; the traces on them are in their frames
     """
 
     def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
@@ -121,7 +117,6 @@ class FingerNodes:
         self._touched_object = -1
         self._last_row: Array | None = None
         self.state = VisibleState.FREE
-        """State of the contact."""
         self.displayed_force: Callable[[Array], Array] | None = None
         """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
         it."""
@@ -268,7 +263,6 @@ class FingerNodes:
             trace.break_line()
 
     def clear_traces(self) -> None:
-        """Clear the traces."""
         for trace, node in self._traces():
             trace.clear()
             node.points = trace.segments
