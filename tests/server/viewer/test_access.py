@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
@@ -16,6 +16,7 @@ import msgspec
 import pytest
 import viser
 from helpers.browser import browser, shown, why_none
+from helpers.pages import CAMERA
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
@@ -35,20 +36,13 @@ ATTACK = """async (address) => {
         socket.onerror = () => done("refused");
     });
 }"""
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
-}  # fmt: skip
-"""First message of a browser; viser ignores messages before it."""
 EVIL = "https://evil.example"
 
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    page = Page("127.0.0.1", 8370, ("rig.lab", "tunnel.lab:9000"))
-    yield page
-    page.close()
+    with closing(Page("127.0.0.1", 8370, ("rig.lab", "tunnel.lab:9000"))) as page:
+        yield page
 
 
 class Elsewhere(BaseHTTPRequestHandler):
@@ -69,32 +63,22 @@ def path(page: Page) -> str:
 
 
 def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
-    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
-    try:
+    with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
         connection.request("GET", where, headers={"Host": own(page)} | headers)
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
-    finally:
-        connection.close()
 
 
 @contextmanager
 def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
-    stream = socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0)
-    protocol, said = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
-    try:
-        with connect(
-            f"ws://{host or own(page)}{where}",
-            sock=stream,
-            origin=said,
-            subprotocols=[protocol],
-            compression=None,
-            max_queue=None,
-        ) as client:
-            client.recv(timeout=60.0)
-            yield client
-    finally:
-        stream.close()
+    protocol, sent_origin = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
+    address = f"ws://{host or own(page)}{where}"
+    with (
+        socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0) as sock,
+        connect(address, sock, origin=sent_origin, subprotocols=[protocol], compression=None, max_queue=None) as client,
+    ):
+        client.recv(timeout=60.0)
+        yield client
 
 
 def upgraded(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
@@ -134,15 +118,12 @@ def test_another_host_is_refused(page: Page, host: str) -> None:
 def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
     """Servers differ in the header they use, so two are refused in either order, even if both name the page."""
     hosts = [own(page), second or own(page)]
-    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
-    try:
+    with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
         connection.putrequest("GET", path(page), skip_host=True)
         for host in hosts if first else reversed(hosts):
             connection.putheader("Host", host)
         connection.endheaders()
         assert connection.getresponse().status in (400, 403)
-    finally:
-        connection.close()
 
 
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
@@ -200,8 +181,7 @@ def say(stream: ClientConnection, control: Any, value: Any) -> None:
 
 
 def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
-    live = LivePage(page, Addresses(*endpoints))
-    try:
+    with closing(LivePage(page, Addresses(*endpoints))) as live:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
         fed(live, lambda: page.fingers and slider.value == 1000.0)
         asked: list[Any] = []
@@ -218,8 +198,6 @@ def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tupl
             say(stream, slider, 740.0)
             fed(live, lambda: asked)
         assert asked == [{"object.0.material.stiffness_n_per_m": 740.0}]
-    finally:
-        live.close()
 
 
 def fed(live: LivePage, until: Callable[[], Any]) -> None:

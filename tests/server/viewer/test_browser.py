@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.browser import SIZE, Screen, coloured, eventually, served, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_results
@@ -40,13 +39,7 @@ def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
     assert seen[SLIDE]["blue"] < 30
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
-    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from emulators.haply2diy import Firmware, Port
 from helpers.browser import eventually, served, why_none
+from helpers.pages import running
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +20,6 @@ from softfinger.drivers.kinematics.options import Paddle
 from softfinger.drivers.kinematics.subspace import make_subspace
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.app import Daemon
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingers import FingerNodes
@@ -114,11 +114,9 @@ def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
     scene, board = build(schema.Scene, plain, "a slope"), Firmware()
     with Port(board) as port:
         changes: dict[str, Any] = {
-            "device.path": port.path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
-            "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*",
+            "device__path": port.path, "device__quiet_s": 0.1, "device__timeout_s": 0.5, "guard__ramp_s": 0.01,
         }  # fmt: skip
-        with Daemon(load_rig("haply-2diy", changes), scene, scene_name="slope") as daemon:
-            daemon.start()
+        with running("haply-2diy", scene, **changes) as daemon:
             for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above into the floor, slower than 10 m/s
                 board.angles = [168.0 - 26.0 * share, 12.0 + 26.0 * share]
                 time.sleep(0.002)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -60,14 +61,11 @@ def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None
         recording.close()
     loaded = load(str(file), None)
     assert RecordedBodies(loaded.worlds).at(99) == {}
-    page = Page("127.0.0.1", 0)
-    try:
+    with closing(Page("127.0.0.1", 0)) as page:
         for tick, pointer in ((499, (0.026, 0.0)), (500, (0.0, 0.026)), (1500, (0.0, 0.026))):
             RecordedPage(page, loaded, tick).step(0.0)
             assert page.bodies is not None
             np.testing.assert_allclose(page.bodies.poses[-1][0], [*pointer, 0.0085], atol=1e-9)
-    finally:
-        page.close()
 
 
 @pytest.mark.real_time

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +10,15 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.browser import Screen, coloured, eventually, why_none
+from helpers.pages import daemon_of
 
 from softfinger.config import schema
-from softfinger.config.load import build, describe, load_rig, load_scene
-from softfinger.server.app import Daemon
+from softfinger.config.load import build, describe
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 RADIUS_M = 0.03
 GREY, WHITE = 240.0, 250.0
 """An object's colour is below GREY; the empty background is above WHITE."""
@@ -32,11 +30,7 @@ TRIANGLES = """name => {
 """Triangles that are drawn, not those of the message."""
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("heightmap"), scene_name="heightmap") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "heightmap")
 
 
 def drawn(screen: Screen) -> float:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema.contact import RollingMethod
-from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.inputs import KEYS, MAX_SPEED_M_PER_S, SPIN_RAD_S, Nudge, parse_gamepad
 from softfinger.server.viewer.nodes.looks import CM
@@ -24,14 +22,9 @@ PAD = """(axes) => {
     navigator.getGamepads = () => [{connected: true, mapping: "standard", axes, buttons}];
 }"""
 NO_PAD = "() => { navigator.getGamepads = () => [] }"
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 def place(client: Client) -> np.ndarray:

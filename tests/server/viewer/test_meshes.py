@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +66,8 @@ def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    page = Page("127.0.0.1", 8350)
-    yield page
-    page.close()
+    with closing(Page("127.0.0.1", 8350)) as page:
+        yield page
 
 
 def surfaces(page: Page) -> dict[str, Any]:

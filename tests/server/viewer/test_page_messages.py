@@ -17,6 +17,7 @@ import msgpack
 import pytest
 import viser
 from helpers.fuzzing import mutated
+from helpers.pages import CAMERA
 from helpers.programs import Program
 from viser._messages import GuiUpdateMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -37,11 +38,6 @@ print(page.address, flush=True)
 sys.stdin.readline()
 page.close()
 """
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
-}  # fmt: skip
 SAID: list[dict[str, Any]] = [
     CAMERA,
     {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1.0}},

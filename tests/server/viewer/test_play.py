@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
@@ -22,14 +22,9 @@ from softfinger.server.wire.client import record_of, subscribe
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RADIUS_M = 0.01
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 class Felt:

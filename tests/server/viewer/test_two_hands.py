@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.gestures import LIFT_M
@@ -20,18 +20,13 @@ from softfinger.server.wire.protocol import WORLD
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 GRIP_N, NOTCHES = 2.0, 20
 """Notches of the wheel, or key strokes, of 1 mm: 10 to the box and 10 into it, at 3 mm/N of contact and hand."""
 RESTS_M = 0.02
 """Height of the centre of the box on the floor."""
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with Daemon(load_rig("simulated-hands", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hands", "lift-a-box")
 
 
 @pytest.fixture
