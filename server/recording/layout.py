@@ -61,14 +61,11 @@ class Layout:
         self._row = _piece_dtype(8 * self.width, [(size, row) for size, row, _ in pieces])
         self._message = _piece_dtype(len(encoded), [(size, offset) for size, _, offset in pieces])
         self._template = np.frombuffer(encoded, dtype=np.uint8)
+        self.size: Final = len(encoded)
         fixed = np.ones(len(encoded), dtype=bool)
         for size, _, first in pieces:
             fixed[first : first + size] = False
         self._fixed = np.flatnonzero(fixed)
-
-    @property
-    def size(self) -> int:
-        return len(self._template)
 
     def encode(self, rows: Array, out: Bytes) -> None:
         """Encode rows (n, width) into `out` (n, size); raises ValueError if an integer field has a fraction."""

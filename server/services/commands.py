@@ -72,12 +72,10 @@ class CommandService:
         self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
-        failed = shutdown.run_all_steps(self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.serve(None))
-        if self._started:
-            self._started = False
-            switch_interval.restore()
-        if failed is not None:
-            raise failed
+        restore = [switch_interval.restore] if self._started else []
+        self._started = False
+        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.serve(None), *restore
+        shutdown.complete_all_steps(*steps)
 
     def _stop_queue(self) -> None:
         self._queue.put(None)

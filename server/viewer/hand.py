@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
-from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.inputs import Nudge, is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.glyphs import inverse, product
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import (
@@ -236,8 +235,7 @@ class HandControls:
         return list(self._fingers) if self._finger.value == BOTH else [self._chosen_finger()]
 
     def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
-        targets = ((finger, self._target(finger)) for finger in fingers)
-        return {finger: target for finger, target in targets if target is not None}
+        return {finger: target for finger in fingers if (target := self._target(finger)) is not None}
 
     def _target(self, finger: str) -> Target | None:
         return self._targets.get(finger, self._poses.get(finger))

@@ -181,7 +181,7 @@ class LivePage:
         """Show new parameters or a reset world without drawing the objects again, so that a drag continues."""
         self._scene = scene
         for nodes in self._page.fingers.values():
-            nodes.change(scene)
+            nodes.scene = scene
         self._tuning.change(scene, description["scene_name"])
         if description["since"] != self._first_tick:
             self._first_tick = int(description["since"])
@@ -241,16 +241,13 @@ class LivePage:
         self._send(f"drive {scene_index}", "drive", params)
 
     def _reset_world(self) -> None:
-        self._scene_commands.submit("world", QueuedCommand("reset_world", {}, lambda result: None, self._show_refusal))
+        self._scene_commands.submit("world", QueuedCommand("reset_world", {}, on_error=self._show_refusal))
 
     def _switch_force(self, event: Any) -> None:
-        method = "arm" if event.target.value == "on" else "disarm"
-        self._force_commands.submit(
-            "force",
-            QueuedCommand(
-                method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
-            ),
-        )
+        value: str = event.target.value
+        report = lambda _: self._page.show_message(f"force {value}")  # noqa: E731
+        request = QueuedCommand("arm" if value == "on" else "disarm", {}, report, self._show_refusal)
+        self._force_commands.submit("force", request)
 
     def _set_params(self, name: str, values: dict[str, Any]) -> None:
         self._send(name, "set_params", values, lambda _: self._request_description())

@@ -22,9 +22,9 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import SurfaceMesh
-from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
+from softfinger.server.viewer.inputs import is_on_slider
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
@@ -32,7 +32,7 @@ from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.plots import Plots
-from softfinger.server.viewer.theme import Theme
+from softfinger.server.viewer.scripts import add_theme
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ class Page:
         self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
-        Theme(gui)
+        add_theme(gui)
         gui.main_panel.set_width(PANEL_WIDTH)
 
     def show_only_prompts(self) -> None:

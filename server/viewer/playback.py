@@ -18,9 +18,9 @@ from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
 from softfinger.server.surface_meshes import SurfaceMesh
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
+from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, band, pointer

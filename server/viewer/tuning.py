@@ -9,7 +9,7 @@ from softfinger.config import schema
 from softfinger.config.load import describe
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.config.sources import list_shipped
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
+from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 
 NO_ROLLING: Final = "none"
 Change = Callable[[str, dict[str, Any]], None]

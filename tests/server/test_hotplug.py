@@ -18,7 +18,7 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
 from softfinger.server.app import Daemon
 from softfinger.server.services import hotplug
-from softfinger.server.services.hotplug import Hotplug
+from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.wire.client import subscribe
 
 pytestmark = pytest.mark.real_time
@@ -72,15 +72,15 @@ def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> No
     seen = Hotplug(root)
     plug_hid(root, 3, "0003:0000046D:0000C626")
     told: list[tuple[str, Any]] = []
-    closing = threading.Event()
 
     def event(kind: str, name: str, **fields: Any) -> None:
         assert kind == "device"
         told.append((name, fields["device"]))
         if len(told) == 2:
-            closing.set()
+            watch.closing.set()
 
-    hotplug.watch(seen, event, closing)
+    watch = HotplugWatch(seen, event)
+    watch.work()
     assert told == [("present", OMEGA.name), ("attached", PUCK.name)]
 
 

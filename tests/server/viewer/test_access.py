@@ -72,10 +72,10 @@ def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], by
 @contextmanager
 def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
     protocol, sent_origin = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
-    address = f"ws://{host or own(page)}{where}"
+    address, unbuffered = f"ws://{host or own(page)}{where}", {"compression": None, "max_queue": None}
     with (
         socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0) as sock,
-        connect(address, sock, origin=sent_origin, subprotocols=[protocol], compression=None, max_queue=None) as client,
+        connect(address, sock=sock, origin=sent_origin, subprotocols=[protocol], **unbuffered) as client,
     ):
         client.recv(timeout=60.0)
         yield client
