@@ -53,7 +53,6 @@ class Server:
         return str(self._server.app_url())
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Add a topic with protobuf messages of type `schema`, and return its number."""
         foxglove_schema = self._sdk.Schema(name=schema, encoding="protobuf", data=descriptors)
         self._channels.append(
             self._sdk.Channel(topic, schema=foxglove_schema, message_encoding="protobuf", context=self._context)
@@ -61,17 +60,14 @@ class Server:
         return len(self._channels) - 1
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Send one message to the subscribers of its topic."""
         self._channels[channel].log(data, log_time=time_ns)
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
-        """Send messages (n, size) with their times (n,)."""
         log = self._channels[channel].log
         for time_ns, message in zip(times_ns.tolist(), messages, strict=True):
             log(message.tobytes(), log_time=time_ns)
 
     def close(self) -> None:
-        """Stop the server and disconnect the viewers."""
         self._server.stop()
 
 
@@ -84,13 +80,10 @@ class FoxgloveSink:
         self._fingers, self._topics = list(fingers), Topics(server, fingers, scene)
 
     def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Send records (n, RECORD_SIZE) of a finger, given by its index."""
         self._topics.ticks(records, self._fingers[finger])
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Send an event, a map as on the wire."""
         self._topics.event(event)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Send a message of a topic of the scene, a map as on the wire."""
         self._topics.message(topic, message)

@@ -81,7 +81,6 @@ class RerunSink:
         self._draw_objects()
 
     def take(self, records: Array, finger: int) -> None:
-        """Log records (n, RECORD_SIZE) of a finger, given by its index."""
         name, rows = self._fingers[finger], Records(records)
         for field in PLOTTED:
             path = f"plots/{name}/{field}" if name else f"plots/{field}"
@@ -93,7 +92,6 @@ class RerunSink:
             self._send_poses(Records(records[indices]), name)
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Log an event, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
@@ -138,7 +136,6 @@ class RerunSink:
                         self._stream.log(path, part, static=True)
 
     def _parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
-        """Yield Rerun's pose and archetype for a primitive of Foxglove."""
         rr, at = self._rr, primitive["pose"]
         yield rr.Transform3D(
             translation=list(at["position"].values()), quaternion=[at["orientation"][axis] for axis in "xyzw"]

@@ -188,7 +188,6 @@ def mean_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
 
 
 def format_fit(result: Fit | PowerLaw) -> str:
-    """Format a fit with its 95 % intervals."""
     if isinstance(result, Fit):
         unbounded = ", not bounded by the answers: take other levels or more trials" if result.bounded else ""
         return f"threshold {format_interval(result.threshold, result.threshold_95)}{unbounded}"
@@ -201,7 +200,6 @@ def format_fit(result: Fit | PowerLaw) -> str:
 
 
 def format_interval(value: float, interval: tuple[float, float]) -> str:
-    """Format a value with its interval, if there is one."""
     low, high = interval
     return f"{value:.3g}" if math.isnan(low) else f"{value:.3g} ({low:.3g} to {high:.3g})"
 

@@ -26,7 +26,6 @@ CONTINUE: Final = "go on"
 BEGIN: Final = "begin"
 END: Final = "That was the last trial. Thank you."
 POLL_S: Final = 0.1
-"""Period of polling the daemon for the answer."""
 RELEASE_S: Final = 0.7
 """Time without input after which no key is held: keyboards repeat a held key after 660 ms at most."""
 RELEASE: Final = "Release the key."
@@ -106,7 +105,6 @@ class Participant:
         return answer._replace(value=float(answer.value)) if question.kind == "likert" else answer
 
     def _show_feedback(self, is_right: bool) -> None:
-        """Show whether the answer to a practice trial was right, so that the participant learns the question."""
         text = "That was right." if is_right else "That was wrong."
         self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 

@@ -70,7 +70,6 @@ class _Checks:
         return self._faulty.isdisjoint(tables)
 
     def files(self, part_faults: PartFaults) -> None:
-        """Load surveys, rig, scenes and images."""
         experiment = self.experiment
         surveys = [
             attempt(partial(read_survey, survey, self._folder), self._faults) if is_complete(survey) else None
@@ -93,7 +92,6 @@ class _Checks:
                 attempt(partial(read_image, image, self._folder), self._faults)
 
     def _part(self, load: Callable[[str | Path], C], name: str, part_faults: PartFaults) -> C | None:
-        """Return a scene or rig, None if it cannot be loaded."""
         try:
             config = load(resolve_source(self._folder, name))
         except FaultyConfig as error:
@@ -106,7 +104,6 @@ class _Checks:
         return None
 
     def check_conditions(self) -> None:
-        """Check the tables of conditions, questions and fingers."""
         experiment = self.experiment
         if self._are_sound(*CONDITION_TABLES, "scene"):
             self._faults += self._parameter_faults()
@@ -141,7 +138,6 @@ class _Checks:
         return list(distinct.values())
 
     def _faults_by_condition(self, key: str) -> list[str]:
-        """Return the faults of the values by condition of a table."""
         table, names = getattr(self.experiment, key), [condition.name for condition in list_conditions(self.experiment)]
         faults = list[str]()
         for name, values in table.by.items():
@@ -155,7 +151,6 @@ class _Checks:
 
 
 def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
-    """Yield the faults of the simulated observer's answers to questions."""
     questions = {question.name: question for survey in experiment.survey for question in survey.question}
     if experiment.consent:
         questions |= {CONSENT: consent_question(experiment)}

@@ -211,7 +211,6 @@ def mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
 
 
 def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> dict[tuple[str, str], float]:
-    """Return the threshold, or the answer, by participant and condition."""
     return {
         (group.participant, group.condition): (
             group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold

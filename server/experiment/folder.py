@@ -101,15 +101,12 @@ class ParticipantFolder:
         return 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
 
     def name(self, run: int, suffix: str) -> str:
-        """Return the name of a file of a start."""
         return f"{self.label}_run-{run:02d}_{suffix}"
 
     def write_json(self, name: str, values: Any) -> None:
-        """Write a new JSON file of this participant."""
         _write_new(self.participant_dir / name, _json(values))
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write a new table of the ticks of a trial."""
         suffix = f"_attempt-{attempt}" if attempt > 1 else ""
         _write_new(
             self.participant_dir / "trials" / f"{self.label}_trial-{number:04d}{suffix}.csv",
@@ -117,7 +114,6 @@ class ParticipantFolder:
         )
 
     def tables(self) -> None:
-        """Write the tables from the journals."""
         write_csv(self.participant_dir / f"{self.label}_trials.csv", read_trials([self.journal]))
         journals = sorted(self.root.glob(JOURNAL))
         write_csv(self.root / "trials.csv", read_trials(journals))
@@ -208,7 +204,6 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Write or replace a file atomically."""
     try:
         with new_file(path) as file:
             file.write(data)

@@ -17,8 +17,6 @@ Quaternion = Sequence[float]
 
 
 class Hands:
-    """Hands of a daemon, by the name of their finger."""
-
     def __init__(self, client: Client, experiment: ExperimentFile) -> None:
         self._client, self._experiment = client, experiment
         self._is_led: Final = dict[str, bool]()

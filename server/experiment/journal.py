@@ -26,11 +26,9 @@ class MemoryJournal:
         self.entries: Final = list[Entry]()
 
     def write(self, kind: str, **values: Any) -> None:
-        """Append an entry."""
         self.entries.append({"kind": kind, **values})
 
     def entries_of(self, kind: str) -> list[Entry]:
-        """Return the entries of a kind, in order."""
         return [entry for entry in self.entries if entry["kind"] == kind]
 
 
@@ -68,7 +66,6 @@ class Journal(MemoryJournal, Closeable):
         super().write(kind, **values)
 
     def close(self) -> None:
-        """Close the file; may be called repeatedly."""
         self._file.close()
 
     def _lock(self) -> None:

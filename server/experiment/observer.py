@@ -32,7 +32,6 @@ class SimulatedObserver:
         self._experiment, self._participant = experiment, participant
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float) -> str | float:
-        """Return `first` or `second` for a comparison, else a number."""
         rng = self._rng(TRIAL, trial.number)
         observer = observer_for(self._experiment, condition)
         if self._experiment.task.kind == "compare":

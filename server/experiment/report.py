@@ -40,7 +40,6 @@ CAPTIONS: Final = {
     "confidence": "Right answers by confidence; the areas of the dots grow with the number of trials.",
     "surveys": "Mean and standard deviation of the answers to each question.",
 }
-"""Caption of each figure, by the name of its file."""
 PAGE: Final = """<!doctype html>
 <html lang="en">
 <head>
@@ -186,7 +185,6 @@ def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping
 
 
 def format_p(value: float) -> str:
-    """Format a p value: three decimals, or p < 0.001."""
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 

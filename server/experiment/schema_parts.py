@@ -43,12 +43,10 @@ class Question(Table, frozen=True, kw_only=True):
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """Marks of a likert question."""
         return tuple(f"{self.min + k * self.step:g}" for k in range(1 + int((self.max - self.min) / self.step + 1e-9)))
 
     @property
     def text(self) -> str:
-        """Prompt with the meaning of the ends."""
         ends = ", ".join(
             f"{mark}: {label}" for mark, label in zip((f"{self.min:g}", f"{self.max:g}"), self.labels, strict=False)
         )
@@ -136,7 +134,6 @@ class Confidence(Table, frozen=True, kw_only=True):
 
     @property
     def as_question(self) -> Question:
-        """Return the rating as a question of a survey."""
         low, high = self.scale
         return Question(
             name="confidence", kind="likert", prompt=self.question, min=low, max=high, labels=self.scale_ends

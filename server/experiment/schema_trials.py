@@ -63,7 +63,6 @@ class Task(Table, frozen=True, kw_only=True):
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """Marks of the rating scale."""
         return () if self.scale is None else tuple(map(str, range(self.scale[0], self.scale[1] + 1)))
 
     def faults(self) -> Iterator[Complaint]:

@@ -43,11 +43,9 @@ class Session:
         self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def check(self, folder: ParticipantFolder) -> None:
-        """Raise ConfigError if the participant's folder has another design; write nothing."""
         folder.check_design(self.experiment, self.conditions, self.trials)
 
     def begin(self, folder: ParticipantFolder) -> None:
-        """Write the design into the participant's folder."""
         folder.begin(self.experiment, self.conditions, self.trials)
 
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
@@ -174,7 +172,6 @@ class Session:
 
 
 def consent_question(experiment: ExperimentFile) -> Question:
-    """Return the consent text as a question."""
     return Question(name=CONSENT, kind="multi-choice", prompt=experiment.consent, options=(AGREE, DECLINE))
 
 

@@ -56,12 +56,10 @@ class Ledger:
 
     @property
     def empty(self) -> bool:
-        """True if nothing is recorded."""
         return not self._files
 
     @property
     def paths(self) -> list[Path]:
-        """Paths of the recorded files."""
         return [self._at(Path(path)) for path in self._files]
 
     def check(self, paths: Iterable[Path] = ()) -> None:

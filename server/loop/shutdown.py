@@ -58,6 +58,12 @@ def run_all_steps(*steps: Callable[[], object], first: BaseException | None = No
     return first
 
 
+def complete_all_steps(*steps: Callable[[], object]) -> None:
+    """Run every step, also after an error; raise the first error after all of them."""
+    if (failed := run_all_steps(*steps)) is not None:
+        raise failed
+
+
 @jit
 def write_zero(write: int, handle: int, wrench: NDArray[np.float64]) -> None:
     """Write zero, the last act of every loop, and ignore the status; `wrench` (6,) is scratch."""

@@ -92,7 +92,6 @@ class FingerCounts:
         self.statuses = np.zeros(max(STATUSES) + 1, np.int64)
 
     def add(self, rows: Array) -> None:
-        """Count rows (n, columns)."""
         _, _, dt, mode, guard, status = rows[:, :6].T
         self.force.add(np.linalg.norm(rows[:, 6:], axis=1))
         self.modes_s += np.bincount(mode.astype(np.int64), weights=dt, minlength=len(MODE_NAMES))
@@ -153,7 +152,6 @@ class MetricsCollector(Collector):
         self._pending_rows = 0
 
     def collect(self) -> Iterator[Metric]:
-        """Yield all metrics; called by the registry."""
         with self._lock:
             self._count()
             metrics = [*self._servo_metrics(), *self._finger_metrics()]

@@ -33,14 +33,9 @@ DASHBOARD_PATH: Final = "/dashboard.json"
 class MetricsService(Worker):
     """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
 
-    Parameters
-    ----------
-    bound
-        Endpoint.
-    counts
-        Source of the metrics.
-    event
-        Publishes an event.
+    bound   endpoint
+    counts  source of the metrics
+    event   publishes an event
     """
 
     def __init__(self, bound: BoundSocket, counts: MetricsCollector, event: Callable[..., Any]) -> None:
@@ -61,9 +56,7 @@ class MetricsService(Worker):
         self._event("fault", "metrics", message=str(error))
 
     def stop(self) -> None:
-        failed = shutdown.run_all_steps(super().stop, self._bound.files.close)
-        if failed is not None:
-            raise failed
+        shutdown.complete_all_steps(super().stop, self._bound.files.close)
 
     def _answer(self, environ: dict[str, Any], start_response: Any) -> Iterable[bytes]:
         if environ["PATH_INFO"] == DASHBOARD_PATH:

@@ -227,11 +227,7 @@ class ClosedLoop:
 
 
 def run_closed_loop(
-    tuning: Tuning,
-    devices: Sequence[Simulation],
-    rate_hz: float,
-    ticks: int,
-    messages: SceneMessages = NO_MESSAGES,
+    tuning: Tuning, devices: Sequence[Simulation], rate_hz: float, ticks: int, messages: SceneMessages = NO_MESSAGES
 ) -> Iterator[Array]:
     """Simulate a scene with a simulated device for each finger as the daemon does, and yield the records.
 

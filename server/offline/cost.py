@@ -207,7 +207,6 @@ def keep_contact(scene: schema.Scene) -> schema.Scene:
 
 
 def _with_tips(scene: schema.Scene, change: Callable[[Any], Any]) -> schema.Scene:
-    """Return the scene with changed fingertips."""
     tip = None if scene.fingertip is None else change(scene.fingertip)
     return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(each) for each in scene.finger))
 

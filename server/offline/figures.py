@@ -34,7 +34,6 @@ def plot_file(text: str) -> Path:
 
 
 def figure(width: float = 8.0, height: float = 4.5) -> Any:
-    """Return an empty matplotlib figure."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

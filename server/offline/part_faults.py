@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
-from softfinger.config.schema import DeviceConfig, Mesh, Object, Rig, Scene, Servo, World
+from softfinger.config.schema import DeviceConfig, Mesh, Object, Rig, Scene, Servo
 from softfinger.server.offline.summary import object_rows
 
 
@@ -33,9 +33,11 @@ def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
             and not _has_complaint(item, "file")
             and not _is_faulty_body(item)
         ):
-            yield partial(_check_object, item)
+            yield partial(object_rows, item, has_patch=False)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
-        yield partial(_check_world, scene.world)
+        from softfinger.config.mjcf import read_model
+
+        yield partial(read_model, scene.world)
 
 
 def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
@@ -53,25 +55,12 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 
 
 def _has_complaint(table: Any, key: str) -> bool:
-    """Return True if the check of a table itself reports a key."""
     return any(name == key for name, *_ in table.faults())
 
 
 def _is_faulty_body(item: Object) -> bool:
     """Return True if the table of an elastic body is itself faulty, so that it cannot be solved."""
     return isinstance(item, Mesh) and item.elastic is not None and any(item.elastic.faults())
-
-
-def _check_object(item: Object) -> None:
-    """Raise ConfigError for an unusable file of an object."""
-    object_rows(item, has_patch=False)
-
-
-def _check_world(world: World) -> None:
-    """Raise ConfigError for an unusable model."""
-    from softfinger.config.mjcf import read_model
-
-    read_model(world)
 
 
 def _check_device(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:

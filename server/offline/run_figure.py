@@ -27,7 +27,6 @@ COLUMNS: Final = (
     AT.contact_spin,
     AT.contact_mode,
 )
-"""Columns of a record that are drawn."""
 
 
 def draw_run(curves: Array, path: Path) -> None:

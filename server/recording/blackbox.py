@@ -82,7 +82,6 @@ class LogBuffer(logging.Handler):
         self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
     def lines(self, since_s: float) -> list[LogLine]:
-        """Return the lines since a time (s)."""
         return [line for line in list(self._lines) if line.time >= since_s]
 
 
@@ -109,7 +108,6 @@ class BlackBox:
         self.log: Final = LogBuffer()
 
     def take(self, records: Array) -> None:
-        """Copy records (n, fingers x RECORD_SIZE) into the buffer."""
         with self._lock:
             for first in range(0, len(records), len(self._rows)):
                 block = records[first : first + len(self._rows)]
@@ -163,7 +161,6 @@ class BlackBox:
                 part.unlink()
 
     def _write_ticks(self, recording: RecordingFile, rows: Array) -> Iterator[Mapping[str, Any]]:
-        """Write ticks; yield the events that follow from them."""
         for index, finger in enumerate(self._fingers):
             event_detector = RecordEvents(self._guards, finger, index == 0)
             for first in range(0, len(rows), BLOCK_ROWS):

@@ -13,7 +13,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import TickBlock
+from softfinger.server.recording.reader import TickBlock, translate_errors
 from softfinger.server.recording.results import RESULTS_MAX, write_csv_rows
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
@@ -53,11 +53,8 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
     ticks = _read_finger(recording, finger)
     first = next(ticks)
     write = {".csv": _csv, ".parquet": _parquet, ".npz": _npz}[out.suffix.lower()]
-    try:
-        with new_file(out) as file:
-            return write(file, chain([first], ticks))
-    except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from error
+    with translate_errors(out), new_file(out) as file:
+        return write(file, chain([first], ticks))
 
 
 def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
@@ -78,7 +75,6 @@ def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
 
 
 def column_names(ticks: TickBlock) -> list[str]:
-    """Return the names of the columns."""
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.parts for i in range(p.size)]
 
 

@@ -38,15 +38,9 @@ class TickField(NamedTuple):
 class Layout:
     """Byte offset of each number in an encoded message.
 
-    Parameters
-    ----------
-    message
-        Instance whose repeated fields have the length common to all messages; its values are overwritten.
+    message  instance whose repeated fields have the length common to all messages; its values are overwritten
 
-    Raises
-    ------
-    ValueError
-        If a field is not a number of eight bytes.
+    Raises ValueError if a field is not a number of eight bytes.
     """
 
     def __init__(self, message: Any) -> None:
@@ -67,15 +61,11 @@ class Layout:
         self._row = _piece_dtype(8 * self.width, [(size, row) for size, row, _ in pieces])
         self._message = _piece_dtype(len(encoded), [(size, offset) for size, _, offset in pieces])
         self._template = np.frombuffer(encoded, dtype=np.uint8)
+        self.size: Final = len(encoded)
         fixed = np.ones(len(encoded), dtype=bool)
         for size, _, first in pieces:
             fixed[first : first + size] = False
         self._fixed = np.flatnonzero(fixed)
-
-    @property
-    def size(self) -> int:
-        """Bytes of a message."""
-        return len(self._template)
 
     def encode(self, rows: Array, out: Bytes) -> None:
         """Encode rows (n, width) into `out` (n, size); raises ValueError if an integer field has a fraction."""

@@ -51,7 +51,8 @@ class McapFile:
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
-        self._offset = 0
+        self.size = 0
+        """Bytes written."""
         self._compressor = zstandard.ZstdCompressor(ZSTD_LEVEL)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
@@ -71,19 +72,12 @@ class McapFile:
         self._time_range: tuple[int, int] | None = None
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library=f"softfinger {version('softfinger')}")))
 
-    @property
-    def size(self) -> int:
-        """Bytes written."""
-        return self._offset
-
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a table of texts immediately."""
-        data, offset = _record(records.Metadata(name=name, metadata=dict(values))), self._offset
+        data, offset = _record(records.Metadata(name=name, metadata=dict(values))), self.size
         self._write(data)
         self._metadata.append(records.MetadataIndex(offset=offset, length=len(data), name=name))
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        """Return the number of a new topic with protobuf messages of this type."""
         schema_record = next((each for each in self._schemas if each.name == schema), None)
         if schema_record is None:
             schema_record = records.Schema(
@@ -100,7 +94,6 @@ class McapFile:
         return number
 
     def message(self, channel: int, time_ns: int, data: bytes, sequence: int = 0) -> None:
-        """Add one message."""
         header = np.zeros(1, _MESSAGE_HEADER)
         header[0] = (Opcode.MESSAGE, _COUNTED_HEADER_BYTES + len(data), channel, sequence, time_ns, time_ns)
         self._add_to_index(channel, np.array([time_ns]), np.array([self._pending_bytes]))
@@ -148,7 +141,7 @@ class McapFile:
                 uncompressed_size=len(data),
             )
         )
-        offsets, indices, offset = {}, [], self._offset + len(chunk)
+        offsets, indices, offset = {}, [], self.size + len(chunk)
         for channel, entries in self._index.items():
             pairs = np.concatenate(entries).tobytes()
             offsets[channel] = offset
@@ -156,7 +149,7 @@ class McapFile:
             offset += len(indices[-1])
         index = records.ChunkIndex(
             chunk_length=len(chunk),
-            chunk_start_offset=self._offset,
+            chunk_start_offset=self.size,
             compression="zstd",
             compressed_size=len(compressed),
             message_end_time=last,
@@ -180,7 +173,7 @@ class McapFile:
         """Write pending messages, and the summary with the indices for readers."""
         self.flush()
         self._write(_record(records.DataEnd(data_section_crc=0)))
-        start = self._offset
+        start = self.size
         statistics = records.Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
@@ -201,17 +194,17 @@ class McapFile:
         ]
         crc, offsets = 0, b""
         for opcode, parts in groups:
-            group_start = self._offset
+            group_start = self.size
             for part in parts:
                 crc = zlib.crc32(part, crc)
                 self._write(part)
-            if self._offset > group_start:
+            if self.size > group_start:
                 offsets += _record(
                     records.SummaryOffset(
-                        group_opcode=opcode, group_start=group_start, group_length=self._offset - group_start
+                        group_opcode=opcode, group_start=group_start, group_length=self.size - group_start
                     )
                 )
-        footer = _record(records.Footer(summary_start=start, summary_offset_start=self._offset, summary_crc=0))[:-4]
+        footer = _record(records.Footer(summary_start=start, summary_offset_start=self.size, summary_crc=0))[:-4]
         crc = zlib.crc32(offsets + footer, crc)
         self._write(offsets + footer + crc.to_bytes(4, "little") + MCAP0_MAGIC)
 
@@ -237,7 +230,7 @@ class McapFile:
         while remaining:
             remaining = remaining[self._file.write(remaining) or 0 :]
         self.worst_write_s = max(self.worst_write_s, time.monotonic() - start_s)
-        self._offset += len(data)
+        self.size += len(data)
 
 
 def _record(record: Any) -> bytes:

@@ -22,36 +22,34 @@ CHUNK_ROWS: Final = 4096
 """Rows sorted by column at a time, which fit into the processor's cache."""
 
 
-def write_npz(path: Path, file: IO[bytes], prefixes: Sequence[str], blocks: Iterable[Array]) -> None:
+def prefix(finger: str) -> str:
+    """Return the prefix of the names of a finger's columns and arrays."""
+    return f"{finger}." if finger else ""
+
+
+def write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
     """Write for each finger an array per field, and all fields together as `records`.
 
     Only constant fields are compressed: varying float64 shrink little, and that would take most of the time. Arrays of
     an archive are stored in sequence, so the records are collected in an unnamed temporary file first.
 
-    Parameters
-    ----------
-    path
-        Final path of the file; the temporary file is in its folder.
-    file
-        File to write.
-    prefixes
-        Prefix of each finger's arrays.
-    blocks
-        Records (m, fingers, RECORD_SIZE).
+    path    final path of the file; the temporary file is in its folder
+    file    file to write
+    blocks  records (m, fingers, RECORD_SIZE)
     """
     with (
         TemporaryFile(dir=follow_links(path).parent) as file_of_columns,
         ZipFile(file, "w", ZIP_STORED, compresslevel=1) as archive,
     ):
-        columns = _Columns(file_of_columns, len(prefixes))
+        columns = _Columns(file_of_columns, len(fingers))
         for block in blocks:
             columns.append(block)
-        for index, prefix in enumerate(prefixes):
+        for index, finger in enumerate(fingers):
             for name, at, size in (("records", 0, RECORD_SIZE), *((f.name, f.at, f.size) for f in FIELDS)):
                 shape = (columns.count, size)[: 2 if size > 1 else 1]
                 part = slice(index * RECORD_SIZE + at, index * RECORD_SIZE + at + size)
                 varies = bool(columns.varying[part].any())
-                _add_array(archive, prefix + name, shape, columns.read(part), varies or name == "records")
+                _add_array(archive, prefix(finger) + name, shape, columns.read(part), varies or name == "records")
 
 
 class _Columns:
@@ -70,7 +68,6 @@ class _Columns:
         self.varying: NDArray[np.bool_] = np.zeros(fingers * RECORD_SIZE, bool)
 
     def append(self, block: Array) -> None:
-        """Append a block (m, fingers, RECORD_SIZE)."""
         rows = block.reshape(len(block), -1)
         if not self.count and len(rows):
             self._first = rows[0].copy()

@@ -57,7 +57,6 @@ def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64],
 
 
 def to_timestamp(time_ns: int) -> dict[str, int]:
-    """Return a time as a protobuf timestamp."""
     return {"seconds": time_ns // 10**9, "nanos": time_ns % 10**9}
 
 
@@ -67,7 +66,6 @@ def frame_names(finger: str) -> tuple[str, str]:
 
 
 def pose_message(record: Record, time_ns: int) -> bytes:
-    """Encode the measured pose of a record (RECORD_SIZE,)."""
     pose = _pose(_xyz(record, AT.probe_position), _wxyz(record, AT.probe_orientation))
     return _encode(POSE, timestamp=to_timestamp(time_ns), frame_id=WORLD, pose=pose)
 
@@ -95,7 +93,6 @@ def body_frame(body: str) -> str:
 
 
 def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[bytes]:
-    """Encode the frames of the bodies in a message of `world`."""
     return [
         _encode(
             FRAME,
@@ -145,7 +142,6 @@ def scene_message(scene: schema.Scene, time_ns: int) -> bytes:
 
 
 def object_frame(obj: schema.Object) -> str:
-    """Return the frame of the object's pose."""
     return body_frame(obj.motion.body) if isinstance(obj.motion, schema.Body) else WORLD
 
 

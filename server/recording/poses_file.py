@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import io
-from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.errors import ConfigError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
+from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.results import McapResults
 from softfinger.server.wire.client import Sample, record_of
 
@@ -19,63 +19,41 @@ SUFFIXES: Final = (".csv", ".mcap")
 _LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits reproduce every float64
 
 
-def _create(path: Path) -> Any:
-    """Create a new file; raises RecordingError if it exists, OSError if it cannot be created."""
-    try:
-        return open_recording(path)
-    except FileExistsError as error:
-        raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
-
-
-class PosesFile(ABC):
+class PosesFile(Protocol):
     """File of poses: t (s), position (m) and orientation, with the message that they come from."""
 
-    @abstractmethod
-    def add(self, t: float, sample: Sample) -> None:
-        """Add one pose."""
+    def add(self, t: float, sample: Sample) -> None: ...
 
-    @abstractmethod
     def close(self) -> None:
         """Write pending poses and close the file."""
 
 
-class CsvPoses(PosesFile):
+class CsvPoses:
     """CSV file with the columns `t,x,y,z,qw,qx,qy,qz`; reading gives bit-identical numbers."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            self._file = io.BufferedWriter(_create(path))
+        with translate_errors(path):
+            self._file = io.BufferedWriter(open_recording(path))
             self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
-        except OSError as error:
-            raise self._write_error(error) from error
 
     def add(self, t: float, sample: Sample) -> None:
-        try:
+        with translate_errors(self._path):
             self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
-        except OSError as error:
-            raise self._write_error(error) from error
 
     def close(self) -> None:
-        try:
+        with translate_errors(self._path):
             self._file.close()
-        except OSError as error:
-            raise self._write_error(error) from error
-
-    def _write_error(self, error: OSError) -> RecordingError:
-        return RecordingError(f"{self._path}: cannot be written: {error.strerror or error}")
 
 
-class McapPoses(PosesFile):
+class McapPoses:
     """Complete records on topic `contact`, in blocks, with the wall clock's time."""
 
     BLOCK: Final = 256
 
     def __init__(self, path: Path) -> None:
-        try:
-            self._results = McapResults(path, _create(path))
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
+        with translate_errors(path):
+            self._results = McapResults(path, open_recording(path))
         self._rows: list[list[float]] = []
 
     def add(self, t: float, sample: Sample) -> None:

@@ -11,6 +11,7 @@ import json
 import os
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
@@ -124,6 +125,17 @@ class _Channel:
         return TickBlock(self.finger or "", layout.parts, rows)
 
 
+@contextmanager
+def translate_errors(path: str | Path, action: str = "written") -> Iterator[None]:
+    """Raise RecordingError in place of an OSError of the block, in which the file is read or written."""
+    try:
+        yield
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be {action}: {error.strerror or error}") from error
+
+
 def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording in file order, followed by an End; report the progress.
 
@@ -132,15 +144,14 @@ def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorl
     RecordingError
         If the file is not a readable recording.
     """
-    try:
-        with open_input(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            with progress(f"reading {Path(path).name}", size) as done:
-                for part in _contents(Path(path), file):
-                    done(file.tell())
-                    yield part
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with (
+        translate_errors(path, "read"),
+        open_input(path) as file,
+        progress(f"reading {Path(path).name}", os.fstat(file.fileno()).st_size) as done,
+    ):
+        for part in _contents(Path(path), file):
+            done(file.tell())
+            yield part
 
 
 def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
@@ -192,9 +203,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
 
 
 def _decode_value(table: Mapping[str, str]) -> Any:
-    if set(table) == {JSON}:
-        return json.loads(table[JSON])
-    return dict(table)
+    return json.loads(table[JSON]) if set(table) == {JSON} else dict(table)
 
 
 _HEAD: Final = struct.Struct("<BQ")

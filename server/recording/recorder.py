@@ -97,7 +97,8 @@ class Recorder:
         self._worst_write_s = 0.0
         self._queued_rows = self._written_rows = 0  # rows, each counter written by one thread
         self._ticks = self._dropped = self._bytes = 0
-        self._last_tick, self._last_written_tick = -1, -1
+        self._last_tick = self.last_written_tick = -1
+        """`last_written_tick`: last tick written to the file; -1 before the first."""
         self._reported_dropped = 0
         self._is_dropping, self._dropped_from = False, -1
         self._error = ""
@@ -141,7 +142,6 @@ class Recorder:
 
     @property
     def recorded(self) -> RecorderState:
-        """Current state of the recording."""
         ended = not self._thread.is_alive()
         return RecorderState(
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
@@ -149,13 +149,7 @@ class Recorder:
         )  # fmt: skip
 
     @property
-    def last_written_tick(self) -> int:
-        """Last tick written to the file; -1 before the first."""
-        return self._last_written_tick
-
-    @property
     def failed(self) -> bool:
-        """Whether the recording ended because of an error."""
         return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:
@@ -227,7 +221,7 @@ class Recorder:
                 recording.event(event_or_note)
         recording.flush()
         self._count(recording)
-        self._last_written_tick = self._last_tick
+        self.last_written_tick = self._last_tick
         # After the write: the queue has no room while the disk accepts nothing.
         self._written_rows += rows
         dropped = self._dropped

@@ -33,8 +33,8 @@ from softfinger.drivers.closing import Closeable
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import RECORD_SIZE, columns
 from softfinger.server.progress import progress
-from softfinger.server.recording.npz_results import write_npz
-from softfinger.server.recording.reader import End, TickBlock, read_contents
+from softfinger.server.recording.npz_results import prefix, write_npz
+from softfinger.server.recording.reader import End, TickBlock, read_contents, translate_errors
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
 
@@ -100,15 +100,12 @@ def write_blocks(
     """
     target = Path(path)
     write_mcap = partial(_write_mcap, context=context or RunContext({}, deque()))
-    writers: dict[str, Callable[..., None]] = {".csv": _write_csv, ".npz": _write_npz, ".mcap": write_mcap}
+    writers: dict[str, Callable[..., None]] = {".csv": _write_csv, ".npz": write_npz, ".mcap": write_mcap}
     writer = writers.get(target.suffix.lower())
     if writer is None:
         raise RecordingError(_unknown_suffix(target))
-    try:
-        with new_file(target) as file:
-            writer(target, file, fingers, blocks)
-    except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from error
+    with translate_errors(target), new_file(target) as file:
+        writer(target, file, fingers, blocks)
 
 
 def read_results(path: str | Path, finger: str = "") -> Array:
@@ -135,10 +132,8 @@ def read_results(path: str | Path, finger: str = "") -> Array:
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
     if reader is None:
         raise RecordingError(_unknown_suffix(source))
-    try:
+    with translate_errors(source, "read"):
         return reader(source, finger)
-    except OSError as error:
-        raise RecordingError(f"{source}: cannot be read: {error.strerror or error}") from error
 
 
 def _check_count(path: Path, count: int) -> None:
@@ -151,13 +146,8 @@ def _unknown_suffix(path: Path) -> str:
     return f"{path}: {suffix} names no results format: use one of {', '.join(SUFFIXES)}"
 
 
-def _prefix(finger: str) -> str:
-    """Return the prefix of column and array names."""
-    return f"{finger}." if finger else ""
-
-
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    file.write((",".join(_prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
+    file.write((",".join(prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
     for block in blocks:
         write_csv_rows(file, block.reshape(len(block), -1))
 
@@ -206,12 +196,11 @@ def _read_csv(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
             header = file.readline(LINE_MAX).decode("ascii").rstrip("\n").split(",")
-            expected = [_prefix(finger) + column for column in columns()]
+            expected = [prefix(finger) + column for column in columns()]
             first = header.index(expected[0]) if expected[0] in header else 0
             if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
-                raise RecordingError(
-                    f"{path}, line 1: the columns are not those of this version's results{_finger_suffix(finger)}"
-                )
+                of_finger = f" of a finger '{finger}'" if finger else ""
+                raise RecordingError(f"{path}, line 1: the columns are not those of this version's results{of_finger}")
             values = array("d")
             with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as done:
                 while line := file.readline(LINE_MAX):
@@ -227,18 +216,10 @@ def _read_csv(path: Path, finger: str) -> Array:
         raise RecordingError(f"{path}: not a results file: {error}") from error
 
 
-def _finger_suffix(finger: str) -> str:
-    return f" of a finger '{finger}'" if finger else ""
-
-
-def _write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    write_npz(path, file, [_prefix(finger) for finger in fingers], blocks)
-
-
 def _read_npz(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
-            records = open_npz(file)[_prefix(finger) + "records"]
+            records = open_npz(file)[prefix(finger) + "records"]
     except OSError:
         raise
     except Exception as error:  # zip and npy decoders raise many types of errors on damaged bytes
@@ -306,7 +287,6 @@ class McapResults(Closeable):
             self._recording.ticks(np.atleast_2d(records), finger)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Add a message of a topic of the scene, a map as on the wire."""
         with self._translate_errors():
             self._recording.message(topic, message)
 
@@ -318,9 +298,8 @@ class McapResults(Closeable):
     @contextmanager
     def _translate_errors(self) -> Iterator[None]:
         try:
-            yield
-        except OSError as error:
-            raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
+            with translate_errors(self._path):
+                yield
         except ValueError as error:
             raise RecordingError(str(error)) from error
 

@@ -65,10 +65,7 @@ class Run(NamedTuple):
 def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     """Read the poses and these fields of a recording.
 
-    Raises
-    ------
-    RecordingError
-        If the file has no ticks, too many, or lacks a field.
+    Raises RecordingError if the file has no ticks, too many, or lacks a field.
     """
     blocks: dict[str, list[dict[str, Array]]] = {}
     notes: dict[str, Any] = {}
@@ -120,14 +117,12 @@ def _fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Ar
 
 
 def _sort_fingers(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
-    """Sort the fingers in the order of the scene."""
     described = notes.get("fingers")
     names = [each.get("name") for each in described if isinstance(each, dict)] if isinstance(described, list) else []
     return dict(sorted(fingers.items(), key=lambda each: names.index(each[0]) if each[0] in names else len(names)))
 
 
 def _keep_common_ticks(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:
-    """Return the ticks that all fingers have."""
     common = np.unique(next(iter(fingers.values()))["tick"])
     for fields in fingers.values():
         common = np.intersect1d(common, fields["tick"])

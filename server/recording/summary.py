@@ -58,7 +58,6 @@ class _Finger:
                 self.peaks[key] = max(self.peaks.get(key, 0.0), _largest(values))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the sums as plain values."""
         modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)} if self.modes else {}
         extent = {"position_min_m": self.low.tolist(), "position_max_m": self.high.tolist()}
         return {"ticks": self.ticks, "modes": modes} | self.peaks | (extent if np.isfinite(self.low).all() else {})

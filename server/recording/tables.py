@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -13,6 +14,7 @@ from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file, open_input
 from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, check_poses
 from softfinger.server.progress import progress
+from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.results import CSV_CHUNK_ROWS, write_csv_rows
 
 SKIPPED: Final = "-"
@@ -97,23 +99,22 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
     table is malformed.
     """
     numbers, values, dialect = array("q"), array("d"), _Dialect()
-    try:
-        with open_input(path) as file, progress(f"reading {path.name}", path.stat().st_size) as done:
-            number = 0
-            while line := file.readline(LINE_MAX):
-                number += 1
-                if not number % CSV_CHUNK_ROWS:
-                    done(file.tell())
-                if number == 1:
-                    line = _without_mark(path, line)
-                if number <= layout.skip or _is_comment(line, len(layout.columns)):
-                    continue
-                if len(numbers) >= POSES_MAX:
-                    raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it up")
-                numbers.append(number)
-                values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with (
+        translate_errors(path, "read"),
+        open_input(path) as file,
+        progress(f"reading {path.name}", path.stat().st_size) as done,
+    ):
+        for number, line in enumerate(iter(partial(file.readline, LINE_MAX), b""), 1):
+            if not number % CSV_CHUNK_ROWS:
+                done(file.tell())
+            if number == 1:
+                line = _without_mark(path, line)
+            if number <= layout.skip or _is_comment(line, len(layout.columns)):
+                continue
+            if len(numbers) >= POSES_MAX:
+                raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it up")
+            numbers.append(number)
+            values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
     columns_by_name = {name: table[:, at] for at, name in enumerate(layout.columns)}
     if layout.rate_hz is None:
@@ -199,6 +200,6 @@ def _cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[st
 
 def write_poses(path: Path, poses: Poses) -> None:
     """Write the table for a replay; the file appears complete or not at all."""
-    with new_file(path) as file:
+    with translate_errors(path), new_file(path) as file:
         file.write(",".join(POSE_COLUMNS).encode() + b"\n")
         write_csv_rows(file, np.column_stack(poses))

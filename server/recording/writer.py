@@ -122,7 +122,6 @@ class Topics:
             self._draw(records, times, finger)
 
     def event(self, event: Mapping[str, Any]) -> None:
-        """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
         self._add(topic, EVENT, event_time_ns(event), event_message(event))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
@@ -198,7 +197,6 @@ class RecordingFile(Topics):
             raise
 
     def note(self, name: str, value: Any) -> None:
-        """Write a table of metadata with a JSON value."""
         self.mcap.metadata(name, {JSON: json.dumps(value)})
 
     def count(self, finger: str = "") -> int:
@@ -206,7 +204,6 @@ class RecordingFile(Topics):
         return self.mcap.counts.get(self._ticks[finger], 0)
 
     def flush(self) -> None:
-        """Write all pending messages to the file."""
         self.mcap.flush()
 
     def close(self) -> None:

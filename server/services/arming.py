@@ -52,7 +52,6 @@ class Arming:
         self._rendering.force.update_state()
 
     def _was_pressed(self, buttons: list[float]) -> bool:
-        """Return whether a button was pressed since the last tick."""
         down = 0
         for word in buttons:
             down |= int(word) if 0.0 <= word < _WORD else 0

@@ -177,7 +177,6 @@ class CommandHandlers:
         return wire.Applied(tick)
 
     def _object(self, key: str | int) -> tuple[int, schema.Object]:
-        """Return the index of an object, and the object."""
         objects = self._rendering.scene.object
         names = [obj.name for obj in objects]
         scene_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
@@ -206,14 +205,12 @@ class CommandHandlers:
         return wire.Held(goal.position, goal.orientation, self._rendering.servo.ticks)
 
     def _publish_led(self, finger_index: int, led: bool, request: Request) -> None:
-        """Publish when a program starts or stops moving a hand; every record has its pose."""
         if (finger_index in self._led_fingers) != led:
             (self._led_fingers.add if led else self._led_fingers.discard)(finger_index)
             name = self._rendering.scene.fingers[finger_index].name
             self.publish_change(request.method, request.command_id, {"finger": name, "led": led})
 
     def _orientation(self, finger_index: int) -> wire.Quaternion:
-        """Return the orientation of a finger."""
         if self._latest is None:
             raise Declined("refused", "there has been no tick yet: ask again later")
         at = AT.probe_orientation

@@ -72,12 +72,10 @@ class CommandService:
         self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
-        failed = shutdown.run_all_steps(self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.serve(None))
-        if self._started:
-            self._started = False
-            switch_interval.restore()
-        if failed is not None:
-            raise failed
+        restore = [switch_interval.restore] if self._started else []
+        self._started = False
+        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.serve(None), *restore
+        shutdown.complete_all_steps(*steps)
 
     def _stop_queue(self) -> None:
         self._queue.put(None)
@@ -122,7 +120,6 @@ class CommandService:
         self._queue.put((client, message, too_much))
 
     def _run_queue(self) -> None:
-        """Answer queued requests one after the other; runs in its own thread."""
         while (item := self._queue.get()) is not None:
             started = time.monotonic()
             client, message, too_much = item
@@ -148,7 +145,6 @@ class CommandService:
             return encode_refusal(self._as_declined(error), command_id)
 
     def _handle(self, request: Request) -> bytes:
-        """Handle a request and return the answer."""
         return encode_answer(request.command_id, getattr(self._handlers, request.method)(request))
 
     def _reply(self, client: bytes, command_id: str, outcome: Any) -> None:

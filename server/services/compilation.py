@@ -109,7 +109,6 @@ class SceneChanges(Worker):
 
     @contextmanager
     def _display(self, operation: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Report the progress of a mesh or an elastic body."""
         log.info("%s", operation)
         try:
             yield lambda number: self._report(progress_text(operation, number, total))

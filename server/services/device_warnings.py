@@ -31,7 +31,6 @@ class DeviceWarnings(Worker):
             self.check()
 
     def check(self) -> None:
-        """Report warnings that are new since the last call."""
         now = {(device.info.name, device.warning()) for device in self._devices()}
         for name, warning in sorted(now - self._reported):
             if warning:

@@ -44,7 +44,6 @@ def inject_faults(
 
 
 def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
-    """Return the tool of each finger's device."""
     return [finger.device.tool for finger in pair(scene, rig)]
 
 

@@ -48,7 +48,6 @@ class Force:
 
     @property
     def state(self) -> str:
-        """State of the daemon."""
         return self._states.now.value
 
     @property
@@ -58,17 +57,14 @@ class Force:
         return not switch[IS_REQUESTED] and not switch[IS_ACTIVE] and self._ticks() >= self._off_tick + SWITCH_TICKS
 
     def is_inhibited_by(self, why: str) -> bool:
-        """Return whether this reason inhibits the force."""
         return why in self._reasons
 
     def inhibit(self, why: str) -> None:
-        """Add a reason that inhibits the force."""
         with self._lock:
             self._reasons.add(why)
             self._write()
 
     def allow(self, *why: str) -> None:
-        """Remove reasons of `inhibit`."""
         with self._lock:
             self._reasons.difference_update(why)
             self._write()

@@ -6,7 +6,6 @@ A separate thread lists the system's tables once per second. It opens no device 
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -45,16 +44,6 @@ class Hotplug:
         return [*detached, *attached]
 
 
-def watch(hotplug: Hotplug, event: Callable[..., None], closing: threading.Event) -> None:
-    """Publish the devices present, then every change, as an event of kind `device` each, until `closing` is set."""
-    for device in hotplug.present:
-        event("device", "present", **event_fields(device))
-    while not closing.wait(PERIOD_S):
-        for action, device in hotplug.changes():
-            log.info("%s: %s", action, device)
-            event("device", action, **event_fields(device))
-
-
 def event_fields(device: SystemDevice) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
     claim = find_claim(device)
@@ -73,10 +62,15 @@ class HotplugWatch(Worker):
 
     def __init__(self, hotplug: Hotplug, event: Callable[..., Any]) -> None:
         super().__init__("hotplug")
-        self._attached, self._event = hotplug, event
+        self._hotplug, self._event = hotplug, event
 
     def work(self) -> None:
-        watch(self._attached, self._event, self.closing)
+        for device in self._hotplug.present:
+            self._event("device", "present", **event_fields(device))
+        while not self.closing.wait(PERIOD_S):
+            for action, device in self._hotplug.changes():
+                log.info("%s: %s", action, device)
+                self._event("device", action, **event_fields(device))
 
     def handle_failure(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""

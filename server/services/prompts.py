@@ -26,11 +26,9 @@ class Prompts:
         self._shown_s = 0.0
 
     def get(self, request: Request) -> wire.Prompted:
-        """Return the current prompt."""
         return self._current
 
     def set(self, request: Request) -> wire.Prompted:
-        """Replace the current prompt."""
         prompt: wire.Prompt = request.params
         if bool(prompt.choices) + (prompt.number is not None) + bool(prompt.text_length) > 1:
             raise Declined("bad_params", "give either choices or number or text_length: a prompt has one answer")

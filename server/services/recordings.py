@@ -16,6 +16,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_recording
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.recorder import Recorder, RecorderState
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.records import Sink
@@ -137,21 +138,18 @@ class Recordings:
 
     def record_event(self, event: dict[str, Any]) -> None:
         """Record a published event; callable from any thread."""
-        recorder = self._recorder
-        if recorder is not None:
+        if (recorder := self._recorder) is not None:
             recorder.event(event)
 
     def record_message(self, topic: str, message: dict[str, Any]) -> None:
         """Record a published message of one of SCENE_TOPICS; callable from any thread."""
-        recorder = self._recorder
-        if recorder is not None:
+        if (recorder := self._recorder) is not None:
             recorder.message(topic, message)
 
     def note_settings(self, settings: Any) -> None:
         """Record the real-time settings granted by the machine, plain values; called after the servo has started."""
         self._settings = settings
-        recorder = self._recorder
-        if recorder is not None:
+        if (recorder := self._recorder) is not None:
             recorder.note("settings", settings)
 
     def _begin(self, path: Path, folder: Path | None, scene_name: str) -> Path:
@@ -172,8 +170,7 @@ class Recordings:
             return self._path
 
     def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
-        recorder = self._recorder
-        if recorder is not None:
+        if (recorder := self._recorder) is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)
             for finger_index in range(fingers.shape[1]):
                 recorder.take(fingers[:, finger_index], finger_index)
@@ -188,9 +185,7 @@ class Recordings:
 
 def _open_new_file(path: Path, folder: Path | None) -> IO[bytes]:
     try:
-        return open_recording(path, folder)
-    except FileExistsError as error:
-        raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise RecordingError(f"{path}: cannot be written: {reason}") from error
+        with translate_errors(path):
+            return open_recording(path, folder)
+    except ValueError as error:
+        raise RecordingError(f"{path}: cannot be written: {error}") from error

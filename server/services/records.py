@@ -93,13 +93,12 @@ class RecordService(Worker):
 
     def stop(self) -> None:
         # A servo that was never started, or that hangs, produces no last record.
-        failed = shutdown.run_all_steps(
-            *([self._abandon] if self._servo.is_running else []), super().stop, self._release
+        shutdown.complete_all_steps(
+            *([self._abandon] if self._servo.is_running else []),
+            super().stop,
+            self._release,
+            *([self._tap.close] if self._thread.ident is None else []),
         )
-        if self._thread.ident is None:
-            self._tap.close()
-        if failed is not None:
-            raise failed
 
     def _abandon(self) -> None:
         self._abandoned = True

@@ -49,7 +49,6 @@ class Replacing(HapticError):
 
 @contextmanager
 def _acquire(lock: threading.Lock) -> Iterator[None]:
-    """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
     try:
@@ -83,10 +82,11 @@ class Rendering:
         states: States | None = None,
         switch: NDArray[np.int64] | None = None,
     ) -> None:
-        self._rig, self._scene = rig, scene
+        self.rig, self.scene = rig, scene
         self.faults: Final = faults
         self._started = self._stopped = False
-        self._since = 0
+        self.since = 0
+        """First tick of this loop, at which scripted motions started."""
         self._pauses = 0
         """Nested pauses: a signal handler that pauses may be interrupted by another one; the force returns with the
         last."""
@@ -116,9 +116,7 @@ class Rendering:
 
     def stop(self) -> None:
         self._stopped = True
-        failed = shutdown.run_all_steps(self.servo.stop, self._join, self._close)
-        if failed is not None:
-            raise failed
+        shutdown.complete_all_steps(self.servo.stop, self._join, self._close)
 
     def replace(self, scene: schema.Scene | None = None, rig: schema.Rig | None = None) -> int:
         """Replace scene or rig, starting from zero force; return the number of the first tick with it.
@@ -135,11 +133,11 @@ class Rendering:
         with self._replace_lock:
             servo = self.servo
             servo.check_running()
-            rig, new_scene = rig or self._rig, scene or self._scene
+            rig, new_scene = rig or self.rig, scene or self.scene
             self.check(new_scene, rig)
-            new_pairs, old_pairs = pair(new_scene, rig), pair(self._scene, self._rig)
+            new_pairs, old_pairs = pair(new_scene, rig), pair(self.scene, self.rig)
             keeps_devices = [finger.device for finger in new_pairs] == [finger.device for finger in old_pairs]
-            keeps_devices = keeps_devices and rig.servo.rate_hz == self._rig.servo.rate_hz
+            keeps_devices = keeps_devices and rig.servo.rate_hz == self.rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
             compiled = self._loop(new_scene, rig)
             servo.compile(compiled)
@@ -153,36 +151,21 @@ class Rendering:
                 return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
 
             with self._parameters_lock, self._tuning_lock:
-                new_scene = scene or self._scene
+                new_scene = scene or self.scene
                 if not keeps_devices and rig.guard.arm != "automatic":  # it may be another hand
                     self.force.inhibit(UNARMED)
                 with self.force.suspend():
                     self._await_no_force()
                     first = servo.replace(make, keeps_devices)
-                self._since = first
-                self._rig, self._scene, self._tuning = rig, new_scene, servo.tuning
+                self.since = first
+                self.rig, self.scene, self._tuning = rig, new_scene, servo.tuning
             if self._stopped:  # `stop` did not wait for the devices to open
                 shutdown.close_all(servo.devices)
             return first
 
     def check(self, scene: schema.Scene, rig: schema.Rig) -> None:
         """Raise ConfigError if these cannot replace the running ones, as far as this is known without compiling."""
-        check_replacement(scene, rig, self._scene, self._rig)
-
-    @property
-    def scene(self) -> schema.Scene:
-        """Scene being rendered."""
-        return self._scene
-
-    @property
-    def since(self) -> int:
-        """First tick of this loop, at which scripted motions started."""
-        return self._since
-
-    @property
-    def rig(self) -> schema.Rig:
-        """Rig in use."""
-        return self._rig
+        check_replacement(scene, rig, self.scene, self.rig)
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
         """Change parameters of the scene, all in the same tick.
@@ -209,8 +192,8 @@ class Rendering:
             If another change is in progress.
         """
         with _acquire(self._parameters_lock):
-            before, after = self._scene, apply_overrides(self._scene, changes, where)
-            if pair(after, self._rig) != pair(before, self._rig):
+            before, after = self.scene, apply_overrides(self.scene, changes, where)
+            if pair(after, self.rig) != pair(before, self.rig):
                 raise ConfigError(f"{where}: the name and the device of a finger are no parameters: use set_scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.is_compiled_for(tuning):
@@ -218,7 +201,7 @@ class Rendering:
             with _acquire(self._tuning_lock):
                 # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
-                self._scene = after
+                self.scene = after
                 return before, after, self._tune()
 
     @property

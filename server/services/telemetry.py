@@ -24,9 +24,7 @@ class TelemetryService:
         self._announced = True
 
     def stop(self) -> None:
-        failed = shutdown.run_all_steps(self._publish_stopped, self._publisher.close)
-        if failed is not None:
-            raise failed
+        shutdown.complete_all_steps(self._publish_stopped, self._publisher.close)
 
     def _publish_stopped(self) -> None:
         if self._announced:

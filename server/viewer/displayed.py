@@ -46,7 +46,6 @@ class LowDofDevice(NamedTuple):
 
 
 def documentation_url() -> str:
-    """Return the address of the project's documentation."""
     urls = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
     return urls["Documentation"]
 

@@ -67,7 +67,6 @@ class DrivenPoses:
                 self._ticks[drive.scene_index].append(drive.tick)
 
     def at(self, tick: int) -> dict[int, PoseTuple]:
-        """Return the poses by object index."""
         return {
             scene_index: poses[bisect_right(self._ticks[scene_index], tick)]
             for scene_index, poses in self._poses.items()
@@ -102,7 +101,6 @@ class ObjectControls:
         self.change({})
 
     def change(self, poses: dict[int, PoseTuple]) -> None:
-        """Set the driven objects by index, with their poses."""
         self._poses = dict(poses)
         self._unsent.clear()
         self._switch.disabled = not poses
@@ -121,7 +119,6 @@ class ObjectControls:
             self._send(*self._unsent.popitem())
 
     def restore(self) -> None:
-        """Move the controls back to the objects after a command was refused."""
         for scene_index in list(self._nodes):
             self._update_control(scene_index)
 

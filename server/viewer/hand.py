@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
-from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.inputs import Nudge, is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.glyphs import inverse, product
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import (
@@ -134,7 +133,6 @@ class HandControls:
         self._show()
 
     def attach_drag(self, finger: str, ball: Any) -> None:
-        """Let a mouse drag a finger's ball."""
         for modifier, mode in ((None, None), ("shift", "press"), ("cmd/ctrl", "roll")):
 
             async def on_drag(event: Any, mode: str | None = mode) -> None:  # in order: viser awaits each call
@@ -198,7 +196,6 @@ class HandControls:
             action()
 
     def nudge(self, nudge: Nudge) -> None:
-        """Move the chosen finger, or all, by an increment."""
         self.on_interrupt()
         nudges = dict.fromkeys(self._moved_fingers(), nudge._replace(close=0.0))
         self.hold_then(partial(self._nudge, nudges, nudge.close))
@@ -235,12 +232,10 @@ class HandControls:
         return str(self._finger.value) if self._finger.value in self._fingers else next(iter(self._fingers), "")
 
     def _moved_fingers(self) -> list[str]:
-        """Return the fingers that keys and a drag move."""
         return list(self._fingers) if self._finger.value == BOTH else [self._chosen_finger()]
 
     def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
-        targets = ((finger, self._target(finger)) for finger in fingers)
-        return {finger: target for finger, target in targets if target is not None}
+        return {finger: target for finger in fingers if (target := self._target(finger)) is not None}
 
     def _target(self, finger: str) -> Target | None:
         return self._targets.get(finger, self._poses.get(finger))
@@ -250,7 +245,6 @@ class HandControls:
         return self._targets.get(finger) or self._poses[finger]
 
     def radius(self, finger: str) -> float:
-        """Return the radius of a finger, m."""
         return self._fingers[finger].radius
 
     def chosen_finger(self) -> str | None:

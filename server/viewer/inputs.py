@@ -1,4 +1,4 @@
-"""Keys and gamepads: control of the hand by steps or speeds."""
+"""Keys and gamepads: control of the hand by steps or speeds; validation of values from browsers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ MAX_SPEED_M_PER_S: Final = 0.05
 """m/s at full deflection of a stick or trigger."""
 SPIN_RAD_S: Final = 1.5
 STEP_M: Final = 0.001
-"""Step of a key."""
 STEP_RAD: Final = radians(5.0)
 
 
@@ -48,7 +47,6 @@ class Nudge(NamedTuple):
     close: float = 0.0
 
     def times(self, factor: float) -> Nudge:
-        """Return the increment multiplied by `factor`."""
         return Nudge(*(factor * part for part in self))
 
 
@@ -72,6 +70,15 @@ KEYS: Final[dict[str, tuple[str, str | None, Nudge]]] = {
 
 W, A, S, D, Q, E and the arrow keys move the camera.
 """
+
+
+def is_on_slider(slider: Any) -> bool:
+    """Return whether a browser's value is a number within the slider's limits: any program may send any value."""
+    return bool(slider.min <= slider.value <= slider.max)
+
+
+def is_in_list(choice: Any) -> bool:
+    return choice.value in choice.options
 
 
 def add_keys(gui: Any, nudge: Callable[[Nudge], None]) -> None:

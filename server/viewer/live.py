@@ -127,7 +127,6 @@ class LivePage:
                 self._page.show_message(SILENT)
 
     def _request_description(self) -> None:
-        """Request the daemon's description."""
         self._since_request_s, self._is_outdated = 0.0, False
         self._prompt.request()
         self._commands.submit("describe", QueuedCommand("describe", {}, self._store_description, self._set_outdated))
@@ -141,7 +140,6 @@ class LivePage:
         self._is_outdated = True
 
     def _show_description(self) -> None:
-        """Show the described scene."""
         description = self._description
         assert description is not None
         try:
@@ -183,7 +181,7 @@ class LivePage:
         """Show new parameters or a reset world without drawing the objects again, so that a drag continues."""
         self._scene = scene
         for nodes in self._page.fingers.values():
-            nodes.change(scene)
+            nodes.scene = scene
         self._tuning.change(scene, description["scene_name"])
         if description["since"] != self._first_tick:
             self._first_tick = int(description["since"])
@@ -243,16 +241,13 @@ class LivePage:
         self._send(f"drive {scene_index}", "drive", params)
 
     def _reset_world(self) -> None:
-        self._scene_commands.submit("world", QueuedCommand("reset_world", {}, lambda result: None, self._show_refusal))
+        self._scene_commands.submit("world", QueuedCommand("reset_world", {}, on_error=self._show_refusal))
 
     def _switch_force(self, event: Any) -> None:
-        method = "arm" if event.target.value == "on" else "disarm"
-        self._force_commands.submit(
-            "force",
-            QueuedCommand(
-                method, {}, lambda result: self._page.show_message(f"force {event.target.value}"), self._show_refusal
-            ),
-        )
+        value: str = event.target.value
+        report = lambda _: self._page.show_message(f"force {value}")  # noqa: E731
+        request = QueuedCommand("arm" if value == "on" else "disarm", {}, report, self._show_refusal)
+        self._force_commands.submit("force", request)
 
     def _set_params(self, name: str, values: dict[str, Any]) -> None:
         self._send(name, "set_params", values, lambda _: self._request_description())

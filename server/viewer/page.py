@@ -22,9 +22,9 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import SurfaceMesh
-from softfinger.server.viewer.controls import is_on_slider
 from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
+from softfinger.server.viewer.inputs import is_on_slider
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.camera import Camera, initial_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
@@ -32,7 +32,7 @@ from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.plots import Plots
-from softfinger.server.viewer.theme import Theme
+from softfinger.server.viewer.scripts import add_theme
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ class Page:
         self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
-        Theme(gui)
+        add_theme(gui)
         gui.main_panel.set_width(PANEL_WIDTH)
 
     def show_only_prompts(self) -> None:
@@ -226,12 +226,10 @@ class Page:
         client.camera.look_at, client.camera.fov = look_at, camera.fov
 
     def drive(self, scene_index: int, position: Any, orientation: Any) -> None:
-        """Move a driven object of the scene."""
         if self.bodies is not None:
             self.bodies.drive(scene_index, position, orientation)
 
     def move_bodies(self, bodies: Mapping[str, PoseTuple]) -> None:
-        """Move the bodies of the scene's [world], by name."""
         if self.bodies is not None and not self._paused.value:
             self.bodies.move_bodies(bodies)
             if bodies and self._awaits_body_poses:  # their poses are unknown before
@@ -239,7 +237,6 @@ class Page:
                 self._set_camera()
 
     def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
-        """Draw the triangles of an object that is loaded from a file."""
         if self.bodies is not None:
             self.bodies.draw(scene_index, mesh)
             self._file_vertices[scene_index] = mesh.vertices
@@ -268,7 +265,6 @@ class Page:
         self._update_panel()
 
     def clear_traces(self) -> None:
-        """Clear the traces."""
         for nodes in self.fingers.values():
             nodes.clear_traces()
 
@@ -344,7 +340,6 @@ def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | 
 
 
 def parse_scene_start(description: dict[str, Any]) -> SceneStart:
-    """Return the start of the scene in a daemon's description."""
     has_own_clock = all(finger["device"]["own_clock"] for finger in description["fingers"])
     return SceneStart(description["since"], description["since_missed"], 1.0 / description["rate_hz"], has_own_clock)
 

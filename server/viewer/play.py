@@ -52,7 +52,6 @@ class Play:
         self._queued = self._after_scene = ""
 
     def change(self, scene: schema.Scene, bodies: BodyNodes | None, description: dict[str, Any]) -> None:
-        """Set a new scene, with the daemon's description."""
         scene_gesture = self._after_scene if description["scene_name"] == LIFT_SCENE else ""
         if scene != self._scene:  # otherwise its bodies were reset, possibly by the gesture itself
             self.stop()
@@ -65,7 +64,6 @@ class Play:
             self._queue(scene_gesture)
 
     def update(self, finger: str, row: Array) -> None:
-        """Store the latest tick (RECORD_SIZE,) of a finger."""
         self._rows[finger] = row
 
     def step(self, dt: float) -> None:

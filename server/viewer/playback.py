@@ -18,9 +18,9 @@ from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
 from softfinger.server.surface_meshes import SurfaceMesh
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
+from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, band, pointer
@@ -150,7 +150,6 @@ class Player:
         self._slider.value = int(row) / self._rate_hz
 
     def advance(self, dt: float) -> None:
-        """Advance the playback by `dt` s."""
         if self._play.value:
             row = self._row + dt * self._rate_hz * float(self._speed.value if is_in_list(self._speed) else 1.0)
             self._seek(row if row <= self._count - 1 else 0.0)
@@ -192,7 +191,6 @@ class RecordedPage:
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
 
     def step(self, dt: float) -> None:
-        """Advance the playback by `dt` s and draw."""
         self._player.advance(dt)
         ticks, is_seek = self._player.take_rows()
         if is_seek:

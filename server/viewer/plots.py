@@ -84,7 +84,6 @@ class Plots:
             self._late, self._changed = 0.0, True
 
     def show(self) -> None:
-        """Draw the new points."""
         if not self._changed or len(self._points) < 2:
             return
         self._changed = False

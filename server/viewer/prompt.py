@@ -39,16 +39,10 @@ REQUEST_PERIOD_S: Final = 1.0
 class PromptPanel:
     """Display of a daemon's prompt, and input of the answer.
 
-    Parameters
-    ----------
-    commands
-        Sends commands to the daemon.
-    on_refused
-        Called with the reason if an answer was refused.
-    can_answer
-        False: only show the prompt.
-    size
-        Text size relative to the page.
+    commands    sends commands to the daemon
+    on_refused  called with the reason if an answer was refused
+    can_answer  False: only show the prompt
+    size        text size relative to the page
     """
 
     def __init__(
@@ -105,7 +99,6 @@ class PromptPanel:
         self._controls = self._add_controls(prompt, received.number) if received.open and self._can_answer else []
 
     def _add_controls(self, prompt: Prompt, number: int) -> list[Any]:
-        """Add the controls for the answer."""
         gui = self._gui
         with self._folder:
             if prompt.number is not None or prompt.text_length:
@@ -175,7 +168,6 @@ class ParticipantPage:
         self._since_request_s = REQUEST_PERIOD_S
 
     def step(self, dt: float) -> None:
-        """Show the data received in the last `dt` s."""
         self._since_request_s += dt
         if not self._prompt.is_known and self._since_request_s > REQUEST_PERIOD_S:
             self._since_request_s = 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, axis_angle_rotation, product
 
 Array = NDArray[np.float64]
@@ -42,14 +43,13 @@ def drag_target(start: Target, eye: Array, grabbed: Array, pointer: Array, mode:
 
     mode  "move" in a horizontal plane, "press" up and down, or "roll", as a ball of `radius` on a horizontal plane
     """
-    up = np.array([0.0, 0.0, 1.0])
     if mode == "press":
         facing = (grabbed - eye) * (1.0, 1.0, 0.0)
         if np.linalg.norm(facing) < MIN_VIEW_SINE * np.linalg.norm(grabbed - eye):
             return None
         hit_point = intersect_plane(eye, pointer, grabbed, facing)
-        return None if hit_point is None else Target(start.position + up * (hit_point - grabbed)[2], start.orientation)
-    hit_point = intersect_plane(eye, pointer, grabbed, up)
+        return None if hit_point is None else Target(start.position + UP * (hit_point - grabbed)[2], start.orientation)
+    hit_point = intersect_plane(eye, pointer, grabbed, UP)
     if hit_point is None:
         return None
     displacement = (hit_point - grabbed) * (1.0, 1.0, 0.0)
@@ -61,13 +61,13 @@ def drag_target(start: Target, eye: Array, grabbed: Array, pointer: Array, mode:
 def rolling_rotation(displacement: Array, radius: float) -> Quaternion:
     """Return the rotation of a ball that rolls horizontally by `displacement` (3,) m; the identity for zero."""
     length = float(np.linalg.norm(displacement))
-    return IDENTITY if length == 0.0 else axis_angle_rotation(np.cross((0.0, 0.0, 1.0), displacement), length / radius)
+    return IDENTITY if length == 0.0 else axis_angle_rotation(np.cross(UP, displacement), length / radius)
 
 
 def nudge_target(start: Target, nudge: Nudge, radius: float) -> Target:
     """Return the target moved by an increment; a ball of `radius` (m) for rolling."""
     roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
-    rotation = product(axis_angle_rotation(np.array([0.0, 0.0, 1.0]), nudge.spin), rolling_rotation(roll, radius))
+    rotation = product(axis_angle_rotation(UP, nudge.spin), rolling_rotation(roll, radius))
     return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(rotation, start.orientation))
 
 
@@ -86,7 +86,7 @@ def move_towards(position: Array, centre: Array, distance_m: float) -> Array:
 
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
     """Return the rotation about the world axes x, then y, then z; rad."""
-    x, y, z = (np.array(axis, dtype=np.float64) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    x, y, z = np.eye(3)
     return product(
         axis_angle_rotation(z, spin), product(axis_angle_rotation(y, roll_y), axis_angle_rotation(x, roll_x))
     )

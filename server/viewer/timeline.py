@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
 from softfinger.server.wire.events import RecordEvents
 
 Array = NDArray[np.float64]
 
 COLUMNS: Final = 600
 """Columns of a band: two per pixel."""
-STATE_TICKS: Final = 100
-"""Ticks over which rolling and spinning are detected, as in the picture."""
 LISTED_EVENTS: Final = 4
 """Number of events listed at once, latest first."""
 HEIGHT: Final = 14

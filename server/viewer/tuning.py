@@ -9,7 +9,7 @@ from softfinger.config import schema
 from softfinger.config.load import describe
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.config.sources import list_shipped
-from softfinger.server.viewer.controls import is_in_list, is_on_slider
+from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 
 NO_ROLLING: Final = "none"
 Change = Callable[[str, dict[str, Any]], None]
@@ -23,7 +23,6 @@ class Knob(NamedTuple):
     keys: Callable[[schema.Material, float], dict[str, float]]
 
     def show(self, material: schema.Material) -> None:
-        """Set the slider to the material's value."""
         value = self.read(material)
         self.slider.disabled = value is None
         if value is not None:
@@ -77,7 +76,6 @@ class SceneControls:
         self._scene_list.on_update(self._on_scene)
 
     def change(self, scene: schema.Scene, name: str) -> None:
-        """Set the current scene."""
         self._scene, self._name = scene, name
         names = tuple(obj.name for obj in scene.object)
         if self._object.options != names:

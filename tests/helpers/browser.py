@@ -12,21 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.tools.bench.soak import viewer
+from softfinger.tools.bench.view import ARGUMENTS, viewer
 
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-"""Arguments for a Chromium that draws in software and makes no requests to the network."""
 WAIT_S = 180.0
 """Generous limit: the page is rendered in software, on a machine that may be busy or pause."""
 SIZE = (840, 520)

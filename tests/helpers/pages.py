@@ -2,15 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from helpers.browser import Screen
+    from softfinger.config.schema import Scene
     from softfinger.server.app import Daemon
     from softfinger.server.remote import Client
+
+
+LOCAL = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
+}  # fmt: skip
+"""First message of a browser; viser ignores messages before it."""
+
+
+def daemon_of(rig: str, scene: str) -> Callable[[], Iterator[Daemon]]:
+    """Return the fixture of a daemon with a shipped rig and scene, for the tests of a file."""
+
+    @pytest.fixture(scope="module")
+    def daemon() -> Iterator[Daemon]:
+        with running(rig, scene) as started:
+            yield started
+
+    return daemon
+
+
+@contextmanager
+def running(rig: str, scene: str | Scene, **changes: Any) -> Iterator[Daemon]:
+    """Run a daemon on ports that the system chooses; `changes` are those of the rig, with __ for the dot."""
+    from softfinger.config.load import load_rig, load_scene
+    from softfinger.server.app import Daemon
+
+    values = LOCAL | {key.replace("__", "."): value for key, value in changes.items()}
+    name, loaded = (scene, load_scene(scene)) if isinstance(scene, str) else ("test", scene)
+    with Daemon(load_rig(rig, values), loaded, scene_name=name) as daemon:
+        daemon.start()
+        yield daemon
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,6 @@ NOTHING = {"kind": "stale", "at_tick": 10}
 
 
 def pressed(path: Path, fast_at_s: float | None = None) -> str:
-    """Write a recording of 3 s, 1 mm deep in the plane; from `fast_at_s` on it moves 0.2 m aside at 4 m/s and stops."""
     times = np.arange(0.0, 3.005, 0.01)
     x = np.zeros_like(times) if fast_at_s is None else np.clip(4.0 * (times - fast_at_s), 0.0, 0.2)
     rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
@@ -42,8 +41,6 @@ def pressed(path: Path, fast_at_s: float | None = None) -> str:
 
 
 class Run:
-    """Run of a daemon to its last tick, with forces (n,) N, states and causes, guard events, described state."""
-
     def __init__(
         self,
         tmp_path: Path,
@@ -80,21 +77,18 @@ class Run:
 
 
 def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> None:
-    """Without any action the daemon becomes ready and armed, and the force follows the ramp."""
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "automatic")
     assert [name for name, _ in run.states[:2]] == ["ready", "armed"] and run.state == "armed"
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
 
 
 def test_a_button_pressed_before_the_start_does_not_arm(tmp_path: Path) -> None:
-    """A button that is down from the first tick for 1 s gives no force, and neither does its release."""
     held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)
     assert not run.forces.any() and run.state == "ready"
 
 
 def test_a_button_arms(tmp_path: Path) -> None:
-    """Every wrench is zero until a button is pressed at tick 800; then the force fades in."""
     press = {"kind": "bounce", "buttons": 1, "at_tick": 800, "ticks": 50}
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)
     assert not run.forces[:800].any()
@@ -103,7 +97,6 @@ def test_a_button_arms(tmp_path: Path) -> None:
 
 
 def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
-    """Only `arm` gives force: neither time nor a button does. `describe` returns the state throughout."""
     seen: list[str] = []
     armed_at: list[int] = []
 
@@ -122,7 +115,6 @@ def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
 
 
 def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:
-    """A hand at 4 m/s for 50 ms gets zero force for at least SLOW_S; the daemon is faulted and then arms again."""
     run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "automatic")
     assert run.forces[495] > TOUCH_N
     off = np.flatnonzero(run.forces[500:] == 0.0) + 500
@@ -136,7 +128,6 @@ def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path)
 
 
 def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> None:
-    """With arming by command, a hand that was too fast gets no force until `arm`, even after it has slowed down."""
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:

@@ -37,7 +37,6 @@ class Asked:
 
 
 def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
-    """Return records of ticks, given the tick number and the guard's bits and buttons of each finger."""
     out = np.zeros((len(ticks), len(ticks[0][1]) * RECORD_SIZE))
     for row, (tick, fingers) in zip(out, ticks, strict=True):
         for place, (bits, buttons) in enumerate(fingers):
@@ -47,7 +46,6 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
-    """Return the calls made for the batches, without the `update_state` of each batch."""
     arming = Arming(cast(Any, asked), States())
     for records in batches:
         arming.take(records, 0)
@@ -55,7 +53,6 @@ def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
 
 
 def test_the_first_batch_makes_ready() -> None:
-    """The first batch ends the state `starting`: the daemon becomes ready."""
     asked, states = Asked("command"), States()
     arming = Arming(cast(Any, asked), states)
     assert arming.sink.name == "arming"
@@ -65,14 +62,12 @@ def test_the_first_batch_makes_ready() -> None:
 
 @pytest.mark.parametrize("fingers", [1, 2])
 def test_automatic_arming_reports_if_the_last_tick_was_too_fast(fingers: int) -> None:
-    """The last tick of a batch decides, for any finger; automatic arming never disarms."""
     slow, fast = [(RAMPING, 0.0)] * fingers, [(0.0, 0.0)] * (fingers - 1) + [(TOO_FAST | RAMPING, 0.0)]
     assert taken(Asked("automatic", fingers), batch((1, slow), (2, fast))) == [(FAST, True)]
     assert taken(Asked("automatic", fingers), batch((1, fast), (2, slow))) == [(FAST, False)]
 
 
 def test_a_disarmed_guard_is_not_too_fast() -> None:
-    """TOO_FAST does not count in a disarmed guard nor in a tick before the arming one."""
     assert taken(Asked("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [(FAST, False)]
     assert taken(Asked("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [(FAST, False)]
     assert taken(Asked("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [(FAST, True)]
@@ -80,7 +75,6 @@ def test_a_disarmed_guard_is_not_too_fast() -> None:
 
 @pytest.mark.parametrize("arm", ["command", "button"])
 def test_too_fast_disarms_with_arming_by_command_or_button(arm: str) -> None:
-    """TOO_FAST in any tick of the batch disarms; no temporary fault is reported."""
     assert taken(Asked(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", FAST)]
     assert taken(Asked(arm), batch((1, [(0, 0)]))) == []
 
@@ -89,7 +83,6 @@ ARMED = [("arm", UNARMED, FAST)]
 
 
 def test_a_press_arms_if_the_rig_arms_by_button() -> None:
-    """A press arms once per batch with arming by button, and never with arming by command."""
     press = batch((1, [(0, 0)]), (2, [(0, 1)]), (3, [(0, 1)]))
     assert taken(Asked("button"), press) == ARMED
     assert taken(Asked("command"), press) == []
@@ -111,13 +104,11 @@ def test_a_press_arms_if_the_rig_arms_by_button() -> None:
     ],
 )
 def test_a_press_is_a_button_that_was_up(words: list[float], armed: bool) -> None:
-    """A press is a button that was up in the previous tick, within one batch and across batches."""
     ticks = [(number, [(0.0, word)]) for number, word in enumerate(words)]
     assert taken(Asked("button"), batch(*ticks)) == (ARMED if armed else [])
     assert taken(Asked("button"), *[batch(tick) for tick in ticks]) == (ARMED if armed else [])
 
 
 def test_any_finger_may_press() -> None:
-    """Buttons of all fingers are combined: a new button on any finger arms, the same one on another finger does not."""
     assert taken(Asked("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
     assert taken(Asked("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []

@@ -32,7 +32,6 @@ WAIT_S = 60.0
 
 
 def records(first: int, count: int) -> np.ndarray:
-    """Return `count` records with tick numbers from `first` and the current time."""
     made = np.zeros((count, RECORD_SIZE))
     made[:, AT.tick] = np.arange(first, first + count)
     made[:, AT.timestamp] = time.time()
@@ -47,7 +46,6 @@ def ticks_in(path: Path) -> list[int]:
 @pytest.mark.plain
 @pytest.mark.parametrize("batches", [(5,), (250, 250), (999, 999, 7), (2500,), (1000,), (1,) * 30])
 def test_the_last_ticks_are_written_in_order(batches: tuple[int, ...], tmp_path: Path) -> None:
-    """For any batch sizes, the file contains the last ten seconds of ticks (at 100 Hz) in order."""
     box, first = BlackBox([""], [], 100.0), 0
     for count in batches:
         box.take(records(first, count))
@@ -58,7 +56,6 @@ def test_the_last_ticks_are_written_in_order(batches: tuple[int, ...], tmp_path:
 
 @pytest.mark.plain
 def test_old_events_take_no_memory() -> None:
-    """Events older than the history are dropped: after a thousand of them, memory is below that of ten."""
     box, old = BlackBox([""], [], 100.0), time.time() - HISTORY_S - 60.0
     tracemalloc.start()
     try:
@@ -72,7 +69,6 @@ def test_old_events_take_no_memory() -> None:
 
 @pytest.mark.plain
 def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
-    """Events and log lines older than ten seconds are not written; a foreign reader finds the newer ones."""
     box, now = BlackBox([""], [], 100.0), time.time()
     box.take(records(0, 3))
     for age in (HISTORY_S + 5.0, 1.0):
@@ -96,7 +92,6 @@ def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
-    """A missing folder raises the system's error, and a failed write leaves no partial file."""
     box = BlackBox([""], [], 100.0)
     with pytest.raises(FileNotFoundError):
         box.write(tmp_path / "away" / "box.mcap", {})
@@ -107,7 +102,6 @@ def test_a_failed_write_leaves_no_file(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_folder_is_bounded(tmp_path: Path) -> None:
-    """Above FILES_MAX or BYTES_MAX the oldest recordings are deleted; a folder writable by others is refused."""
     place = tmp_path / "boxes"
     prepare_folder(place)
     assert place.stat().st_mode & 0o777 == 0o700
@@ -138,14 +132,12 @@ def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
 
 
 def named_in(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the fault events of a file, by name."""
     events = [part.event for part in read_contents(path) if isinstance(part, Event)]
     return {event["name"]: event for event in events if event["kind"] == "fault"}
 
 
 @pytest.mark.real_time
 def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
-    """After a lost device, the file has every tick of the run and an event with the error and the file's path."""
     with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]
@@ -158,7 +150,6 @@ def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
 
 @pytest.mark.real_time
 def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The daemon continues. The file has the event and the ticks before and after the kill."""
     # Another daemon of this process may have written a file.
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(tmp_path))
     with running() as daemon:
@@ -179,7 +170,6 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_the_error_is_the_same_without_a_folder(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """If the folder cannot be created, the run ends with the same error and the log names the reason."""
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", "/proc/nowhere")
     with pytest.raises(DeviceLost), running([{"kind": "disconnect", "at_tick": 50}]) as daemon:
         daemon.wait(WAIT_S)

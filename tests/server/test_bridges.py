@@ -30,7 +30,6 @@ WHY = "not installed by `make setup`: it is bigger than this program"
 
 @pytest.fixture
 def pressed() -> Records:
-    """Return a tick with a force."""
     records = Records(run())
     return records[np.argmax(records["force"][:, 2])]
 
@@ -52,7 +51,6 @@ def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
 
 @pytest.mark.parametrize("way", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)])
 def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
-    """The arrow points along the force with 20 mm per newton; without a force it is deleted."""
     arrow, points = arrow_of(picture.force_message(forced(pressed, 1.5 * np.array(way)), 0, ""))
     np.testing.assert_allclose(points, way, atol=1e-9)  # rounding
     assert arrow.shaft_length + arrow.head_length == pytest.approx(0.03, rel=1e-12)
@@ -66,14 +64,12 @@ def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
 def test_a_missing_library_is_named(
     viewer: str, library: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error names the extra that installs the library."""
     monkeypatch.setitem(sys.modules, library, None)
     assert main(["bridge", viewer]) == ConfigError.exit_code
     assert f"pip install 'softfinger[{viewer}]'" in capsys.readouterr().err
 
 
 def test_invalid_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """Conflicting or invalid options are refused before anything is opened."""
     assert main(["bridge", "foxglove", "trial.mcap"]) == ConfigError.exit_code
     assert "Foxglove opens a recording (.mcap) itself" in capsys.readouterr().err
     assert main(["bridge", "rerun", "--duration", "0"]) == ConfigError.exit_code
@@ -83,7 +79,6 @@ def test_invalid_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def columns(file: Path) -> dict[str, list[Any]]:
-    """Return the chunks of a Rerun file by entity, as tables."""
     chunk = pytest.importorskip("rerun.chunk", reason=WHY)
     found: dict[str, list[Any]] = {}
     for part in chunk.RrdReader(str(file)).stream():
@@ -92,13 +87,11 @@ def columns(file: Path) -> dict[str, list[Any]]:
 
 
 def values(batches: list[Any], ending: str) -> np.ndarray:
-    """Return all rows of the column with this ending, flat."""
     named = [(batch, name) for batch in batches for name in batch.schema.names if name.endswith(ending)]
     return np.array([row for batch, name in named for row in batch.column(name).to_pylist()])
 
 
 def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The Rerun file has every tick's force, equal force arrows, the scene and the events."""
     pytest.importorskip("rerun", reason=WHY)
     mark = event("mark", "mark", 100, message="now")
     trial, out = recorded(tmp_path / "trial.mcap", run(), [mark]), tmp_path / "trial.rrd"
@@ -120,14 +113,12 @@ def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.parametrize("words", [("--save", "no/such/folder/x.rrd"), ("--connect", "nowhere")])
 def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    """The error is one line with Rerun's message."""
     pytest.importorskip("rerun", reason=WHY)
     assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
     assert f"{' '.join(words)}: Rerun says: " in capsys.readouterr().err
 
 
 def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """Half a second of a running daemon gives more than 100 ticks in order and the scene the daemon describes."""
     pytest.importorskip("rerun", reason=WHY)
     out = tmp_path / "live.rrd"
     words = ["--endpoint", endpoints[0], "--commands", endpoints[1], "--timeout", "60"]
@@ -142,7 +133,6 @@ def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]
 
 
 def test_foxglove_has_the_topics_of_a_recording() -> None:
-    """A viewer finds topics of ticks, frames, poses, forces and the scene, each with its message type."""
     pytest.importorskip("foxglove", reason=WHY)
     records, server = run(), foxglove.Server(0)
     try:
@@ -177,7 +167,6 @@ def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> A
 
 
 def test_a_port_in_use_raises_an_error_with_advice() -> None:
-    """The error suggests `--port 0`."""
     pytest.importorskip("foxglove", reason=WHY)
     first = foxglove.Server(0)
     try:
@@ -188,7 +177,6 @@ def test_a_port_in_use_raises_an_error_with_advice() -> None:
 
 
 def test_each_finger_has_named_entities(tmp_path: Path) -> None:
-    """Each finger has a force and plots under its name."""
     pytest.importorskip("rerun", reason=WHY)
     stream = rerun.stream(tmp_path / "two.rrd")
     scene = load_scene("pinch")
@@ -206,7 +194,6 @@ def test_each_finger_has_named_entities(tmp_path: Path) -> None:
 
 
 def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
-    """Write a recording of one tick on `lift-a-box`, with the box 0.1 m up and turned by 180 degrees about z."""
     box = {"name": "box", "position": [0.0, 0.0, 0.12], "orientation": [0.0, 0.0, 0.0, 1.0]}
     world = {"schema": 1, "timestamp": 1.7e9, "tick": 7, "bodies": [box | {"velocity": [0.0] * 3, "rate": [0.0] * 3}]}
     row = np.zeros((1, RECORD_SIZE))
@@ -221,7 +208,6 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
-    """The message is read back unchanged, the body's frame has its pose, and only the box is drawn in that frame."""
     path, world = lifted(tmp_path / "lift.mcap")
     assert [part.world for part in read_contents(path) if isinstance(part, RecordedWorld)] == [world]
     frames, entities = {}, {}
@@ -239,7 +225,6 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
 
 
 def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:
-    """The box is drawn below its body's entity, which has the recorded position."""
     pytest.importorskip("rerun", reason=WHY)
     path, _ = lifted(tmp_path / "lift.mcap")
     assert main(["bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd")]) == 0

@@ -24,7 +24,6 @@ STEP_M = 1e-3
 
 
 def scene(**ball: object) -> Scene:
-    """Return a scene with a sphere of 10 mm radius."""
     table = {"name": "ball", "shape": "sphere", "radius_m": 0.01, **ball}
     return build(Scene, paper_mapping(table=table, material={"torsion": None}), "test scene")
 
@@ -38,7 +37,6 @@ def scene(**ball: object) -> Scene:
     ],
 )
 def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], said: str) -> None:
-    """Distances of a sphere in a spherical workspace equal sums of distance and radii."""
     objects = workspace.place_objects(SPHERE, scene(position_m=list(place)))
     assert workspace.rows(SPHERE, objects) == [("1 'ball'", said)]
     away = workspace.signed_distance(SPHERE, objects[0].points)
@@ -48,13 +46,11 @@ def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, f
 
 
 def test_signed_distance_of_a_box() -> None:
-    """Inside a box the nearest face counts, outside the nearest point of the box (at a corner by Pythagoras)."""
     points = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.07, 0.0], [0.045, 0.0, 0.0]])
     assert workspace.signed_distance(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
 
 
 def test_text_draws_wall_and_objects_to_scale() -> None:
-    """In both views the middle line of the sphere has its width, and a ball at its edge is drawn there."""
     turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
     lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
@@ -69,7 +65,6 @@ def test_text_draws_wall_and_objects_to_scale() -> None:
 
 
 def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
-    """`check` of a rig and a scene draws the soft wall and the plane; `--plot` writes a figure."""
     picture = tmp_path / "wall.svg"
     done = called("check", "falcon", "paper-plane", "--plot", str(picture))
     assert done.returncode == 0, done.stderr
@@ -101,7 +96,6 @@ def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
 
 
 def test_the_plane_of_a_device_is_drawn() -> None:
-    """The plane of a 2DIY is a circle from the front and a line from the right, through the middle of its workspace."""
     done = called("check", "haply-2diy", "paper-plane")
     assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in done.stdout
     begins = 2 + workspace.COLUMNS + 3
@@ -115,7 +109,6 @@ def test_the_plane_of_a_device_is_drawn() -> None:
 
 
 def test_a_plot_without_a_wall_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A rig without a soft wall gives one error that asks for one rig and one scene."""
     done = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
     assert done.returncode == ConfigError.exit_code
     assert "there are 0 and 1: name one of each" in done.stderr + caplog.text

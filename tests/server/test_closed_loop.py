@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from softfinger.server.loop.servo_thread import FINISHED, Servo
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
+from softfinger.tools.bench import closed_loop as bench_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
 ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
@@ -44,7 +46,6 @@ POSITION = slice(AT.probe_position, AT.probe_position + 3)
 
 
 def ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: float = 0.0) -> Tuning:
-    """Return a frictionless plane with a guard that never limits."""
     material = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "friction": None, "torsion": None}
     mapping = paper_mapping(material=material, rolling=None, probe={"velocity_time_constant_s": time_constant})
     return Tuning(build_scene(build(Scene, mapping, "test scene")), (OPEN_GUARD,))
@@ -55,7 +56,6 @@ def resting_at(z: float) -> np.ndarray:
 
 
 def test_servo_and_closed_loop_are_bit_identical() -> None:
-    """Forces that a servo writes to the device equal those of the offline loop bit by bit; the last ones are zero."""
     ticks = 3000
     options = Options(preset="omega.6", delay_ticks=2, sway_m=(0.0, 0.0, 1e-4), sway_hz=7.0)
     with open_device(options, 1000.0) as device:
@@ -74,7 +74,6 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
 
 
 def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`simulate --device simulated` writes the records of the rig's device; a recording without loop ends the run."""
     words = ["simulate", "--scene", "paper-plane", "--device", "simulated", "--out", str(tmp_path / "out.npz")]
     assert cli.main([*words, "--duration", "2"]) == 0
     assert "2000 ticks at 1000 Hz" in capsys.readouterr().out
@@ -100,9 +99,19 @@ def test_simulate_verb_runs_the_device(tmp_path: Path, capsys: pytest.CaptureFix
 def test_simulate_verb_refuses_invalid_options(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A device without simulation, and a duration for poses, are refused with advice."""
     assert cli.main(["simulate", "--scene", "paper-plane", "--out", str(tmp_path / "o.csv"), *words]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.exhaustive
+def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["plant"] for row in result["plants"]] == list(bench_closed_loop.HANDLES)
+    for row in result["plants"]:
+        assert row["largest_force_n"] > 0.1
+        assert row["ticks_per_s"] == pytest.approx(1e9 / row["ns_per_tick"])
+        assert row["ratio"] == pytest.approx(row["ns_per_tick"] / row["reference_ns"])
 
 
 @pytest.mark.plain
@@ -130,7 +139,6 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
 
 
 def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
-    """Return FIGURES of each of `tunings` for a device that starts at `pose` (7,)."""
     figures = np.zeros((len(tunings.values), len(FIGURES)))
     drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
     tables = (Packed(plant, flatten(plant)[None]), Packed(state, flatten(state)[None]))
@@ -139,7 +147,6 @@ def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks:
 
 
 def test_figures_equal_those_computed_from_records() -> None:
-    """Ticks, excursion, force and work of the loop without records equal those from records, up to rounding."""
     tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
     pose = resting_at(0.008)
@@ -157,7 +164,6 @@ def test_figures_equal_those_computed_from_records() -> None:
 
 
 def test_cases_do_not_affect_each_other() -> None:
-    """Rows are independent of their order: soft walls stay within the bound, one too stiff for the rate leaves it."""
     stiffness = np.array([500.0, 40000.0, 1000.0, 40000.0, 500.0])
     tuning = ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))

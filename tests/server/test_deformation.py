@@ -23,7 +23,6 @@ FORCE = (0.1, -0.2, 1.5)
 
 
 def pressed(count: int) -> Any:
-    """Return ticks on the top of the pad: free for 100, pressed at rest until `count` - 100, then free."""
     rows = synthetic(count)
     for name in ("contacts0.force", "contacts1.force", "contacts2.force", "contact.displacement"):
         put(rows, name, 0.0)
@@ -38,7 +37,6 @@ def pressed(count: int) -> Any:
 
 
 def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path: Path) -> None:
-    """A constant load is sent once, a load that changes in every tick 60 times a second."""
     keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
     path, found = tmp_path / "a.mcap", []
     with (

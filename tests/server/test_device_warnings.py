@@ -13,7 +13,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
-    """A warning is an event and a log line when it appears, when its text changes and when it reappears."""
     said, told = [""], []
     device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: said[0])
 
@@ -29,7 +28,6 @@ def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None
 
 
 def test_a_failing_check_is_published() -> None:
-    """An exception in the check is published as an event, and no further warnings are published."""
     told = []
     DeviceWarnings(list, lambda *_, message: told.append(message)).handle_failure(ValueError("broken"))
     assert told == ["warnings of devices are no longer published: broken"]

@@ -29,7 +29,6 @@ HOME = (0.0, 0.0, 0.0105)
 
 
 def played(env: Touch, actions: np.ndarray) -> Records:
-    """Return the records of every tick of an episode."""
     _, info = env.reset(seed=0)
     parts = [info["records"], *(env.step(action)[4]["records"] for action in actions)]
     return Records(np.concatenate(parts))
@@ -38,7 +37,6 @@ def played(env: Touch, actions: np.ndarray) -> Records:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("scene", ["paper-plane", "sphere"])
 def test_gymnasium_checker_accepts_the_environment(scene: str) -> None:
-    """The checker gives no warning (warnings are errors here) on spaces, seeds and returned types."""
     env = gymnasium.make(environment.NAME, scene=scene)
     check_env(env.unwrapped)
     steps = env.unwrapped.setup.episode_steps
@@ -48,7 +46,6 @@ def test_gymnasium_checker_accepts_the_environment(scene: str) -> None:
 
 
 def test_contact_equals_that_of_the_engine() -> None:
-    """For a press, a drag and a turn, the engine computes the same contact from the resulting poses, bit by bit."""
     actions = np.zeros((60, 6))
     actions[:20, 2], actions[20:40, 0], actions[40:, 4:] = -0.06, 0.08, 0.5
     records = played(Touch("paper-plane", home_m=HOME), actions)
@@ -74,7 +71,6 @@ def test_hand_and_plane_share_the_depth() -> None:
 
 
 def test_the_goal_stays_within_reach() -> None:
-    """The goal is clamped to the reach on each axis; an action out of range is clamped to the range."""
     env = Touch("paper-plane", home_m=HOME, reach_m=0.01)
     env.reset()
     for _ in range(30):
@@ -84,7 +80,6 @@ def test_the_goal_stays_within_reach() -> None:
 
 @pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
 def test_an_invalid_action_is_refused(action: Any) -> None:
-    """The error is one line, and the episode continues with finite poses."""
     env = Touch("paper-plane", home_m=HOME)
     env.reset()
     with pytest.raises(PoseError, match=r"action .*must be 6 finite numbers"):
@@ -93,7 +88,6 @@ def test_an_invalid_action_is_refused(action: Any) -> None:
 
 
 def test_the_goal_turns_about_the_worlds_axes() -> None:
-    """One second of 1 rad/s about z, then about x: the goal is the product of the rotations about world axes."""
     env = Touch("frictionless-plane", turn_rad_per_s=1.0)
     env.reset()
     for axis in (5, 3):
@@ -106,8 +100,6 @@ def test_the_goal_turns_about_the_worlds_axes() -> None:
 
 
 def test_a_subclass_defines_reward_and_end() -> None:
-    """A subclass defines reward and end of an episode from the records of a step."""
-
     class Reach(Touch):
         def reward(self, records: Records) -> float:
             return float(records["contact.mode"].max())
@@ -155,7 +147,6 @@ for name in ("environment", "lift_environment"):
 
 
 def test_without_gymnasium() -> None:
-    """The error names the extra to install."""
     command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
     environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     done = run_program(command, env=environ, check=True)

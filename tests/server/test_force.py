@@ -20,8 +20,6 @@ TICKS = st.integers(0, 10_000)
 
 
 class Loop:
-    """Switch, with the tick count of a loop."""
-
     def __init__(self, unarmed: bool = False) -> None:
         self.ticks, self.switch = 0, make_switch()
         self.force = Force(unarmed, States(), self.switch, lambda: self.ticks)

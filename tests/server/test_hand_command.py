@@ -21,7 +21,6 @@ ENDPOINTS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tc
 
 
 def has_ticked(client: Client) -> bool:
-    """Return True if the daemon has a state."""
     try:
         client.get_state()
     except CommandRefused:
@@ -46,7 +45,6 @@ def client(daemon: Daemon) -> Iterator[Client]:
 
 
 def test_the_hand_presses_after_the_client_disconnects(daemon: Daemon, client: Client) -> None:
-    """A probe at 5 mm above the plane is 5 mm deep: there is force, and the next client still gets it."""
     assert client.describe()["fingers"][0]["led"] is True
     client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 0.5)
@@ -58,7 +56,6 @@ def test_the_hand_presses_after_the_client_disconnects(daemon: Daemon, client: C
 
 
 def test_a_held_hand_still_presses(client: Client) -> None:
-    """The held goal is the commanded one, deeper than the contact allows; commanding it again changes nothing."""
     client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 1.0)
     before = client.get_state()
@@ -72,7 +69,6 @@ def test_a_held_hand_still_presses(client: Client) -> None:
 
 
 def test_events_report_only_start_and_end_of_a_lead(daemon: Daemon, client: Client) -> None:
-    """A stroke of thirty requests sends two events."""
     client.hand(release=True)
     with client.subscribe(("event",), timeout_s=WAIT_S) as events:
         assert eventually(lambda: client.mark("begin") is not None and events.receive(0.1) is not None)
@@ -103,8 +99,6 @@ def test_bad_requests_move_nothing(client: Client, asked: dict[str, object], sai
 
 
 def test_a_replay_has_no_hand_to_lead(endpoints: tuple[str, str]) -> None:
-    """Refused with the rig to use, also for asyncio."""
-
     async def ask() -> None:
         async with AsyncControl(endpoints[1], timeout_s=WAIT_S) as control:
             await control.hand((0.0, 0.0, 0.01))

@@ -18,7 +18,7 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
 from softfinger.server.app import Daemon
 from softfinger.server.services import hotplug
-from softfinger.server.services.hotplug import Hotplug
+from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.wire.client import subscribe
 
 pytestmark = pytest.mark.real_time
@@ -29,7 +29,6 @@ OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/
 
 
 def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
-    """Devices found at the start are present; later ones are reported as attached and detached, each once."""
     plug_usb(root, "1-1", "1451", "0402")
     seen = Hotplug(root)
     assert seen.present == [OMEGA]
@@ -52,7 +51,6 @@ def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
 
 
 def test_a_device_is_reported_when_its_ids_are_readable(root: Path) -> None:  # noqa: F811
-    """A device listed before the kernel has filled in its entry is reported later; a hub is never reported."""
     seen = Hotplug(root)
     (root / discovery.USB / "1-1").mkdir()
     plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
@@ -62,7 +60,6 @@ def test_a_device_is_reported_when_its_ids_are_readable(root: Path) -> None:  # 
 
 
 def test_a_device_not_readable_at_the_start_is_reported_later(root: Path) -> None:  # noqa: F811
-    """A device without ids when the watcher starts is not present, and is reported as attached later."""
     (root / discovery.USB / "1-1").mkdir()
     seen = Hotplug(root)
     assert seen.present == []
@@ -71,33 +68,30 @@ def test_a_device_not_readable_at_the_start_is_reported_later(root: Path) -> Non
 
 
 def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
-    """A device plugged in after the watcher was made and before its thread runs is attached, after the present ones."""
     plug_usb(root, "1-1", "1451", "0402")
     seen = Hotplug(root)
     plug_hid(root, 3, "0003:0000046D:0000C626")
     told: list[tuple[str, Any]] = []
-    closing = threading.Event()
 
     def event(kind: str, name: str, **fields: Any) -> None:
         assert kind == "device"
         told.append((name, fields["device"]))
         if len(told) == 2:
-            closing.set()
+            watch.closing.set()
 
-    hotplug.watch(seen, event, closing)
+    watch = HotplugWatch(seen, event)
+    watch.work()
     assert told == [("present", OMEGA.name), ("attached", PUCK.name)]
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
-    """Let the daemon poll a test folder at a short period."""
     monkeypatch.setattr(hotplug, "PERIOD_S", 0.02)
     monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
     return root
 
 
 def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
-    """Two events have name, ids, node and driver; the servo runs on, and the thread ends with the daemon."""
     events: list[dict[str, Any]] = []
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:

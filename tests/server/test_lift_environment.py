@@ -24,7 +24,6 @@ def led(thumb: tuple[float, float, float], index: tuple[float, float, float]) ->
 
 
 def test_gymnasium_checker_accepts_the_lift() -> None:
-    """The checker gives no warning (warnings are errors here); an episode is truncated at its end."""
     env = gymnasium.make(lift_environment.NAME, episode_steps=2, step_ticks=5)
     check_env(env.unwrapped)
     env.reset(seed=1)
@@ -33,14 +32,12 @@ def test_gymnasium_checker_accepts_the_lift() -> None:
 
 @pytest.mark.parametrize(("scene", "why"), [("paper-plane", "fingers of the scene: 1"), ("pinch", r"no \[world\]")])
 def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
-    """A lift needs two fingers and a [world]."""
     with pytest.raises(ConfigError, match=why):
         lift_environment.Lift(scene)
 
 
 @pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
-    """After a squeeze and a lift the box is at its goal, level, pressed from both sides; a second run is identical."""
     env = gymnasium.make(lift_environment.NAME).unwrapped
     squeeze, up, hold = led((1, 0, 0), (-1, 0, 0)), led((0, 0, 1), (0, 0, 1)), led((0, 0, 0), (0, 0, 0))
     ends = []
@@ -62,7 +59,6 @@ def test_a_script_lifts_the_box() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
-    """A deep copy or a pickled copy with the box in the grasp continues with the same bits in separate memory."""
     env = lift_environment.Lift(step_ticks=10)
     env.reset(seed=0)
     for _ in range(16):
@@ -80,7 +76,6 @@ def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
 
 
 def test_vector_environments_run() -> None:
-    """Gymnasium's synchronous and asynchronous vectors give equal results; each environment has a separate box."""
     make = functools.partial(gymnasium.make, lift_environment.NAME, step_ticks=5)
     actions = np.stack([led((1, 0, 0), (-1, 0, 0)), led((0, 0, 0), (0, 0, 0))])
     seen = []

@@ -51,8 +51,6 @@ print(json.dumps({"ticks": seen, "markers": told, "offset": pylsl.local_clock() 
 
 
 class Told(NamedTuple):
-    """Marks received by subscribers, and the recording of the run."""
-
     published: list[dict[str, Any]]
     run: Run
     epoch_s: float
@@ -60,7 +58,6 @@ class Told(NamedTuple):
 
 
 def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
-    """Start `forward --lsl` and inlets of both its streams, each a process; return None without pylsl."""
     try:
         import pylsl  # noqa: F401
     except (ImportError, RuntimeError):
@@ -79,7 +76,6 @@ def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
-    """Marks sent to a daemon with an epoch that differs from the machine's clock."""
     folder = tmp_path_factory.mktemp("marks")
     ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})
@@ -120,7 +116,6 @@ def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def test_a_marker_is_between_its_tick_and_the_next(told: Told) -> None:
-    """Its time is after the start of its tick and before the end of the next one, on the same clock."""
     ticks, times = told.run.first["tick"], told.run.first["timestamp"]
     assert len(marks(told.published)) == MARKS
     for event in marks(told.published):
@@ -138,7 +133,6 @@ def test_recording_and_subscribers_have_equal_markers(told: Told) -> None:
 
 
 def test_lsl_has_the_time_of_the_tick(told: Told) -> None:
-    """Marker and ticks have the distance of the recording, and LSL stamps agree with CLOCK_MONOTONIC."""
     if told.lsl is None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
     stamps = dict(told.lsl["ticks"])

@@ -36,7 +36,6 @@ material = "wood"
 
 
 def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each line has the name and the kind, material or fingertip; the JSON has values and published measurements."""
     assert main(["materials"]) == 0
     lines = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
     assert lines == [[name, "material"] for name in materials()] + [[name, "fingertip"] for name in fingertips()]
@@ -49,7 +48,6 @@ def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize("name", ["rubber", "finger-pad", "human-index"])
 def test_an_entry_is_printed_with_its_sources(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """An entry is printed with its unit and every paper it cites."""
     assert main(["materials", name]) == 0
     out = capsys.readouterr().out
     entry = {**materials(), **fingertips()}[name]
@@ -62,7 +60,6 @@ def test_an_entry_is_printed_with_its_sources(name: str, capsys: pytest.CaptureF
 
 
 def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The error suggests the nearest name and lists the others; a plot without a name is refused."""
     assert main(["materials", "ruber"]) == 2
     assert (
         "no material or fingertip is called 'ruber' (did you mean 'rubber'?); there are steel"
@@ -75,7 +72,6 @@ def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixtu
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["aluminium", "finger-pad", "human-index-plateau"])
 def test_an_entry_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The legend of the SVG names every published point."""
     pytest.importorskip("matplotlib", reason="an extra")
     file = tmp_path / "figure.svg"
     assert main(["materials", name, "--plot", str(file)]) == 0
@@ -86,7 +82,6 @@ def test_an_entry_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_the_drawn_patch_is_the_one_rendered() -> None:
-    """The drawn patch radius equals the engine's at the same load, for each fingertip on steel."""
     for name in fingertips():
         scene = {"fingertip": name, "object": [{"name": "table", "shape": "plane", "material": "steel"}]}
         record = Engine(scene).run(np.array([[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0]]))[0]
@@ -105,7 +100,6 @@ def test_the_drawn_band_of_moduli_follows_hertz() -> None:
 
 
 def test_check_prints_the_origin_of_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each named table has a row with its entry and the values that the file overrides."""
     file = tmp_path / "scene.toml"
     file.write_text(SCENE)
     assert main(["check", str(file)]) == 0

@@ -36,7 +36,6 @@ HEIGHTS = 1e-3 * np.sin(np.add.outer(np.arange(20.0), 2.0 * np.arange(30.0)))
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a ball, hills, and a map so large that pixels are skipped."""
     folder: Path = tmp_path_factory.mktemp("files")
     meshes.write_ply(folder / "ball.ply", BALL)
     np.save(folder / "hills.npy", HEIGHTS)
@@ -51,7 +50,6 @@ def scene_of(*objects: dict[str, Any]) -> schema.Scene:
 
 @pytest.fixture(scope="module")
 def commands(folder: Path) -> Iterator[str]:
-    """Yield the command endpoint of a scene with these files and a plane."""
     scene = scene_of(
         {"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")},
         {"name": "hills", "shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": 0.001, "level_m": 1.0},
@@ -75,14 +73,11 @@ def control(commands: str) -> Iterator[Control]:
 
 
 def arrays(sent: Triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (n, 3), m, and triangles (m, 3)."""
     vertices, triangles = np.frombuffer(sent.vertices, "<f4"), np.frombuffer(sent.triangles, "<u4")
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
 def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -> None:
-    """By name, by index and for asyncio, the command returns all vertices and triangles of the file."""
-
     async def ask() -> Triangles:
         async with AsyncControl(commands, timeout_s=WAIT_S) as control:
             return await control.mesh("ball")
@@ -97,7 +92,6 @@ def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
-    """A rendering daemon returns the same triangles."""
     scene = scene_of({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
     with Daemon(load_rig("replay", ENDS), scene) as running:
         running.start()
@@ -107,13 +101,11 @@ def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
 
 
 def in_order(corners: np.ndarray) -> np.ndarray:
-    """Return triangles (n, 3, 3) in a canonical order."""
     rows = np.sort(corners.reshape(len(corners), -1), axis=1)
     return rows[np.lexsort(rows.T)]
 
 
 def test_a_height_map_has_a_vertex_for_each_pixel(control: Control) -> None:
-    """The mesh has a vertex for each pixel, about the map's middle, and two triangles for each cell."""
     sent = control.mesh("hills")
     vertices, triangles = arrays(sent)
     np.testing.assert_allclose(vertices[:, 2].reshape(HEIGHTS.shape), HEIGHTS, atol=1e-9)  # float32 of 1 mm
@@ -122,7 +114,6 @@ def test_a_height_map_has_a_vertex_for_each_pixel(control: Control) -> None:
 
 
 def test_a_large_height_map_is_reduced(control: Control) -> None:
-    """Of two million triangles at most 50 000 are sent."""
     sent = control.mesh("large")
     vertices, triangles = arrays(sent)
     assert len(triangles) <= 50_000 < sent.of == 2 * 999 * 999
@@ -139,7 +130,6 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
     ],
 )
 def test_objects_without_triangles_are_refused(control: Control, asked: int | str, said: str) -> None:
-    """The error names the requested object and the available ones."""
     with pytest.raises(CommandRefused) as caught:
         control.mesh(asked)
     assert str(caught.value) == said

@@ -51,7 +51,6 @@ def samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
 
 
 def test_a_histogram_counts_as_prometheus_does() -> None:
-    """Each bucket counts the values up to and including its bound, the last one all values."""
     values = np.random.default_rng(3).choice([0.0, 0.5, 1.0, 1.5, 2.0, 7.0], 1000)
     histogram = Histogram([0.5, 1.0, 2.0])
     for part in np.array_split(values, 7):
@@ -67,7 +66,6 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
 
 @pytest.mark.parametrize("batch", [1, 300, 5000])
 def test_figures_equal_those_computed_from_records(batch: int) -> None:
-    """Counts of ticks, modes, forces, guard, devices and lateness equal direct sums, for batches of any size."""
     count, random = 2 * ROWS + 77, np.random.default_rng(5)
     fingers = [synthetic(count, seed=seed) for seed in (1, 2)]
     for rows in fingers:
@@ -132,7 +130,6 @@ def daemon() -> Iterator[Daemon]:
 
 
 def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
-    """Tick counts grow between scrapes, read by Prometheus' parser; an idle client blocks neither scrapes nor servo."""
     host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))):
         until, stats = time.monotonic() + 60.0, scraped(daemon)
@@ -153,7 +150,6 @@ def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
 
 
 def test_recordings_add_up(tmp_path: Path) -> None:
-    """For two recordings in sequence, ticks and bytes are the sums of both files, and nothing is missing."""
     rig = load_rig(
         "replay",
         {
@@ -181,7 +177,6 @@ def test_recordings_add_up(tmp_path: Path) -> None:
 
 
 def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
-    """The dashboard is served unchanged, and its queries use exactly the names of the endpoint."""
     with urllib.request.urlopen(f"{daemon.metrics_endpoint}/dashboard.json", timeout=60.0) as answer:
         board = json.load(answer)
     assert board == json.loads(DASHBOARD.read_text())
@@ -195,7 +190,6 @@ def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
 
 
 def test_names_follow_prometheus_rules() -> None:
-    """Names end with a unit or `_total`, except the number of subscribers and the state."""
     for family in MetricsCollector(
         [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
     ).collect():
@@ -205,7 +199,6 @@ def test_names_follow_prometheus_rules() -> None:
 
 
 def test_the_page_lists_every_name() -> None:
-    """The table of docs/operate/metrics.md has the names and labels of the endpoint."""
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     stats: dict[str, set[str]] = {}

@@ -30,15 +30,12 @@ WAIT_S = 300.0
 
 
 class Manager:
-    """Server side of NOTIFY_SOCKET."""
-
     def __init__(self, address: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(address.replace("@", "\0"))
         self.environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
 
     def told(self, seconds: float) -> list[str]:
-        """Return the lines of the next message, or none after the time-out."""
         self._socket.settimeout(seconds)
         try:
             return self._socket.recv(4096).decode().splitlines()
@@ -46,7 +43,6 @@ class Manager:
             return []
 
     def until(self, line: str, before: Callable[[], None] = lambda: None) -> list[str]:
-        """Call `before`; return every line up to the expected one."""
         before()
         seen: list[str] = []
         end = time.monotonic() + WAIT_S
@@ -56,7 +52,6 @@ class Manager:
         return seen
 
     def falls_silent(self) -> bool:
-        """Return True once no message arrives for so long that systemd would act; earlier messages are skipped."""
         end = time.monotonic() + WAIT_S
         while self.told(QUIET_S):
             if time.monotonic() > end:
@@ -74,14 +69,12 @@ ABSTRACT = pytest.mark.parametrize("manager", ["abstract", pytest.param("path", 
 
 @pytest.fixture(params=["path", pytest.param("abstract", marks=REST)])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
-    """Service manager that receives the messages."""
     one = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
     yield one
     one.close()
 
 
 def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) -> None:
-    """The message of the end is dropped if earlier ones fill the socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as earlier, contextlib.suppress(BlockingIOError):
         earlier.setblocking(False)
         while True:
@@ -90,7 +83,6 @@ def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) ->
 
 
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
-    """READY arrives with ticks; WATCHDOG stops and resumes with them; STOPPING arrives at the end."""
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
     said = tmp_path / "stderr"
@@ -134,7 +126,6 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
 
 
 def test_a_watchdog_for_another_process_is_ignored() -> None:
-    """With WATCHDOG_PID of another process, or without a watchdog, the interval is infinite."""
     assert _watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
     assert _watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
     for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}):

@@ -38,7 +38,6 @@ def soft_scene() -> Scene:
 
 @pytest.fixture
 def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
-    """Return the list of tunings passed to the servo, which does not run."""
     given: list[Tuning] = []
     monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
     return given
@@ -61,7 +60,6 @@ class Absent(Device):
 
 @pytest.fixture
 def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
-    """Return a function that makes renderings without a device."""
     made: list[Rendering] = []
     monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (Absent(),))
 
@@ -75,7 +73,6 @@ def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], 
 
 
 def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
-    """Return the record of a fingertip pressed to a depth, after the guard's ramp."""
     pose = [0.0, 0.0, 0.01 - depth_m, 1.0, 0.0, 0.0, 0.0]
     return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
 
@@ -83,7 +80,6 @@ def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
     tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
 ) -> None:
-    """Forces and radii follow f = K d (delta / d)^p and a = c (f / 1 N)^gamma with the current numbers."""
     rendering = rendering_of(soft_scene())
     for changes, force, radius in (
         ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
@@ -109,7 +105,6 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
 def test_a_refused_change_changes_nothing(
     changes: dict[str, Any], words: str, tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
 ) -> None:
-    """A value out of range, or one that needs another loop, also discards the other values of the request."""
     rendering = rendering_of(soft_scene())
     before = rendering.scene
     with pytest.raises(ConfigError) as refused:
@@ -121,7 +116,6 @@ def test_a_refused_change_changes_nothing(
 def test_a_change_waits_for_a_replacement_and_no_longer(
     tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While a loop is being replaced a change is refused with an error; afterwards it succeeds."""
     monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
     assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's ramp to zero
     rendering = rendering_of(pressed_scene())

@@ -34,7 +34,6 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 
 
 def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
-    """Return a subscription of events that takes effect, and its first events."""
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     told: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
@@ -46,7 +45,6 @@ def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
 
 
 def test_a_question_is_shown_and_answered_once(client: Client) -> None:
-    """Later clients find the question with `get_prompt`. Both steps are events, and a second answer is refused."""
     events, told = subscribed(client)
     screen = {"colour": "#3366cc", "image": "data:image/png;base64,AAAA", "masking_noise": "pink", "volume": 0.5}
     asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
@@ -76,7 +74,6 @@ def test_an_answer_to_an_earlier_question_is_refused(client: Client) -> None:
     "value", ["neither", "", 1.0, True, None, ["first"], {"first": 1}, "x" * 100_000, float("nan")]
 )
 def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -> None:
-    """The question remains open."""
     asked = client.set_prompt(choices=("first", "second"))
     with pytest.raises(CommandRefused, match="bad_params"):
         client.ask("answer", {"value": value, "prompt": asked.number})
@@ -100,7 +97,6 @@ def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
 
 @pytest.mark.parametrize("value", [0.5, 7.01, float("nan"), float("inf"), -float("inf"), "3", True])
 def test_a_number_outside_the_range_is_refused(client: Client, value: Any) -> None:
-    """The range includes its ends."""
     client.set_prompt(number=(1.0, 7.0))
     with pytest.raises(CommandRefused, match="bad_params"):
         client.ask("answer", {"value": value})
@@ -125,7 +121,6 @@ def test_a_number_outside_the_range_is_refused(client: Client, value: Any) -> No
     ],
 )
 def test_an_invalid_prompt_is_refused(client: Client, asked: dict[str, Any], said: str) -> None:
-    """The previous prompt remains."""
     before = client.get_prompt()
     with pytest.raises(CommandRefused, match=said):
         client.ask("set_prompt", asked)

@@ -35,7 +35,6 @@ RATE_HZ = 1000.0
 
 
 def follow(daemon: Daemon, path: Path) -> RecordingStats:
-    """Run a daemon to its end and record it as another program would."""
     done: list[RecordingStats] = []
 
     def take() -> None:
@@ -52,7 +51,6 @@ def follow(daemon: Daemon, path: Path) -> RecordingStats:
 
 
 def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
-    """Record a daemon that plays a shipped recording; return the statistics and the played poses."""
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
     changes |= {"device.recording": "tap", "device.loop": False}
     with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
@@ -62,7 +60,6 @@ def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStat
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
 def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
-    """Replayed poses equal the played ones bit for bit in every tick, also if 1/rate is not exact."""
     file = tmp_path / "again.csv"
     totals, played = recorded_daemon(file, rate_hz)
     assert totals.end_reason == "the server stopped"
@@ -76,7 +73,6 @@ def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) 
 
 
 def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
-    """An MCAP recording has complete ticks, and its poses can be loaded."""
     file = tmp_path / "again.mcap"
     totals, played = recorded_daemon(file)
     records = read_results(file)
@@ -90,7 +86,6 @@ def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
-    """A replay of the recorded poses of a hand on an omega.6 has each sensed pose in its tick, bit for bit."""
     stub.update(**PRESSING)
     file = tmp_path / "hand.csv"
     with (
@@ -111,7 +106,6 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
 
 
 def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
-    """Record a publisher's records, followed by the event that the server stopped."""
     file = tmp_path / "poses.csv"
     with (
         Publisher("tcp://127.0.0.1:*", every=every) as publisher,
@@ -124,7 +118,6 @@ def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: An
 
 
 def moving(count: int) -> np.ndarray:
-    """Return records at 1 kHz; the first coordinate is the tick number."""
     records = synthetic(count)
     put(records, "dt", 0.001)
     put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
@@ -133,7 +126,6 @@ def moving(count: int) -> np.ndarray:
 
 
 def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
-    """Missing ticks are counted, the longest gap is reported, and later rows keep their times."""
     totals, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
     assert (totals.poses, totals.lost, totals.gap_count, totals.worst) == (396, 4, 2, (49, 3))
     assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in totals.gaps()
@@ -142,7 +134,6 @@ def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
 
 
 def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
-    """A tick with a time step of three periods, after missed deadlines, is three periods after the previous one."""
     records = moving(250)
     put(records[100:101], "dt", 0.003)
     put(records[0:1], "dt", 0.002)  # late when the recording starts: not the period
@@ -154,14 +145,12 @@ def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
 
 
 def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
-    """Thinned telemetry gives a thinner recording of the same duration without losses."""
     totals, file = published(tmp_path, moving(501), every=5)
     assert (totals.poses, totals.lost, totals.every) == (101, 0, 5)
     np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
 
 
 def test_duration_ends_the_recording(tmp_path: Path) -> None:
-    """The recording contains the requested duration even if the publisher continues."""
     totals, file = published(tmp_path, moving(400), duration_s=0.3)
     assert totals.end_reason == "0.3 s are over"
     assert len(load_poses(file).t) == 300
@@ -175,7 +164,6 @@ def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
 
 
 def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
-    """A tick with NaN is left out with a report, and the file can be replayed."""
     records = moving(100)
     put(records[30:31], "probe.position", np.nan)
     totals, file = published(tmp_path, records)
@@ -185,7 +173,6 @@ def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
 
 
 def test_bad_files_and_a_missing_server_raise_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wrong ending, a missing folder and a missing server each raise a specific error."""
     with pytest.raises(ConfigError, match=r"poses\.txt: poses are recorded as \.csv or \.mcap"):
         cli_record(tmp_path / "poses.txt")
     with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
@@ -203,7 +190,6 @@ def cli_record(path: Path) -> None:
 
 
 def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The command line records for 0.5 s and reports ticks, duration and losses in one line."""
     file = tmp_path / "poses.csv"
     stop = threading.Event()
     with Publisher("tcp://127.0.0.1:*") as publisher:
@@ -230,7 +216,6 @@ def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.L
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("dt", [0.0, -0.001, 1e300, np.inf, np.nan])
 def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None:
-    """An impossible time step ends the recording with one error that contains it."""
     records = synthetic(300)
     put(records, "dt", dt)
     with pytest.raises(ProtocolError, match=r"tick \d+ has dt = "):

@@ -38,7 +38,6 @@ torsion = {{ stiffness_nm_per_rad = 0.05, friction_length_m = 0.004 }}
 
 @pytest.fixture(scope="module")
 def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
-    """Return all ticks of press, roll, spin and drag, twice as wide and 2 mm deeper, over 82 000 triangles."""
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = meshes.bumpy_sphere(64, BALL, height=BUMPS, waves=80.0)
     up = np.array([0.6, 0.48, 0.64])  # where the bumps are high: they are 0 on the axes
@@ -61,12 +60,10 @@ def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
 
 
 def step(values: Array) -> Array:
-    """Return the change of a field (n, k) in each tick."""
     return np.linalg.norm(np.diff(values, axis=0), axis=1)
 
 
 def tangential(visited: dict[str, Array]) -> Array:
-    """Return the friction force (n, 3) N of all patches."""
     total = np.zeros_like(visited["force"])
     for patch in range(3):
         force, normal = visited[f"contacts{patch}.force"], visited[f"contacts{patch}.normal"]
@@ -75,7 +72,6 @@ def tangential(visited: dict[str, Array]) -> Array:
 
 
 def test_the_recording_covers_all_kinds_of_contact(visited: dict[str, Array]) -> None:
-    """It is a few millimetres deep, sticks, slides and is free, and touches up to three triangles at once."""
     depth = np.linalg.norm(visited["proxy.position"] - visited["probe.position"], axis=1)
     assert 2e-3 < depth.max() < 6e-3
     assert set(visited["contact.mode"].astype(int)) == {0, 1, 2}
@@ -84,7 +80,6 @@ def test_the_recording_covers_all_kinds_of_contact(visited: dict[str, Array]) ->
 
 
 def test_all_is_finite_and_no_search_was_truncated(visited: dict[str, Array]) -> None:
-    """There is no NaN, and no tick omitted triangles."""
     assert all(np.isfinite(values).all() for values in visited.values())
     assert not visited["contact.budget"].any()
 

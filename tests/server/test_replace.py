@@ -34,8 +34,6 @@ WAIT_S = 120.0
 
 
 class Kept:
-    """Sink that stores tick, timestamp, misses and force of every record."""
-
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
         self.sink = Sink("kept", self._take)
@@ -49,7 +47,6 @@ class Kept:
         return np.concatenate(self.rows)
 
     def pressed(self) -> bool:
-        """Return True if the last force is large enough to feel."""
         return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
 
 
@@ -63,7 +60,6 @@ def left_open() -> tuple[int, int]:
 
 @pytest.mark.parametrize("rig_name", ["replay", "simulated"])
 def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
-    """The force never exceeds the slew limit, each loop ends at zero, ticks and times continue."""
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
     rig, recorder, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
@@ -102,7 +98,6 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
 
 
 def test_a_new_rig_cannot_exceed_the_force_of_the_device():
-    """A guard of 40 N replaces one of 0.2 N: the force then equals the device's 0.3 N and never exceeds it."""
     most, device = 0.3, {"device.force_max_n": 0.3}
     recorder, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
     with Daemon(rig, load_scene("paper-plane"), sinks=[recorder.sink]) as running:
@@ -120,7 +115,6 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
 
 
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
-    """A wall of 1 MN/m requires many times the limit; the force is a share that grows with the ramp."""
     rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with Daemon(rig, load_scene("frictionless-plane"), sinks=[recorder.sink]) as running:
@@ -137,7 +131,6 @@ def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
 
 
 def test_subscribers_stay_connected_and_get_an_event():
-    """The event contains the first tick of the new scene, and no tick is lost."""
     rig, (first, second) = load_rig("replay", QUIET), scenes()
     with Daemon(rig, first) as running, zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 60_000
@@ -162,7 +155,6 @@ def test_subscribers_stay_connected_and_get_an_event():
 
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
-    """A faulty rig or scene is refused, and the old loop continues with its force."""
     rig, recorder, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
@@ -196,7 +188,6 @@ def faulty_rig(**changes):
 
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
-    """The servo stops and closes the old device and arms the new one before its first read; no tick is lost."""
     recorder, (first, second) = Kept(), scenes()
     with Daemon(faulty_rig(), first, sinks=[recorder.sink]) as running:
         running.start()
@@ -220,7 +211,6 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
-    """A new device is neither armed nor has an offset; a change of only the rate also reopens the device."""
     newest, (first, second) = [], scenes()
     rig = faulty_rig(**{"guard.arm": "command"})
     with Daemon(
@@ -262,7 +252,6 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
-    """The old one is closed by then; `replace` and `wait` both raise the error of opening."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -276,7 +265,6 @@ def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
 
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
-    """The device that is being opened is closed without being armed, and `wait` returns."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -307,7 +295,6 @@ def test_a_pause_during_a_replacement_ends_the_run(driver):
 
 
 def test_replacing_requires_a_running_daemon(driver):
-    """Before the start and after the end it raises an error and does not wait."""
     first, second = scenes()
     with Daemon(faulty_rig(), first, 50) as running:
         with pytest.raises(SafetyStop, match="does not run"):
@@ -319,7 +306,6 @@ def test_replacing_requires_a_running_daemon(driver):
 
 
 def test_the_number_of_ticks_is_counted_over_all_loops(driver):
-    """A run with a limit of ticks ends after them even if its scene was replaced."""
     recorder, (first, second) = Kept(), scenes()
     rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow, so that a busy machine can follow
     with Daemon(rig, first, 1_000, sinks=[recorder.sink]) as running:
@@ -332,7 +318,6 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
 
 
 def test_two_pauses_are_one_pause(driver):
-    """After a second Ctrl-Z there is no force until both pauses are over; then it ramps."""
     first, _ = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()
@@ -352,7 +337,6 @@ def test_two_pauses_are_one_pause(driver):
 
 
 def test_a_device_that_refuses_arming_raises_its_error(driver):
-    """`replace` and `wait` raise the error of the new device, and both devices are closed."""
     first, second = scenes()
     with Daemon(faulty_rig(), first) as running:
         running.start()

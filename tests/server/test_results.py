@@ -18,7 +18,6 @@ from softfinger.server.recording.results import SUFFIXES, McapResults, read_resu
 
 
 def some_records(count: int, seed: int = 11) -> np.ndarray:
-    """Return random bit patterns of all magnitudes; integers where the table requires them."""
     rng = np.random.default_rng(seed)
     records = rng.standard_normal((count, RECORD_SIZE)) * 10.0 ** rng.integers(-300, 300, (count, RECORD_SIZE))
     for field in FIELDS:
@@ -33,7 +32,6 @@ def some_records(count: int, seed: int = 11) -> np.ndarray:
 @pytest.mark.parametrize("ending", SUFFIXES)
 @pytest.mark.parametrize("count", [1, 2500])
 def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
-    """Records are equal bit for bit, and no other file remains."""
     path = tmp_path / f"out{ending.upper()}"
     records = some_records(count)
     write_results(path, records)
@@ -43,7 +41,6 @@ def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
-    """A run without ticks gives a readable file."""
     write_results(tmp_path / f"o{ending}", some_records(0))
     assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
 
@@ -55,7 +52,6 @@ def test_csv_header_names_every_component(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [1, 7, 1100])
 def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
-    """Each cell is the number as in JSON without `.0`: varying, constant, sometimes an integer, or -0."""
     records = some_records(count)
     records[np.isinf(records) | np.isnan(records)] = 0.0
     records[:, 10] = 0.1
@@ -69,7 +65,6 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 9000])
 def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
-    """Before compression all arrays are equal, byte for byte, to those of numpy.savez; some change late, by a sign."""
     records = some_records(count)
     records[:, [AT.buttons, AT.force + 1]] = 0.0
     records[5000:, AT.buttons], records[8500:, AT.force + 1] = -0.0, 1.0
@@ -82,7 +77,6 @@ def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
 
 
 def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
-    """Varying numbers shrink little and take most of the time to compress; buttons change in the last row only."""
     records = np.zeros((2500, RECORD_SIZE))
     records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
     write_results(tmp_path / "o.npz", records)
@@ -92,7 +86,6 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
 
 
 def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
-    """Each field is an array under its telemetry name, in addition to the complete record."""
     records = some_records(5)
     write_results(tmp_path / "o.npz", records)
     with np.load(tmp_path / "o.npz") as archive:
@@ -104,7 +97,6 @@ def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
 
 
 def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
-    """mcap's indexed reader and protobuf decoder return topic, times, and the nested names of the table."""
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
@@ -134,7 +126,6 @@ def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
 
 
 def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A file that is not closed is readable except for its last chunk."""
     records = some_records(3000)
     path = tmp_path / "live.mcap"
     stream = McapResults(path)
@@ -152,7 +143,6 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:
-    """Unknown endings, wrong shapes, missing folders and NaN in an integer field raise errors and leave no file."""
     records = some_records(3)
     for name in ("o.txt", "o"):
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
@@ -174,7 +164,6 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", SUFFIXES)
 def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
-    """The error contains the name of the file."""
     path = tmp_path / f"other{ending}"
     path.write_bytes(b"timestamp,tick\n1,2\n")
     with pytest.raises(RecordingError, match=path.name):
@@ -182,7 +171,6 @@ def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
 
 
 def test_full_disk_is_reported(tmp_path: Path) -> None:
-    """A full device raises an error on opening, on writing and on closing."""
     with pytest.raises(RecordingError, match="No space left"):
         McapResults("/dev/full")
     stream = McapResults(tmp_path / "o.mcap")
@@ -197,7 +185,6 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:
-    """Writing through a symbolic link replaces its target, not the link."""
     (tmp_path / "real.csv").write_text("old")
     (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
     write_results(tmp_path / "link.csv", some_records(2))

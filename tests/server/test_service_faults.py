@@ -27,15 +27,12 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """Object with methods that all raise OSError."""
-
     def __getattr__(self, name: str) -> Any:
         raise OSError(f"{name} is gone")
 
 
 @pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
 def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
-    """After an OSError one fault event has the service's name and the error, and it can be stopped."""
     told: list[tuple[str, str, str]] = []
     came = threading.Event()
 
@@ -65,14 +62,11 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
 
 
 def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
-    """If the heartbeat check fails, the event is sent, commands are no longer answered, and the run ends."""
     told: list[Any] = []
     ended: list[Exception] = []
     served: list[Any] = []
 
     class Failing:
-        """Force switch with a state that cannot be read."""
-
         def end_at(self, time_ns: int) -> None: ...
 
         def is_inhibited_by(self, why: str) -> bool:
@@ -98,7 +92,6 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
 
 @pytest.mark.parametrize("jump_s", [-3600.0, 3600.0])
 def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) -> None:
-    """After timestamps jump by an hour, every touch is reported and every tick is counted in a `health` message."""
     records = np.zeros((5000, RECORD_SIZE))
     records[:, AT.tick] = np.arange(5000)
     records[:, AT.timestamp] = 1.7e9 + np.arange(5000) * 1e-3

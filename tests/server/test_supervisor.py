@@ -20,8 +20,6 @@ WAIT_S = 20.0
 
 
 class Broken:
-    """Servo with a tick counter that raises OSError."""
-
     is_ticking = True
 
     @property
@@ -51,7 +49,6 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
-    """The run is ended, each device stopped although another fails, and the event published, in this order."""
     done: list[str] = []
     ended = threading.Event()
 
@@ -78,8 +75,6 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
 
 
 class Stalled:
-    """Servo without ticks that counts reads of its tick counter."""
-
     is_ticking, is_armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
@@ -104,7 +99,6 @@ class Stalled:
     ],
 )
 def test_a_stall_is_longer_without_a_hand(held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """STALL_POLLS polls with a hand on any device, otherwise STALL_POLLS_WITHOUT_HAND."""
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
     servo, errors = Stalled(*held), list[HapticError]()
@@ -114,8 +108,6 @@ def test_a_stall_is_longer_without_a_hand(held: tuple[bool, ...], looks: int, mo
 
 
 class Clock:
-    """Clock that advances with each sleep, plus `turn` s until the supervisor is scheduled."""
-
     def __init__(self, turn: float) -> None:
         self.now, self._turn = 0.0, turn
 
@@ -153,8 +145,6 @@ def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
 
 
 class Unarmed:
-    """Servo that waits for its devices during a number of polls."""
-
     ticks, is_armed = 0, False
     devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
@@ -168,7 +158,6 @@ class Unarmed:
 
 
 def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
-    """The supervisor polls until the servo ends, and ends nothing."""
     done: list[Any] = []
     supervisor = Supervisor(cast(Any, Unarmed(8 * STALL_POLLS)), done.append, lambda *words, **_: done.append(words))
     supervisor.work()

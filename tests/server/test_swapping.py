@@ -13,7 +13,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An event and a log line, with amount and remedy, follow when the amount becomes positive."""
     told: list[tuple[str, str, str]] = []
 
     def event(kind: str, name: str, message: str) -> None:
@@ -31,7 +30,6 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
-    """The thread checks at its start; a failing check is an event, and the thread can be stopped."""
     told: list[Any] = []
     watch = Swapping(lambda *words, **fields: told.append((words, fields)), tmp_path / "nothing")
     watch.start()

@@ -54,10 +54,14 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"
     )
-    parser.add_argument(
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
         "--meshes",
         action="store_true",
         help="compare meshes of a ball, a cylinder and a torus with the exact shapes instead",
+    )
+    instead.add_argument(
+        "--heightmap", action="store_true", help="compare a height map with a mesh of the same pixels instead"
     )
     parser.add_argument("--quick", action="store_true", help="four servo rates, no other sweep, short drift test")
     add_sweep_options(parser)

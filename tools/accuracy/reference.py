@@ -9,7 +9,7 @@ nearest point of the solid is found by clamping, and the integration restarts at
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,12 +48,32 @@ def torus(p: Array, shape: model.Torus) -> Gradient:
     return np.array([2 * (1 - shape.major / q) * p[0], 2 * (1 - shape.major / q) * p[1], 2 * p[2]]), hessian
 
 
+class Hills(NamedTuple):
+    """Surface z = amplitude cos(k x) cos(k y), k = 2 pi / wavelength, m; it is not a shape of the kernels."""
+
+    amplitude: float
+    wavelength: float
+
+    def height(self, x: Any, y: Any) -> Any:
+        k = 2.0 * np.pi / self.wavelength
+        return self.amplitude * np.cos(k * x) * np.cos(k * y)
+
+
+def hills(p: Array, shape: Hills) -> Gradient:
+    """Use F = z - h(x, y)."""
+    a, k = shape.amplitude, 2.0 * np.pi / shape.wavelength
+    (cx, cy), (sx, sy) = np.cos(k * p[:2]), np.sin(k * p[:2])
+    hessian = a * k * k * np.array([[cx * cy, -sx * sy, 0.0], [-sx * sy, cx * cy, 0.0], [0.0, 0.0, 0.0]])
+    return np.array([a * k * sx * cy, a * k * cx * sy, 1.0]), hessian
+
+
 GRADIENTS: dict[type, Callable[..., Gradient]] = {
     model.Plane: plane,
     model.Sphere: sphere,
     model.Cylinder: cylinder,
     model.Ellipsoid: ellipsoid,
     model.Torus: torus,
+    Hills: hills,
 }
 
 

@@ -18,7 +18,7 @@ import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.offline.figures import reason_unsavable
-from softfinger.tools.accuracy import meshes
+from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, cases, has_method
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import fronts, orders, recommendations
@@ -39,6 +39,8 @@ LIMITS: Final = {"rate": (4.0, 1e5, "Hz"), "error_below": (1e-15, 1.0, "m"), "dr
 def run(args: argparse.Namespace) -> int:
     if args.meshes:
         return meshes.run(args)
+    if args.heightmap:
+        return pixels.run(args)
     sweep, drift_cases = plan(args)
     if args.figures is not None:
         prepare_figures(args.figures)
@@ -105,6 +107,7 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
 
 
 def machine() -> dict[str, Any]:
+    """Describe the machine on which the times were measured."""
     return {
         "processor": llvm.get_host_cpu_name(),
         "processors": os.cpu_count(),

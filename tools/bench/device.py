@@ -19,6 +19,7 @@ from softfinger.tools.measure import Array, show
 
 
 def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns the exit code. The device receives zero force only."""
     check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
@@ -45,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def draw(path: Path, rows: Array, title: str) -> None:
+    """Draw the fraction of ticks in which read, write, and the empty pair took longer than a time."""
     drawing = figure()
     axes = drawing.add_subplot()
     parts = {"read": rows[:, READ], "write": rows[:, WRITE], "empty pair": rows[:, EMPTY_READ] + rows[:, EMPTY_WRITE]}

@@ -131,6 +131,7 @@ def _carry_poses(first: schema.Scene, second: schema.Scene) -> tuple[Array, Arra
 
 
 def all_features() -> list[Feature]:
+    """Return every feature, in the order of the tables of a scene file."""
     return [
         *_normal(),
         *_rolling(),

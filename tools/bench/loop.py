@@ -173,6 +173,7 @@ def run_reference(program: Path, rig: Rig, ticks: int) -> Array:
 
 
 def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
+    """Return percentiles of each loop, seconds, and their ratios."""
     block = round(rate_hz)
     result: dict[str, Any] = {"rate_hz": rate_hz}
     for name, values in figures.items():

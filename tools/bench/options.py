@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from pathlib import Path
 from typing import Final
 
 from softfinger.tools.bench.geoms import GEOMS_MAX
@@ -23,6 +24,30 @@ def configure_step(parser: argparse.ArgumentParser) -> None:
         "'torsion*'. Each compiles one or two scenes (2 to 5 s); all take about three minutes the first time",
     )
     parser.add_argument("--blocks", type=int, default=2000, help="timed blocks of steps (default: %(default)s)")
+    add_output_options(parser)
+
+
+def configure_closed_loop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scene", default="frictionless-plane", help="scene whose first surface is at z = 0 (default: %(default)s)"
+    )
+    parser.add_argument("--blocks", type=int, default=1000, help="timed blocks of ticks (default: %(default)s)")
+    add_output_options(parser)
+
+
+def configure_simulate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scene", default="paper-plane", help="scene of one finger (default: %(default)s)")
+    parser.add_argument(
+        "--poses", default="press-roll-spin-drag", metavar="P", help="recording to repeat (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--ticks",
+        type=int,
+        default=600_000,
+        help="number of ticks; a file of 600000 has up to 0.9 GB (default: %(default)s)",
+    )
+    parser.add_argument("--rounds", type=int, default=5, help="repetitions for each format (default: %(default)s)")
+    parser.add_argument("--folder", type=Path, help="folder for temporary files (default: that of the system)")
     add_output_options(parser)
 
 
@@ -53,6 +78,17 @@ def configure_device(parser: argparse.ArgumentParser) -> None:
     add_output_options(parser)
 
 
+def configure_commands(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--rate", type=float, default=200.0, metavar="HZ", help="set_params per second (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="duration with commands, and again without (default: %(default)s)"
+    )
+    parser.add_argument("--swaps", type=int, default=100, help="number of set_scene commands (default: %(default)s)")
+    add_output_options(parser)
+
+
 def configure_mesh(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--levels",
@@ -72,6 +108,24 @@ def configure_mesh(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--ticks", type=int, default=20_000, help="ticks without a pause (default: %(default)s)")
     parser.add_argument("--paced", type=int, default=2_000, help="ticks at 1 kHz (default: %(default)s)")
+    add_output_options(parser)
+
+
+def configure_view(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--viewers", type=int, default=10, metavar="N", help="number of simultaneous viewers (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--browsers",
+        type=int,
+        default=0,
+        metavar="N",
+        help="number of simultaneous pages in Chromium (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="duration of each measurement (default: %(default)s)"
+    )
+    parser.add_argument("--rig", default="simulated", help="rig file or name (default: %(default)s)")
     add_output_options(parser)
 
 
@@ -100,9 +154,13 @@ def configure_telemetry(parser: argparse.ArgumentParser) -> None:
 
 KINDS: Final = {
     "step": ("cost of the contact step without pauses", configure_step),
+    "closed-loop": ("ticks per second with a simulated device, offline", configure_closed_loop),
+    "simulate": ("speed of `simulate`, from start to finished file", configure_simulate),
     "loop": ("lateness and execution time of the servo loop, compared with a C loop", configure_loop),
     "device": ("duration of an exchange with a device, compared with an empty one", configure_device),
+    "commands": ("effect of commands on the rendered force and on memory", configure_commands),
     "mesh": ("cost of a tick on meshes of different sizes", configure_mesh),
+    "view": ("cost of browser pages for the servo, and their frame rate", configure_view),
     "soak": ("long run with all services: memory growth, missed ticks, lost records", configure_soak),
     "telemetry": ("latency from tick to subscriber, and lost records", configure_telemetry),
 }
@@ -117,6 +175,7 @@ def configure_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the chosen measurement and return its exit code."""
     module = importlib.import_module(f"softfinger.tools.bench.{args.kind.replace('-', '_')}")
     code: int = module.run(args)
     return code

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -36,6 +35,7 @@ from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.loop import compile_reference, run_reference
 from softfinger.tools.bench.telemetry import await_messages, source
+from softfinger.tools.bench.view import viewer
 from softfinger.tools.measure import Array, show
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ class Soaked(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
+    """Measure and print; raises Unfit if something grows or a tick was lost."""
     if not 0.1 <= args.minutes <= 10_000.0:
         raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
@@ -107,6 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def soak(rig: Rig, seconds: float) -> Soaked:
+    """Run everything for `seconds` and sample it once a second."""
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
         folder = Path(folder_name)
         commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
@@ -183,10 +185,12 @@ def sizes(name: str, pid: int) -> Sizes:
 
 
 def change(client: Client, number: int) -> None:
+    """Set one of three stiffnesses."""
     client.set_params({"object.table.material.stiffness_n_per_m": 900.0 + 100.0 * (number % 3)})
 
 
 def newest(endpoint: str) -> tuple[int, int]:
+    """Return the latest tick and the deadlines missed until then."""
     with subscribe(endpoint, timeout_s=30.0) as samples:
         tick = next(iter(samples))
         return tick.tick, tick.servo.missed
@@ -202,28 +206,6 @@ def end_after(words: list[str]) -> Iterator[subprocess.Popen[str]]:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-
-
-@contextmanager
-def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run `softfinger view` with arguments; yields the process and the address of its page.
-
-    Raises ConfigError with the output of the process if there is no page.
-    """
-    command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
-        assert process.stderr is not None
-        try:
-            output = ""
-            while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
-                line = process.stderr.readline()
-                if not line:
-                    raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
-                output += line
-            yield process, match[1]
-        finally:
-            process.terminate()
-            process.communicate(timeout=30.0)
 
 
 @contextmanager
@@ -336,6 +318,7 @@ def stop_on_sigterm() -> threading.Event:
 
 
 def receive(endpoint: str) -> None:
+    """Run a subscriber that counts the ticks it did not receive and prints them on SIGTERM."""
     stopped, lost_ticks = stop_on_sigterm(), 0
     with subscribe(endpoint) as samples:
         while not stopped.is_set():

@@ -128,6 +128,7 @@ def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
 
 
 def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
+    """Measure a feature over turns of `blocks` blocks in all; the poses change with the touched surface."""
     scenes = feature.without, feature.having
     if feature.poses is not None:
         poses = feature.poses()
@@ -171,6 +172,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
+    """Draw the variants of the scenes and, below them, the cost of each feature."""
     steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
     added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
     parts = [(rows, axis) for rows, axis in ((steps, "ns per step, back to back"), (added, "ns added")) if rows]

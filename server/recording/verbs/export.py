@@ -10,7 +10,6 @@ from softfinger.server.recording.export import export
 
 
 def run(args: argparse.Namespace) -> int:
-    """Export the recording; return 0."""
     recording = find_recording(args.recording)
     check_distinct("--out", args.out, [recording])
     count = export(recording, args.out, args.finger)

@@ -11,7 +11,6 @@ from softfinger.server.recording.summary import extent_text, summary
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the summary; return 0."""
     info = summary(args.recording)
     print(json.dumps(info) if args.json else "\n".join(_lines(info)))
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -17,6 +18,7 @@ from softfinger.config.files import open_recording
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
+from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.recorder import Recorder, RecorderState
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, record_of, subscribe
 from softfinger.server.wire.control import Control
@@ -63,12 +65,8 @@ def record_live(job: RecordingJob, path: Path) -> str:
     """
     with subscribe_all(job) as wire:
         first_samples, fingers, about = receive_first(wire, job)
-        try:
+        with translate_errors(path):
             file = open_recording(path)
-        except FileExistsError as error:
-            raise RecordingError(f"{path}: already exists: a recording does not overwrite files") from error
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
         recorder = Recorder(file, fingers, about, lambda text, _: log.warning(text))
         batcher = TickBatcher(recorder, fingers)
         try:
@@ -90,8 +88,6 @@ def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, en
 
 
 class TickReceiver(Protocol):
-    """Receiver of ticks and events."""
-
     def take(self, records: NDArray[np.float64], finger: int) -> None:
         """Receive records (n, RECORD_SIZE) of the finger with this index."""
 
@@ -110,7 +106,7 @@ class TickBatcher:
     """Passes messages to a receiver, ticks in batches."""
 
     def __init__(self, receiver: TickReceiver, fingers: list[str]) -> None:
-        self._receiver, self._indices = receiver, {finger: index for index, finger in enumerate(fingers)}
+        self.receiver, self._indices = receiver, {finger: index for index, finger in enumerate(fingers)}
         self._rows: dict[int, list[list[float]]] = {index: [] for index in self._indices.values()}
         self._due_s = time.monotonic() + BATCH_S
         self.first = self.last = -1
@@ -122,11 +118,11 @@ class TickBatcher:
         """Process the next message; set `end_reason` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
-            self._receiver.event(sample.data)
+            self.receiver.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 self.end_reason = "the server stopped"
         elif sample.topic in SCENE_TOPICS:
-            self._receiver.message(sample.topic, msgspec.to_builtins(sample.data))
+            self.receiver.message(sample.topic, msgspec.to_builtins(sample.data))
         elif finger in self._indices:
             if sample.tick < self.last:
                 self.end_reason = "the server started again"
@@ -142,33 +138,21 @@ class TickBatcher:
             self.flush()
 
     def flush(self) -> None:
-        """Pass the collected ticks to the receiver."""
         self._due_s = time.monotonic() + BATCH_S
         for index, rows in self._rows.items():
             if rows:
-                self._receiver.take(np.array(rows), index)
+                self.receiver.take(np.array(rows), index)
                 rows.clear()
-
-    @property
-    def failed(self) -> bool:
-        """Return whether the receiver stopped because of an error."""
-        failed: bool = self._receiver.failed
-        return failed
 
 
 def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[Sample], batcher: TickBatcher) -> str:
     """Process the first messages and all that arrive until the end; return the cause of the end."""
-    try:
-        for sample in first_samples:
-            batcher.take(sample)
-        return _receive_until_end(wire, job, batcher)
-    finally:
-        batcher.flush()
-
-
-def _receive_until_end(wire: Subscription, job: RecordingJob, batcher: TickBatcher) -> str:
     received_s = shown_s = time.monotonic()
-    with counter() as show:
+    with ExitStack() as stack:
+        stack.callback(batcher.flush)
+        show = stack.enter_context(counter())
+        for first_sample in first_samples:
+            batcher.take(first_sample)
         while not batcher.end_reason:
             sample = wire.receive(POLL_S)
             now = time.monotonic()
@@ -183,7 +167,7 @@ def _receive_until_end(wire: Subscription, job: RecordingJob, batcher: TickBatch
                 batcher.take(sample)
             if job.is_stop_requested():
                 return "stopped"
-            if batcher.failed:
+            if batcher.receiver.failed:
                 return "the file takes no more"
             if show is not None and now - shown_s > SHOW_PERIOD_S:
                 shown_s = now
@@ -199,7 +183,6 @@ def _is_over(sample: Sample, job: RecordingJob, batcher: TickBatcher) -> bool:
 
 
 def subscribe_all(job: RecordingJob) -> Subscription:
-    """Subscribe to all recorded topics."""
     return subscribe(job.addresses.telemetry, (CONTACT, FINGERS, EVENT, *SCENE_TOPICS), keys=job.keys)
 
 

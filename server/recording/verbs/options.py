@@ -12,21 +12,18 @@ TOLERANCE: Final = 1e-9
 """N, N m, m: possible difference between processors after many ticks; results on one machine are identical."""
 
 
+def _add_recording(parser: argparse.ArgumentParser) -> None:
+    kinds = "MCAP file, results or poses (.csv, .npz), or the name of a shipped recording"
+    parser.add_argument("recording", metavar="RECORDING", help=kinds)
+
+
 def configure_info(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help="MCAP file, results or poses (.csv, .npz), or the name of a shipped recording",
-    )
+    _add_recording(parser)
     parser.add_argument("--json", action="store_true", help="print as JSON, with rig and scene")
 
 
 def configure_export(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help="MCAP file, results or poses (.csv, .npz), or the name of a shipped recording",
-    )
+    _add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="output file: .csv, .parquet or .npz")
     parser.add_argument("--finger", default="", metavar="NAME", help="finger to export, if there are several")
 

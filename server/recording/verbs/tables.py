@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import argparse
 
-from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.errors import ConfigError
 from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.summary import extent_text
 from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
 def run(args: argparse.Namespace) -> int:
-    """Convert the table; return 0."""
     layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")
     check_distinct("--out", args.out, [args.table])
     poses = read_table(args.table, layout)
-    try:
-        write_poses(args.out, poses)
-    except OSError as error:
-        raise RecordingError(f"{args.out}: cannot be written: {error.strerror or error}") from error
+    write_poses(args.out, poses)
     extent = extent_text(poses.position.min(axis=0), poses.position.max(axis=0))
     print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {extent}")
     return 0

@@ -54,23 +54,16 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 
 
 def new_token() -> str:
-    """Return a random token."""
     return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Access:
     """Check of requests to a page on `host`.
 
-    Parameters
-    ----------
-    host
-        Address that the page listens on.
-    allowed
-        Further hosts, NAME or NAME:PORT, for access through a tunnel.
-    title
-        Title of the page.
-    token
-        Secret part of the address; None: a new one.
+    host     address that the page listens on
+    allowed  further hosts, NAME or NAME:PORT, for access through a tunnel
+    title    title of the page
+    token    secret part of the address; None: a new one
     """
 
     def __init__(

@@ -113,7 +113,6 @@ class BodyNodes:
                 self._update_frame(scene_index)
 
     def drive(self, scene_index: int, position: Any, orientation: Any = None) -> None:
-        """Move a driven object."""
         pose = (tuple(position), self.poses[scene_index][1] if orientation is None else tuple(orientation))
         self.poses[scene_index] = pose
         if scene_index in self._moving:
@@ -126,7 +125,6 @@ class BodyNodes:
         self._frames[scene_index].wxyz = orientation
 
     def drawn_objects(self) -> list[tuple[Any, PoseTuple]]:
-        """Return the drawn objects with their poses."""
         return list(zip(self._objects, self.poses, strict=True))
 
     def below(self, point: NDArray[np.float64]) -> Projection | None:
@@ -139,7 +137,6 @@ class BodyNodes:
         return max(projections, key=lambda projection: float(projection.point[2]), default=None)
 
     def remove(self) -> None:
-        """Remove the frames with all their child nodes."""
         self._root.remove()
 
 

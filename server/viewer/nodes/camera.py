@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.server.surface_meshes import surface_mesh
+from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 from softfinger.server.viewer.nodes.looks import CM
 
@@ -33,7 +34,6 @@ FRONT_OFFSET: Final = np.array([0.0, -10.5, 4.4])
 
 FRONT_OFFSET suits fingers on both sides of an object, which hides neither.
 """
-UP: Final = np.array([0.0, 0.0, 1.0])
 VIEW_MIRRORS: Final = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)])
 """Mirrored views; the first one that shows most planes from their front is used."""
 PLANE_MARGIN_M: Final = np.array([0.02, 0.02, 0.019])
@@ -56,12 +56,8 @@ def initial_camera(
     Hollow objects do not enlarge the picture, unless there are no other ones: they are larger than a touch and fill it
     anyway.
 
-    Parameters
-    ----------
-    file_vertices
-        Vertices (n, 3) m of objects that are loaded from files, by index.
-    drawn_objects
-        Drawn objects with their poses; None: the scene's objects at their initial poses.
+    file_vertices  vertices (n, 3) m of objects that are loaded from files, by index
+    drawn_objects  drawn objects with their poses; None: the scene's objects at their initial poses
     """
     reach = 2.0 * max(max(finger.radii_m or (finger.radius_m,)) for finger in scene.fingers)
     objects = drawn_objects or [(obj, (obj.position_m, obj.orientation_wxyz)) for obj in scene.object]

@@ -17,7 +17,7 @@ from softfinger.server.viewer.nodes.bodies import BodyNodes
 from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, disc
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
 
 Array = NDArray[np.float64]
 
@@ -30,9 +30,6 @@ TRACE_HEIGHT_M: Final = 2e-4
 TRACE_TICKS: Final = 5
 """Ticks between two points of a trace."""
 MIN_DRAWN_FORCE_N: Final = 1e-4
-"""Minimum force that is drawn."""
-STATE_TICKS: Final = 100
-"""Ticks over which rolling and spinning are detected."""
 SHADOW_HEIGHTS_M: Final = (6e-4, 1e-4)
 """Height of the shadow: above a curved surface, whose concave part would hide its rim, and above a flat one, below
 the traces.
@@ -75,14 +72,11 @@ _PATCHES: Final = [
 class FingerNodes:
     """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    Parameters
-    ----------
-    bodies
-        Objects; the traces on them are in their frames.
+    bodies  Objects; the traces on them are in their frames
     """
 
     def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
-        self._api, self._scene, self._bodies = api, scene, bodies
+        self._api, self.scene, self._bodies = api, scene, bodies
         self._node = f"/fingers/{parts.name or 'finger'}"
         self._radii = parts.radii_m or (parts.radius_m,) * 3
         self.radius: Final = max(self._radii)
@@ -121,7 +115,6 @@ class FingerNodes:
         self._touched_object = -1
         self._last_row: Array | None = None
         self.state = VisibleState.FREE
-        """State of the contact."""
         self.displayed_force: Callable[[Array], Array] | None = None
         """Function that returns the part (3,) N of a tick's force (RECORD_SIZE,) that the device displays; None: all of
         it."""
@@ -200,7 +193,7 @@ class FingerNodes:
 
     def _show_cone(self, row: Array, is_shown: bool, newtons_per_cm: float) -> None:
         scene_index, normal_force = int(row[AT.contact_object]), float(row[AT.contact_normal_force])
-        objects = self._scene.object
+        objects = self.scene.object
         friction = objects[scene_index].material.friction if 0 <= scene_index < len(objects) else None
         self._cone.visible = is_shown and friction is not None and normal_force > MIN_DRAWN_FORCE_N
         if not self._cone.visible or friction is None:
@@ -268,14 +261,9 @@ class FingerNodes:
             trace.break_line()
 
     def clear_traces(self) -> None:
-        """Clear the traces."""
         for trace, node in self._traces():
             trace.clear()
             node.points = trace.segments
-
-    def change(self, scene: schema.Scene) -> None:
-        """Set new parameters of the same objects."""
-        self._scene = scene
 
     def remove(self) -> None:
         self._root.remove()

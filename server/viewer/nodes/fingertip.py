@@ -78,7 +78,6 @@ def finger(radii: Array) -> SurfaceMesh:
 
 
 def nail(radii: Array) -> SurfaceMesh:
-    """Return the nail of `finger(radii)`."""
     grid = np.linspace(-1.0, 1.0, NAIL_CORNERS)
     across, along = (each.ravel() for each in np.meshgrid(grid, np.sin(0.5 * pi * grid)))  # denser at the round ends
     height = NAIL_CENTRE + NAIL_HALF_LENGTH * along
@@ -94,7 +93,6 @@ def nail(radii: Array) -> SurfaceMesh:
 
 
 def disc(radius: float) -> SurfaceMesh:
-    """Return a horizontal disc about the origin."""
     return lathe(np.array([(radius, 0.0), (0.0, 0.0)]))
 
 

@@ -75,7 +75,6 @@ def rotate(q: Quaternion, points: Array) -> Array:
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation by `b` followed by `a`."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -87,7 +86,6 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """Return the inverse of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
@@ -100,12 +98,8 @@ def axis_angle_rotation(axis: Array, angle: float) -> Quaternion:
 class Trace:
     """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
-    Parameters
-    ----------
-    min_distance
-        Minimum distance between points; closer points are ignored.
-    segments
-        Maximum number of segments.
+    min_distance  minimum distance between points; closer points are ignored
+    segments      maximum number of segments
     """
 
     def __init__(self, min_distance: float, segments: int = 120) -> None:

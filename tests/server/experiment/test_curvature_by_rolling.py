@@ -28,7 +28,6 @@ FRICTION = 0.5
 
 
 def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
-    """Return the records and the hand poses (n, 7) from press to lift on a sphere of the given radius."""
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[SINGLE_FINGER], experiment.turn[SINGLE_FINGER]
     times = np.arange(0.0, 1.5, 0.005)
@@ -60,7 +59,6 @@ def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
 
 
 def test_without_rolling_the_same_movement_drags() -> None:
-    """The finger slides over the top with kinetic friction."""
     records, _ = rolled("slides", 0.04)
     slides = records["contact.mode"] == SLIDING
     assert slides[-100:].all()
@@ -71,11 +69,9 @@ def test_without_rolling_the_same_movement_drags() -> None:
 
 @pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.0), (-1.0, 2.0, 0.3), (1e-9, 0.0, 0.0)])
 def test_a_rotation_vector_turns_as_the_kernels_have_it(rotation: tuple[float, float, float]) -> None:
-    """The quaternion equals that of the kernels up to rounding."""
     assert quaternions.exp(rotation).tolist() == pytest.approx(exp(rotation), abs=4e-16)
 
 
 def test_a_turn_needs_a_motion() -> None:
-    """`turn` of a finger without `motion` raises ConfigError with the path of the key."""
     with pytest.raises(ConfigError, match=r"turn\.thumb: turns a hand that \[motion\] does not move"):
         Experiment(EXPERIMENTS / "curvature-by-rolling.toml", {"turn.thumb": [[0.0, 0.0, 0.0, 0.0]]})

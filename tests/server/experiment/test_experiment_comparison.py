@@ -32,7 +32,6 @@ CATCH = {"rate": 0.5, "level": 1.0, "min_right": 0.75}
 
 @pytest.fixture(scope="module")
 def study() -> tuple[Experiment, list[dict[str, Any]]]:
-    """Return the shipped study with rows of six simulated observers."""
     experiment = Experiment(STUDY)
     rows = [
         row | row["levels"] | {"participant": f"sub-{number:02d}"}
@@ -73,7 +72,6 @@ def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, l
 
 
 def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """One threshold against one per condition, with a common slope, as SciPy's optimizer finds."""
     experiment, rows = study
     total = 0.0
     two = [row for row in rows if row["participant"] in ("sub-01", "sub-02")]
@@ -133,7 +131,6 @@ def test_chi_squared_is_scipys() -> None:
 
 
 def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """Mean and Student's interval of the logarithms agree with SciPy."""
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
     for found in estimate_population(groups):
@@ -149,7 +146,6 @@ def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dic
 
 
 def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """Ratios equal SciPy's paired interval of the logarithms without excluded participants, and contain 0.3 / 0.15."""
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
     (found,) = compare_levels(experiment.file, groups, ["sub-06"])
@@ -168,7 +164,6 @@ def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, 
 
 
 def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
-    """Factor a adds 1 and factor b adds 10 x; a participant who lacks a condition has no difference."""
     factors = [
         {"name": name, "parameter": f"object.table.material.{key}", "levels": levels}
         for name, key, levels in (("a", "damping_ns_per_m", [0.0, 1.0]), ("b", "friction.static", [0.5, 0.7, 0.9]))
@@ -189,7 +184,6 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
 
 
 def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
-    """A guessing participant fails half of the catch trials, so the pooled fit uses only the other two."""
     experiment = Experiment(small(factor=[], catch=CATCH))
     guessing = Experiment(small(factor=[], catch=CATCH), {"observer.threshold": 1e3})
     rows = [
@@ -203,7 +197,6 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
 
 
 def test_a_score_is_the_mean_of_all_ratings() -> None:
-    """Six ratings from 10 to 60 give 35; with one rating missing there is no score."""
     names = [question.name for question in Experiment(small(survey=[TLX])).file.survey[0].question]
     made = Experiment(small(survey=[TLX])).file
     row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
@@ -214,7 +207,6 @@ def test_a_score_is_the_mean_of_all_ratings() -> None:
 
 
 def test_scores_are_compared_within_participants() -> None:
-    """Ratings that are 10 and 20 higher in the second block differ by 15, with SciPy's paired interval."""
     made = Experiment(small(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
     answers = [
         {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,

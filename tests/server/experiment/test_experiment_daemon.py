@@ -51,7 +51,6 @@ DAMPING = "object.table.material.damping_ns_per_m"
 
 
 def experiment(**changes: Any) -> dict[str, Any]:
-    """Return a comparison of two trials in which a hand presses; only the first condition has damping."""
     procedure = {"kind": "constant", "levels": [1.0], "repetitions": 1}
     kinds = {"damped": {DAMPING: 2.0}, "plain": {}}
     factor = {"name": "kind", "levels": list(kinds), "values": kinds}
@@ -67,7 +66,6 @@ def settings(folder: Path) -> RunOptions:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
-    """Run a session with the simulated observer; return its folder and its recording."""
     folder = tmp_path_factory.mktemp("session")
     Experiment(experiment()).run(folder / "out", 1, settings(folder))
     recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
@@ -92,7 +90,6 @@ def at(run: Run, tick: int) -> int:
 
 
 def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
-    """Each trial has two touches, each marked at both ends together with its parameter change."""
     _, run = session
     begun = [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "touch")]
     assert begun == [(1, 1), (1, 2), (2, 1), (2, 2)]
@@ -102,7 +99,6 @@ def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
 
 
 def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, Run]) -> None:
-    """The force is zero at parameter changes and touch starts, and never changes by more than the slew limit."""
     _, run = session
     force = run.first["force"]
     changed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "set_params"]
@@ -116,7 +112,6 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
 
 
 def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
-    """After the ramp of 0.5 s that starts with `arm`, the force equals the contact force. The ramp counts ticks."""
     _, run = session
     missed = run.first["servo.missed"]
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
@@ -130,7 +125,6 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
 
 
 def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run]) -> None:
-    """The angle about z is 0 at the start and 0.3 rad at the end of each touch, within the start tolerance."""
     _, run = session
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
@@ -145,7 +139,6 @@ def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run
 
 
 def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[Path, Run]) -> None:
-    """The probe is within the start tolerance, which covers the sag of a hand on a spring."""
     _, run = session
     for event in marks(run, "touch"):
         position = run.first["probe.position"][at(run, event["tick"])]
@@ -154,7 +147,6 @@ def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[P
 
 @pytest.mark.exhaustive
 def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
-    """The hand presses with about 0.9 N; each trial limits the force to its own level of `rig.guard.force_max_n`."""
     limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
     made = Experiment(experiment() | {"factor": [limits]})
     low, high = made.run(tmp_path / "out", 1, settings(tmp_path))
@@ -190,7 +182,6 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 def test_an_unusable_experiment_is_refused_before_writing(
     changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    """Errors raise before a folder is created, so the command can be repeated."""
     running = settings(tmp_path)
     with pytest.raises(HapticError, match=said):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
@@ -198,7 +189,6 @@ def test_an_unusable_experiment_is_refused_before_writing(
 
 
 def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The force ramps down with one error; with free space the same command presents only that trial again."""
     out, before = tmp_path / "out", resource.getrlimit(resource.RLIMIT_FSIZE)
     force, numbers = list[float](), list[int]()
     own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
@@ -242,7 +232,6 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
-    """Table and recording have equal forces at equal ticks; the row of the trial has the peak force."""
     folder, run = session
     for row in results(folder):
         ticks = pd.read_csv(folder / "sub-01" / "trials" / f"sub-01_trial-{row['trial']:04d}.csv")
@@ -253,7 +242,6 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
 
 
 def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
-    """A replay agrees bit for bit in all ticks that can be compared; a late machine may leave none."""
     folder, run = session
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
@@ -264,7 +252,6 @@ def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsy
 
 
 def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
-    """`softfinger figure` writes PNG and SVG, and its numbers are means of the table of trials."""
     folder, _ = session
     assert cli.main(["figure", str(folder)]) == 0
     figures = folder / "figures"
@@ -303,12 +290,10 @@ gap_s = 0.0
 
 
 def held_down(terminal: int, key: bytes) -> AbstractContextManager[None]:
-    """Type a key 30 times a second, like the key repeat of a terminal."""
     return repeated(lambda: os.write(terminal, key), 0.033)
 
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
-    """A repeated key answers one question, Ctrl-C stops the session, and the next start accepts a client's answer."""
     file = tmp_path / "terminal.toml"
     file.write_text(EXPERIMENT)
     ours, theirs = pty.openpty()
@@ -352,7 +337,6 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
 
 @pytest.mark.exhaustive
 def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
-    """Each trial has the stiffness of its material and the damping of its level."""
     factor = {"name": "plate", "parameter": "object.table.material", "levels": ["wood", "rubber"]}
     task = {"kind": "rate", "parameter": "object.table.material.damping_ns_per_m", "question": "How heavy?"}
     procedure = {"kind": "constant", "levels": [0.2], "repetitions": 1}
@@ -373,7 +357,6 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
 
 
 def test_a_hand_follows_straight_lines() -> None:
-    """The path is linear between waypoints and constant before the first and after the last."""
     path = ((0.0, 0.0, 0.0, 0.0), (2.0, 1.0, 2.0, 4.0))
     assert interpolate_path(path, 1.0) == (0.5, 1.0, 2.0)
     assert interpolate_path(path, -1.0) == (0.0, 0.0, 0.0) and interpolate_path(path, 9.0) == (1.0, 2.0, 4.0)
@@ -382,7 +365,6 @@ def test_a_hand_follows_straight_lines() -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", list_shipped())
 def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
-    """At the smallest and the largest level the hand feels a force, and no tick is lost."""
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
     changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}
     changes |= {"procedure.repetitions": 1, "procedure.starts": [], "design.practice": 0}

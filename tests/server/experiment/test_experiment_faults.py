@@ -80,7 +80,6 @@ design = { seed = 1 }
 
 
 def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> list[str]:
-    """Return the errors of `check --json` for an experiment with placeholders replaced by `values`."""
     sound = {"SEED": "1", "OVERRIDE": "object.table.material.damping_ns_per_m", "FINGER": "fingertip", "RADIUS": "0.01",
              "DAMPING": "0.0", "DRIVER": "simulated", "RATE": "1000.0", "SURVEY": "nasa-tlz"}  # fmt: skip
     for name, text in (("scene.toml", SCENE), ("rig.toml", RIG), ("study.toml", EXPERIMENT)):
@@ -94,7 +93,6 @@ def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> li
 
 
 def assert_lists(errors: list[str], *texts: str) -> None:
-    """Assert that errors and texts match one to one."""
     found = [[text for text in texts if text in error] for error in errors]
     assert sorted(found) == sorted([text] for text in texts), errors
 
@@ -103,7 +101,6 @@ NAMES: Final = ("'nasa-tlz'", "observer.by", "screen.by", "screen.image = 'none.
 
 
 def test_mistakes_of_other_files_and_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each mistake is listed once, although conditions, levels and touches repeat the overrides."""
     assert_lists(check(tmp_path, capsys), *NAMES)
     assert_lists(check(tmp_path, capsys, SURVEY="nasa-tlx"), *NAMES[1:], "observer.answers.weight")
     found = check(tmp_path, capsys, OVERRIDE="object.tabel.position_m", FINGER="thumb", DRIVER="simulatd")
@@ -111,7 +108,6 @@ def test_mistakes_of_other_files_and_names(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_mistakes_behind_mistakes_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A wrong number hides no other mistake; scene and rig list all of theirs."""
     found = check(tmp_path, capsys, SEED="-1", RADIUS="-0.01", DAMPING="-2.0", RATE="0.0", FINGER="thumb")
     assert_lists(found, "design.seed", "servo.rate_hz", "fingertip.radius_m", "damping_ns_per_m = -2.0", *NAMES)
     with pytest.raises(ConfigError, match=r"8 faults:\n(.*\n){7}.*"):
@@ -134,7 +130,6 @@ def test_mistakes_behind_mistakes_of_the_file(tmp_path: Path, capsys: pytest.Cap
 def test_a_file_that_a_scene_names_belongs_to_the_study(
     name: str, data: bytes, more: bytes, table: str, tmp_path: Path
 ) -> None:
-    """A folder with results refuses another participant after a mesh, texture or model has changed."""
     folder, offline = tmp_path / "study", RunOptions(dry_run=True, no_daemon=True)
     folder.mkdir()
     (folder / name).write_bytes(data)

@@ -61,14 +61,12 @@ realtime = "off"
 
 
 def children(pid: int) -> list[int]:
-    """Return the child processes of the main thread."""
     with suppress(OSError):
         return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
 
 
 def killed(words: list[str], journal: Path, rng: random.Random) -> None:
-    """Start a session and kill it or its publisher at a random moment: at start, in a touch or between two."""
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
@@ -90,7 +88,6 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
 
 @pytest.mark.exhaustive
 def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """A killed and resumed session has all trials of the design in order, each with one answer and all its ticks."""
     kills = cases(1, 50)  # each kill costs a start of the program, about 2 s of processor time
     (tmp_path / "rig.toml").write_text(RIG)
     file = tmp_path / "killed.toml"

@@ -36,7 +36,6 @@ def test_a_staircase_converges_to_the_level_of_two_right_in_a_row() -> None:
 
 
 def test_a_staircase_follows_its_rule() -> None:
-    """Two right answers step down, one wrong answer steps up; steps are larger until it has turned twice."""
     stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
     seen = []
     for right in (True, True, False, True, True, False, False, False):
@@ -76,7 +75,6 @@ def test_the_fit_is_the_posterior() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(120)
 
     def weight(thresholds: tuple[float, float], slopes: tuple[float, float]) -> float:
-        """Return the posterior weight of a rectangle of log threshold and log slope, up to a factor."""
         (low, high), (flat, steep) = np.log(thresholds), np.log(slopes)
         a = low + (high - low) * (nodes + 1.0) / 2.0
         b = flat + (steep - flat) * (nodes + 1.0) / 2.0
@@ -103,7 +101,6 @@ def test_the_fit_is_the_posterior() -> None:
 
 
 def test_uniform_answers_leave_the_threshold_unbounded() -> None:
-    """With all answers right or all wrong a staircase never reverses, and the fit reports an unbounded threshold."""
     for answers in (True, False):
         stairs = Staircase(Procedure(kind="staircase"))
         levels = []
@@ -122,7 +119,6 @@ def test_students_quantile_is_scipys() -> None:
 
 
 def test_a_power_law_is_a_line_of_logarithms() -> None:
-    """Exponent, scale and interval agree with SciPy's regression."""
     rng = np.random.default_rng(4)
     levels = np.repeat([0.1, 0.3, 0.9], 5)
     answers = 10.0 * levels**0.8 * np.exp(0.2 * rng.standard_normal(15))
@@ -139,7 +135,6 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
 
 
 def test_a_single_level_has_no_exponent() -> None:
-    """The answer has SciPy's interval of a mean; a single answer has no interval."""
     answers = np.array([9.0, 11.0, 14.0])
     found = power_law([0.5] * 3, answers)
     mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))

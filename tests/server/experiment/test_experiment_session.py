@@ -40,7 +40,6 @@ OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 
 
 def drawn(figure: Path) -> None:
-    """Assert that the PNG has many colours and that the SVG has lines."""
     with Image.open(figure.with_suffix(".png")) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
     paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
@@ -48,7 +47,6 @@ def drawn(figure: Path) -> None:
 
 
 def test_a_rehearsal_reports_each_trial() -> None:
-    """The display of `--dry-run --no-daemon` receives the number of every finished trial, including the last."""
     file, numbers = Experiment("friction-magnitude").file, list[int]()
     session, journal, observer = Session(file, 1), MemoryJournal(), DryRun(file, 1)
     session.welcome(journal, observer)
@@ -61,7 +59,6 @@ def test_a_rehearsal_reports_each_trial() -> None:
     "name", [name for name in list_shipped() if name != "stiffness-and-workload"]
 )  # tested elsewhere
 def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path: Path) -> None:
-    """The simulated observer answers every trial; the folder then has figures, numbers and a tidy table."""
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
     assert cli.main(["figure", str(tmp_path / "out")]) == 0
     figures = tmp_path / "out" / "figures"
@@ -93,7 +90,6 @@ def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> N
 
 
 def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
-    """Start a session repeatedly and kill it when its journal has grown by a random number of bytes."""
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(folder)]
     rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
@@ -109,7 +105,6 @@ def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
 
 
 def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """The answers and their order are those of an uninterrupted session."""
     killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
     rows = results(tmp_path / "killed")
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
@@ -121,7 +116,6 @@ def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cas
 
 
 def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
-    """Without the last half of its journal a staircase repeats the same levels and answers."""
     experiment = Experiment("stiffness-discrimination", {"procedure.trials": 30})
     rows = experiment.run(tmp_path, 1, OFFLINE)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
@@ -133,7 +127,6 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
 
 
 def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
-    """The command returns the same rows and does not change the journal."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()
@@ -142,7 +135,6 @@ def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
 
 
 def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
-    """Changed values raise an error with their keys, for a new participant and for a resumed session."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(
@@ -152,7 +144,6 @@ def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
 
 
 def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
-    """Simulated answers and answers of participants are refused in the same folder, for every participant."""
     Experiment(small()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): give another folder"):
@@ -165,7 +156,6 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> N
 
 @contextmanager
 def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
-    """Limit the file size of this process to the size of `path` plus `bytes_left`."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, before[1]))
     try:
@@ -175,7 +165,6 @@ def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
 
 
 def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
-    """The error contains the reason, earlier entries remain, and with free space the entry can be written."""
     path = tmp_path / "j.jsonl"
     with Journal(path) as journal:
         journal.write("begun", trial=1)
@@ -190,7 +179,6 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
 
 
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
-    """The table of a trial is complete or missing, and is never overwritten."""
     file = Experiment(small()).file
     folder = ParticipantFolder(tmp_path, file, 1, {})
     Session(file, 1).begin(folder)
@@ -209,7 +197,6 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
 
 
 def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
-    """Three processes run one participant each at the same time."""
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(tmp_path / "out"), "--participant"]
     processes = [subprocess.Popen([*words, str(number)], stdout=subprocess.DEVNULL) for number in (1, 2, 3)]
@@ -221,20 +208,17 @@ def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
 
 
 def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
-    """A second session is refused while the first has locked the journal."""
     with Journal(tmp_path / "j.jsonl"), pytest.raises(ConfigError, match="another session of this participant"):
         Journal(tmp_path / "j.jsonl")
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    """An invalid line before the last one is reported with its number."""
     (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
     with pytest.raises(ConfigError, match="line 2 is not an entry"):
         read(tmp_path / "j.jsonl")
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
-    """There is one fit per participant and one of both, and one table of both."""
     experiment = Experiment(small(factor=[]))
     for participant in (1, 2):
         experiment.run(tmp_path, participant, OFFLINE)
@@ -245,7 +229,6 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 
 
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
-    """Paths, texts, booleans and floats are refused."""
     for name in ("../x", "Zoë", True, 1.0):
         with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
             Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
@@ -253,7 +236,6 @@ def test_a_participant_is_a_number(tmp_path: Path) -> None:
 
 
 def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
-    """A session with a missing or changed scene raises an error; with the original scene it resumes."""
     scene, file, out = tmp_path / "mine.toml", tmp_path / "e.toml", tmp_path / "out"
     shutil.copy(FOLDERS[Scene] / "paper-plane.toml", scene)
     file.write_text((EXPERIMENTS / "friction-magnitude.toml").read_text().replace('"paper-plane"', '"mine.toml"'))
@@ -271,7 +253,6 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
 
 
 def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`experiments` lists the shipped experiments; the verbs refuse missing options, unknown names and bad folders."""
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
     assert [line.split()[0] for line in listed.splitlines()] == list_shipped()

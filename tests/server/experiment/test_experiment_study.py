@@ -66,14 +66,12 @@ def survey(**changed: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_file_without_the_new_keys_gives_the_same_trials(name: str) -> None:
-    """Order, levels, answers and columns are equal bit for bit."""
     experiment = Experiment(name)
     order = [list(trial)[:5] for trial in plan_trials(experiment.file, 1)]
     assert f"{hashed(order)} {hashed(experiment.rehearse())}" == RECORDED[name]
 
 
 def test_a_folder_of_an_older_version_can_be_resumed(tmp_path: Path) -> None:
-    """Keys that its experiment.json lacks have their defaults."""
     experiment = Experiment(small())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     description = json.loads((tmp_path / "experiment.json").read_text())
@@ -85,7 +83,6 @@ def test_a_folder_of_an_older_version_can_be_resumed(tmp_path: Path) -> None:
 
 
 def test_interleaved_staircases_are_independent() -> None:
-    """Each staircase has half of the trials, in rounds of both, and changes only with its own answers."""
     experiment = Experiment(STUDY)
     own = [row for row in experiment.rehearse() if row["condition"] == "4.0"]
     counted = [row for row in own if not row["practice"] and not row["catch"]]
@@ -109,7 +106,6 @@ def test_interleaved_staircases_are_independent() -> None:
 
 
 def test_catch_trials_are_added_and_not_fitted() -> None:
-    """There is one per ten trials of a condition, in its block, half of them test first; fits exclude them."""
     experiment = Experiment(STUDY)
     rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
     catch = [row for row in rows if row["catch"]]
@@ -123,7 +119,6 @@ def test_catch_trials_are_added_and_not_fitted() -> None:
 
 
 def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
-    """12 trials of each of 3 levels in 3 conditions; with an odd number of trials the halves differ by one."""
     for repetitions in (4, 5):
         procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": repetitions}
         design = {"seed": 5, "test_first": "balanced-by-level"}
@@ -136,8 +131,6 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
 
 
 def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two participants give tables, figures, and a single report page in which texts are escaped; the share of the
-    drawing that is done is shown for each file and section."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
     for number in ("1", "2"):
         words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]
@@ -177,7 +170,6 @@ def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_session_resumes_within_a_survey(tmp_path: Path) -> None:
-    """A journal cut at any entry is completed to the same tables."""
     experiment = Experiment(STUDY, {"procedure.trials": 4})
     experiment.run(tmp_path, 1, OFFLINE)
     journal, table = tmp_path / "sub-01" / "sub-01_journal.jsonl", tmp_path / "surveys.csv"
@@ -189,7 +181,6 @@ def test_a_session_resumes_within_a_survey(tmp_path: Path) -> None:
 
 
 def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
-    """The session stops before any other question, and requests consent again after a restart."""
     declined = Experiment(STUDY, {"observer.answers": {"consent": "I do not agree"}})
     for _ in range(2):
         with pytest.raises(Stopped, match="did not agree"):
@@ -235,14 +226,12 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
     ],
 )
 def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small() | {key: value for key, value in changes.items() if "." not in key},
                    {key: value for key, value in changes.items() if "." in key})  # fmt: skip
 
 
 def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
-    """Images outside the study's folder, non-images and large files are refused; a changed one is another study."""
     folder, outside = tmp_path / "study", tmp_path / "outside.png"
     folder.mkdir()
     outside.write_bytes(PNG)

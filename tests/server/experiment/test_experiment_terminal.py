@@ -53,7 +53,6 @@ def keyboard_of(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_simulated_numbers_are_within_their_bounds() -> None:
-    """Answers are integers unless a bound is not an integer."""
     height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
     file = Experiment(small(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
     question = file.survey[0].question[0]

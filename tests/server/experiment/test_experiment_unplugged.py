@@ -22,7 +22,6 @@ WAIT_S = 300.0
 
 
 def pull_in_trial(board: Hapkit, journal: Path, trial: int) -> None:
-    """Unplug the board as soon as the trial has started."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
         if any(entry["kind"] == "begun" and entry["trial"] == trial for entry in read(journal)):
@@ -32,7 +31,6 @@ def pull_in_trial(board: Hapkit, journal: Path, trial: int) -> None:
 
 
 def test_a_device_unplugged_in_a_trial(tmp_path: Path) -> None:
-    """After the second of four trials the journal has one answer; the next run starts at trial 2, attempt 2."""
     library, out = compile_sketch(tmp_path / "hapkit.so"), tmp_path / "out"
     rig = tmp_path / "hapkit.toml"
     rig.write_text((FOLDERS[Rig] / "hapkit.toml").read_text().replace("# path =", "path ="))

@@ -22,7 +22,6 @@ STIFFNESS = "object.table.material.stiffness_n_per_m"
 
 
 def small(**tables: Any) -> dict[str, Any]:
-    """Return an experiment on scene `paper-plane` with some tables replaced."""
     task = {"kind": "compare", "parameter": STIFFNESS, "reference": 500.0, "question": "Which was stiffer?"}
     procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": 4}
     factor = {"name": "damping", "parameter": "object.table.material.damping_ns_per_m", "levels": [0.0, 1.0, 2.0]}
@@ -40,7 +39,6 @@ def test_each_shipped_experiment_can_be_used(name: str) -> None:
 
 
 def test_all_combinations_occur_equally_often() -> None:
-    """Two factors of 3 and 2 levels give 6 conditions, each with 4 trials of each of 3 levels."""
     both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
     experiment = file(factor=both)
     assert len(list_conditions(experiment)) == 6
@@ -49,7 +47,6 @@ def test_all_combinations_occur_equally_often() -> None:
 
 
 def test_the_order_depends_on_seed_and_participant() -> None:
-    """Equal seeds and participants give equal orders, other ones other orders."""
     one = plan_trials(file(), 1)
     assert plan_trials(file(), 1) == one
     assert plan_trials(file(), 2) != one and plan_trials(file(design={"seed": 6}), 1) != one
@@ -70,14 +67,12 @@ def test_a_latin_square_is_balanced(count: int) -> None:
 
 
 def test_blocks_contain_one_condition_each() -> None:
-    """With a latin square or a given order all trials of a condition are contiguous."""
     for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
         trials = plan_trials(file(design={"seed": 5, "order": order}), 2)
         assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
 
 
 def test_practice_comes_first() -> None:
-    """Practice trials are added to the counted trials."""
     trials = plan_trials(file(design={"seed": 5, "practice": 3}), 1)
     assert [trial.practice for trial in trials] == [True] * 3 + [False] * 36
     assert [trial.number for trial in trials] == list(range(1, 40))
@@ -130,13 +125,11 @@ def test_practice_comes_first() -> None:
     ],
 )
 def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    """The error contains the key, the value and the remedy."""
     with pytest.raises(ConfigError, match=said):
         Experiment(small(), changes)
 
 
 def test_progress_tells_the_block_and_no_condition() -> None:
-    """Ordered designs count blocks, and practice belongs to the first; mixed designs have one block."""
     blocked = file(design={"seed": 5, "order": "given", "practice": 1})
     assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
     assert number_blocks(plan_trials(file(), 1), is_mixed=True) == [1] * 36
@@ -145,7 +138,6 @@ def test_progress_tells_the_block_and_no_condition() -> None:
 
 
 def test_a_rating_stays_on_its_scale() -> None:
-    """The simulated observer's ratings are marks, although its power law exceeds the scale at both ends."""
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "?", "scale": [1, 7], "scale_ends": ["soft", "hard"]}
     observer = {"scale": 5.0, "exponent": 2.0, "noise": 0.5}
     made = Experiment(small(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]}))
@@ -153,7 +145,6 @@ def test_a_rating_stays_on_its_scale() -> None:
 
 
 def test_numbers_are_no_comparison() -> None:
-    """A staircase needs right and wrong answers, so a rating with a staircase is refused."""
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
     with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
         Experiment(small(task=task, procedure={"kind": "staircase"}))

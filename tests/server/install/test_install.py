@@ -35,7 +35,6 @@ Install = Callable[..., int]
 
 @pytest.fixture
 def root() -> Iterator[Path]:
-    """Path that does not exist yet, in a folder open to every user."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         Path(folder).chmod(0o755)
         yield Path(folder) / "root"
@@ -43,7 +42,6 @@ def root() -> Iterator[Path]:
 
 @pytest.fixture
 def install(root: Path) -> Install:
-    """Run `softfinger install --system` below `root` with more arguments; return its exit code."""
     return lambda *words: main(["install", "--system", "--root", str(root), *words])
 
 
@@ -54,7 +52,6 @@ def content(folder: Path) -> dict[str, bytes]:
 def test_a_dry_run_shows_what_an_install_writes(
     root: Path, install: Install, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A dry run prints path and content of each file, and the commands, but writes nothing."""
     assert install("--dry-run") == 0
     shown = capsys.readouterr().out
     assert not root.exists()
@@ -68,7 +65,6 @@ def test_a_dry_run_shows_what_an_install_writes(
 
 
 def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> None:
-    """With a umask of 077, folders have mode 755 and files 644."""
     before = os.umask(0o077)
     try:
         assert install() == 0
@@ -82,7 +78,6 @@ def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> 
 def test_removal_keeps_foreign_and_edited_files(
     root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`--remove` deletes files, record and new folders. Foreign files remain; edited files remain with a message."""
     other = root / "etc/udev/rules.d/99-other.rules"
     other.parent.mkdir(parents=True)
     other.write_text("# somebody else's\n")
@@ -103,7 +98,6 @@ def test_removal_keeps_foreign_and_edited_files(
 
 
 def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """The files are equal byte for byte, and each is reported as unchanged."""
     assert install() == 0
     before = content(root)
     capsys.readouterr()
@@ -115,7 +109,6 @@ def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: 
 def test_an_edited_file_remains_and_is_reported(
     root: Path, install: Install, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Another install does not replace an edited file, but updates the other files."""
     assert install() == 0
     (root / RULES).write_text("# mine\n")
     capsys.readouterr()
@@ -131,7 +124,6 @@ def test_an_edited_file_remains_and_is_reported(
 def test_a_foreign_file_is_not_overwritten(
     root: Path, install: Install, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A foreign file, link (such as a systemd mask) or folder gives one error, and nothing is written."""
     unit = root / UNIT
     unit.parent.mkdir(parents=True)
     if kind == "file":
@@ -148,7 +140,6 @@ def test_a_foreign_file_is_not_overwritten(
 
 
 def test_files_of_an_earlier_version_are_removed(root: Path, install: Install) -> None:
-    """A recorded file that this version does not install is deleted."""
     assert install() == 0
     old = root / "etc/old.conf"
     old.write_bytes((root / UNIT).read_bytes())
@@ -161,7 +152,6 @@ def test_files_of_an_earlier_version_are_removed(root: Path, install: Install) -
 
 @pytest.mark.parametrize("removes", [False, True])
 def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -> None:
-    """The error is raised before anything is written or removed."""
     files = [File(Path("/etc/a/one"), "1\n"), File(Path("/var/two"), "2\n")]
     if removes:
         list(Ledger(root, SYSTEM.record).write(files))
@@ -186,7 +176,6 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
 
 
 def test_a_damaged_record_is_reported(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    """The error contains the path of the record, which is needed to detect edited files."""
     (root / RECORD).parent.mkdir(parents=True)
     (root / RECORD).write_text("{")
     assert install() == 2
@@ -210,7 +199,6 @@ def test_a_wrong_rig_is_refused_before_installing(
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Home of a user, with a `systemctl` that logs its arguments."""
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)
     home, tools = tmp_path / "home", tmp_path / "bin"
@@ -224,7 +212,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_user_installs_without_root(home: Path) -> None:
-    """Unit, man page and completion are installed in the home; systemd reloads; `--remove` deletes all files."""
     asked = home.parent / "asked"
     assert main(["install"]) == 0
     assert {path.rpartition("/")[2] for path in content(home)} == {
@@ -237,7 +224,6 @@ def test_a_user_installs_without_root(home: Path) -> None:
 
 
 def test_a_users_folders_follow_xdg() -> None:
-    """The environment variables of XDG apply if they are absolute paths."""
     named = user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
@@ -245,7 +231,6 @@ def test_a_users_folders_follow_xdg() -> None:
 def test_a_missing_home_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error needs no home if XDG variables give the folders."""
     forget_user(monkeypatch)
     assert main(["install", "--dry-run"]) == 2
     assert "no home folder" in capsys.readouterr().err
@@ -261,7 +246,6 @@ def test_a_missing_home_is_reported(
 def test_commands_that_are_missing_or_fail_are_reported(
     home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Later commands run in any case."""
     tools = home.parent / "bin"
     (tools / "udevadm").write_text("#!/bin/sh\necho no udev runs here >&2\nexit 1\n")
     (tools / "udevadm").chmod(0o755)
@@ -275,7 +259,6 @@ def test_commands_that_are_missing_or_fail_are_reported(
 
 
 def test_the_account_is_removed_unless_it_has_recordings(tmp_path: Path) -> None:
-    """With a recording in the state folder, neither the folder nor the account is removed."""
     state = tmp_path / "state"
     assert ("userdel", "softfinger") in after_removing(True, state)
     state.mkdir()

@@ -44,7 +44,6 @@ def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[s
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Root folder with everything installed."""
     folder = tmp_path_factory.mktemp("root")
     assert main(["install", "--system", "--root", str(folder)]) == 0
     return folder
@@ -61,7 +60,6 @@ def test_every_line_is_in_the_grammar_of_udev() -> None:
 
 
 def test_every_device_that_a_driver_claims_has_a_rule() -> None:
-    """The rule is for the bus and ids of the driver; hid devices on USB have a second rule."""
     rules = udev_rules()
     keys = {"usb": ("usb", "ATTR"), "hid": ("hidraw", "ATTRS"), "serial": ("tty", "ATTRS")}
     for claim in claims():
@@ -73,7 +71,6 @@ def test_every_device_that_a_driver_claims_has_a_rule() -> None:
 
 
 def test_a_device_of_a_custom_rig_gets_a_rule() -> None:
-    """`--rig` adds the ids of the rig; the hint for an unknown device names this option."""
     assert '"cafe", ATTRS{idProduct}=="0042"' in udev_rules([OWN]) and "cafe" not in udev_rules()
     assert udev_rules(load_rig("woodenhaptics-2019").tables.values()) == udev_rules()  # known already
     assert install_command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
@@ -103,7 +100,6 @@ def test_udev_takes_the_rules(root: Path) -> None:
 
 @pytest.mark.parametrize("system", [True, False])
 def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> None:
-    """`systemd-analyze verify` reports nothing, not even for a command with special characters."""
     analyze = tool("systemd-analyze")
     odd = tmp_path / "a folder" / "soft$finger%n"
     odd.parent.mkdir()
@@ -129,7 +125,6 @@ def test_the_exposure_of_the_service_is_limited(tmp_path: Path) -> None:
 
 
 def test_the_unit_has_the_settings_of_the_daemon() -> None:
-    """The unit has a watchdog, no restart, the sandbox and the limits; a user's unit has no limits."""
     text = unit(["/bin/softfinger"], True)
     for line in ("Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict"):
         assert f"\n{line}\n" in text
@@ -139,13 +134,11 @@ def test_the_unit_has_the_settings_of_the_daemon() -> None:
 
 
 def test_limits_equal_those_of_the_unit() -> None:
-    """Lines have four fields as in limits.conf(5), for the group."""
     lines = [line.split() for line in LIMITS.splitlines() if not line.startswith("#")]
     assert lines == [["@softfinger", "-", "rtprio", "95"], ["@softfinger", "-", "memlock", "unlimited"]]
 
 
 def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
-    """`systemd-sysusers` creates the account and its group below a root folder."""
     sysusers = tool("systemd-sysusers")
     (tmp_path / "etc").mkdir()
     result = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
@@ -167,13 +160,11 @@ def test_the_man_page_has_every_verb_and_option() -> None:
 
 
 def test_man_has_no_warning(root: Path) -> None:
-    """groff reports nothing with all warnings enabled."""
     result = run(tool("groff"), "-man", "-ww", "-z", "-Kutf8", root / "usr/local/share/man/man1/softfinger.1")
     assert (result.returncode, result.stderr) == (0, "")
 
 
 def test_text_is_escaped_for_roff() -> None:
-    """Backslashes and points or apostrophes at the start of a line are printed literally."""
     import argparse
 
     parser = argparse.ArgumentParser("softfinger", description=r".TH is no 'request', \n neither")
@@ -182,7 +173,6 @@ def test_text_is_escaped_for_roff() -> None:
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
-    """The shell parses the script without running it; bash completes a verb and the name of a rig."""
     script = tmp_path / "softfinger"
     script.write_text(completion(shell))
     result = run(tool(shell), "-n", script)

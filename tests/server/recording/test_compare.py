@@ -42,13 +42,11 @@ def replayed(path: Path, **changes: float) -> ReplayComparison:
 
 
 def touches() -> list[int]:
-    """Return the rows of the run at which a contact starts."""
     return np.flatnonzero(run()[:, AT.contact_cause] == CAUSE_TOUCH).tolist()
 
 
 @pytest.mark.plain
 def test_a_replay_equals_its_recording(tmp_path: Path) -> None:
-    """If the recording has the first tick of the run, every tick is compared and equal."""
     outcome = replayed(recorded(tmp_path / "a.mcap", run()))
     assert outcome.ticks == outcome.compared == len(run())
     assert (outcome.different, outcome.first, outcome.left_out) == (0, None, [])
@@ -56,7 +54,6 @@ def test_a_replay_equals_its_recording(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
-    """Another stiffness changes the force from the first touch on, in proportion."""
     outcome = replayed(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
     first = outcome.first
     assert first is not None and (first.tick, first.key) == (touches()[0], "force[2]")
@@ -73,7 +70,6 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
-    """A NaN differs infinitely in its own tick, but equals another NaN."""
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
     now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
     row = touches()[0]
@@ -89,7 +85,6 @@ def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path) -> None:
-    """Comparison resumes in free space once filter and ramp have settled; all other ticks are equal."""
     middle = touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
     outcome = replayed(recorded(tmp_path / "a.mcap", holed))
@@ -104,7 +99,6 @@ def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path)
 
 @pytest.mark.plain
 def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
-    """The first contact is left out; every tick after it is compared."""
     part = run()[touches()[0] + 30 :]
     outcome = replayed(recorded(tmp_path / "a.mcap", part))
     (span,) = outcome.left_out
@@ -117,7 +111,6 @@ OTHER = "another scene or rig was set"
 
 @pytest.mark.plain
 def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
-    """A factor lowers the guard's limit: earlier ticks agree, and without the event later ones differ."""
     tick, rig = touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
     poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
@@ -132,7 +125,6 @@ def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
 
 
 def changed_at(tick: int, stiffness: float) -> np.ndarray:
-    """Return a run whose stiffness changes at a tick in free space."""
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
     softer = apply_overrides(scene, {STIFFNESS: stiffness}, "test")
@@ -145,7 +137,6 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
 
 @pytest.mark.plain
 def test_commands_are_replayed(tmp_path: Path) -> None:
-    """After `set_params` the replay uses the new parameter; after `set_scene` all ticks are left out."""
     tick = (touches()[1] + touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
         tick += 1
@@ -167,7 +158,6 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
-    """Withheld ticks are left out until the state is known; a refused pose is refused again."""
     records = run().copy()
     at = touches()[0] + 10
     records[at, AT.servo_device] = HELD
@@ -188,7 +178,6 @@ def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_several_fingers(tmp_path: Path) -> None:
-    """All are compared, a difference has the finger's name, and each finger's poses can be played separately."""
     scene, names = load_scene("pinch"), ["thumb", "index"]
     played = [resample(load_poses(f"pinch-{name}"), 1000.0)[:1500] for name in names]
     records = simulate(make_tuning(scene, load_rig("replay").guard), np.stack(played, axis=1), 1000.0)
@@ -214,7 +203,6 @@ def test_several_fingers(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit codes, the first difference as text and JSON, the plot, a truncated recording, poses against results."""
     path = recorded(tmp_path / "a.mcap", run())
     assert cli.main(["replay", str(path)]) == 0
     assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in capsys.readouterr().out
@@ -240,7 +228,6 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A file of `run --forces`, as CSV or NPZ, equals the replay of its poses."""
     for ending in ("csv", "npz"):
         forces = tmp_path / f"forces.{ending}"
         words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
@@ -253,7 +240,6 @@ def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pyte
 @pytest.mark.plain
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exports equal the recorded values bit for bit; `read_results` reads CSV and NPZ."""
     path, out = recorded(tmp_path / "a.mcap", run()), tmp_path / f"out{ending}"
     if ending == ".parquet":
         from pyarrow import parquet
@@ -272,7 +258,6 @@ def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.Capt
 
 @pytest.mark.plain
 def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Text and JSON contain times, ticks, gaps, modes, peaks, marks and origin."""
     holed = np.delete(run(), slice(100, 110), axis=0)
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})
     path = recorded(tmp_path / "a.mcap", holed, [mark], versions={"softfinger": "0.0"})
@@ -291,5 +276,4 @@ def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.plain
 def test_the_filter_forgets_below_the_last_bit() -> None:
-    """After FORGET_TIME_CONSTANTS the remainder of the filter's state is below its last bit."""
     assert np.exp(-FORGET_TIME_CONSTANTS) < np.finfo(np.float64).eps

@@ -61,7 +61,6 @@ def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], 
 
 
 def test_other_readers_find_everything(tmp_path: Path) -> None:
-    """mcap's indexed reader and protobuf decoder return ticks, events, marks, and Foxglove's pose, frames and scene."""
     touch = {"cause": "touch", "from": 0, "to": 1, "object": 0, "finger": ""}
     touch |= {"force": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0], "normal_force": 1.0, "tangential_force": 0.0}
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={"hand": "left"})
@@ -118,7 +117,6 @@ def test_foxglove_messages_have_foxglove_numbers(name: str) -> None:
 
 @pytest.mark.parametrize("scene", ["sphere", "cylinder", "corner", "pinch"])
 def test_shipped_scenes_are_drawn(scene: str) -> None:
-    """Every object has a primitive, and every fingertip a sphere of its diameter."""
     shown = load_scene(scene)
     drawn = schemas.message_class(schemas.SCENE).FromString(picture.scene_message(shown, 10**18))
     things, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
@@ -128,7 +126,6 @@ def test_shipped_scenes_are_drawn(scene: str) -> None:
 
 
 def test_every_event_survives_encoding() -> None:
-    """Includes every kind with every key of the table, and keys that are not in it."""
     values = {"int": 7, "float": 0.5, "str": "x", "float[3]": [1.0, 2.0, 3.0], "map": {"a": {"b": [1, "c"]}}}
     for kind, keys in [*EVENT_EXTRA_KEYS.items(), ("fault", ())]:
         told = event(kind, "it", 3) | {key.name: values[key.type] for key in keys} | {"message": "new", "n": 1}
@@ -137,7 +134,6 @@ def test_every_event_survives_encoding() -> None:
 
 
 def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
-    """A field that the file lacks reads as None, an unknown field is returned, and all others have their values."""
     from google.protobuf import descriptor_pb2
 
     from softfinger.server.recording.mcapfile import McapFile
@@ -167,7 +163,6 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
 
 
 def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
-    """mcap's reader finds every chunk and the checksum, and no temporary file remains."""
     from mcap.reader import make_reader
 
     from softfinger.server.recording.mcapfile import INDEX_MEMORY_BYTES, McapFile
@@ -191,7 +186,6 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
 
 
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
-    """Each pose plays in its tick despite irregular clock readings; missing ticks do not shift the others."""
     holed = np.delete(run(), [50, 51, 52], axis=0)
     path = recorded(tmp_path / "a.mcap", holed)
     again = resample(load_poses(path), 1000.0)
@@ -205,7 +199,6 @@ def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_a_daemon_records_by_command(tmp_path: Path) -> None:
-    """From the answer on, the file has every tick, mark and event; a second recording can follow."""
     with Daemon(quiet_rig(tmp_path), load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
@@ -251,7 +244,6 @@ NOT_BELOW = {
 
 
 def test_a_client_writes_below_the_folder_only(tmp_path: Path) -> None:
-    """No path can leave the folder of recordings, follow a link or overwrite a file, and nothing is created."""
     from softfinger.server.services.recordings import _open_new_file
 
     folder = tmp_path / "recordings"
@@ -274,7 +266,6 @@ def test_a_client_writes_below_the_folder_only(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
-    """After kill -9, mcap's streaming reader reads all but the last ticks that subscribers received."""
     path = tmp_path / "killed.mcap"
     endpoint = f"ipc://{tmp_path}/t"
     words = ["run", "--endpoint", endpoint, "--commands", "off", "--realtime", "off", "--record", str(path)]
@@ -333,7 +324,6 @@ class Slow:
 
 
 def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
-    """Events beyond the queue are counted, reported and noted in the file; the longest write is the stall."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -361,7 +351,6 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
-    """`take` never blocks; ticks beyond the queue are counted, reported and missing, and the file is complete."""
     told: list[str] = []
     file = Slow(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
@@ -406,7 +395,6 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
-    """The recording ends with its last complete chunk; another one can start, and closing raises the error."""
     with (
         Daemon(quiet_rig(tmp_path), load_scene("paper-plane")) as daemon,
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
@@ -439,7 +427,6 @@ def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> None:
-    """The error is printed when it happens; the run continues, and exits with the error's code."""
     path = tmp_path / "cut.mcap"
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
     with Program(command, stderr=subprocess.PIPE, text=True) as process:
@@ -462,7 +449,6 @@ def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> Non
 
 
 def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
-    """If the limit is reached within a chunk, the part of the chunk is removed."""
     path = tmp_path / "limited.mcap"
     rows = run()  # compiled before, because the kernel cache cannot be written under the limit
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -489,7 +475,6 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
 
 
 def test_record_writes_what_a_daemon_sends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The file of `record` has the scene and no loss; its ticks equal the daemon's recording."""
     rig = quiet_rig(tmp_path)
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "own.mcap", "paper-plane")

@@ -25,7 +25,6 @@ def table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") ->
 
 @pytest.mark.parametrize("between", [" ", "\t", ",", ";", ", ", "   "])
 def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -> None:
-    """Milliseconds, millimetres and ignored columns give the same motion up to the rounding of the units."""
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
     file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
     poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
@@ -37,7 +36,6 @@ def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("between", [";", "\t", " ", " ; "])
 def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
-    """Spreadsheets also write a byte order mark, a heading and empty cells at line ends."""
     lines = [between.join(f"{x:.17g}" for x in row).replace(".", ",") for row in np.column_stack((TIME, PLACE))]
     heading, empty = between.join(["Zeit(s)", "X(m)", "Y(m)", "Z(m)"]), between.strip(" ") * 2
     file = tmp_path / "theirs.csv"
@@ -54,7 +52,6 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
 
 
 def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
-    """Spreadsheets quote decimal commas if commas also separate the cells."""
     file = tmp_path / "theirs.csv"
     file.write_text('"0,0","0,001",0,"0,01","a, b"\n"0,1","0,002",0,"0,02",""\n')
     poses = read_table(file, TableFormat(("t", "x", "y", "z", "-")))
@@ -62,7 +59,6 @@ def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
 
 
 def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
-    """The name - ignores a column; without it, the error names the first line with a value in that column."""
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf0.0,0,0,0.01,\n0.1,0,0,0.02,\n0.2,0,0,0.03,press\n0.3,,0,0.04,\n")
     with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):
@@ -88,7 +84,6 @@ DECIMAL_COMMA = ("0,004 0,1 0,2 0,3", "0,005 0,1 0,2 0,3")
     ],
 )
 def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> None:
-    """Empty cells at both ends of a line, a separator in a quoted text, empty rows, numbers without a leading zero."""
     file, out = tmp_path / "theirs.csv", tmp_path / "poses.csv"
     file.write_text(text, "utf-8")
     assert main(["import", str(file), "--columns", columns, "--out", str(out)]) == 0
@@ -124,7 +119,6 @@ def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
 
 
 def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A table with a rate, quaternions and two header lines gives equal poses, and the output has their ranges."""
     file = table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
     out = tmp_path / "poses.csv"
     words = ["--columns", "x,y,z,qw,qx,qy,qz", "--rate", "1000", "--skip", "2", "--out", str(out)]
@@ -152,7 +146,6 @@ def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.Captu
     ],
 )
 def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
-    """The error contains the option, its value and the requirement."""
     with pytest.raises(ConfigError, match=fault):
         make_layout(*parts)
 
@@ -176,7 +169,6 @@ def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
     ],
 )
 def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, fault: str, tmp_path: Path) -> None:
-    """The error contains the line and the value."""
     file = tmp_path / "theirs.txt"
     file.write_bytes(text)
     with pytest.raises(RecordingError, match=fault):

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
@@ -16,6 +16,7 @@ import msgspec
 import pytest
 import viser
 from helpers.browser import browser, shown, why_none
+from helpers.pages import CAMERA
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
@@ -35,25 +36,16 @@ ATTACK = """async (address) => {
         socket.onerror = () => done("refused");
     });
 }"""
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
-}  # fmt: skip
-"""First message of a browser; viser ignores messages before it."""
 EVIL = "https://evil.example"
 
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    page = Page("127.0.0.1", 8370, ("rig.lab", "tunnel.lab:9000"))
-    yield page
-    page.close()
+    with closing(Page("127.0.0.1", 8370, ("rig.lab", "tunnel.lab:9000"))) as page:
+        yield page
 
 
 class Elsewhere(BaseHTTPRequestHandler):
-    """Site on another port that serves an empty page."""
-
     def do_GET(self) -> None:
         self.send_response(200)
         self.end_headers()
@@ -63,48 +55,33 @@ class Elsewhere(BaseHTTPRequestHandler):
 
 
 def own(page: Page) -> str:
-    """Return the page's host and port."""
     return urlsplit(page.address).netloc
 
 
 def path(page: Page) -> str:
-    """Return the page's path, which is its token."""
     return urlsplit(page.address).path
 
 
 def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
-    """Return status, headers and body of a response."""
-    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
-    try:
+    with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
         connection.request("GET", where, headers={"Host": own(page)} | headers)
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
-    finally:
-        connection.close()
 
 
 @contextmanager
 def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
-    """Open a websocket like the page's script; raises InvalidStatus if it is refused."""
-    stream = socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0)
-    protocol, said = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
-    try:
-        with connect(
-            f"ws://{host or own(page)}{where}",
-            sock=stream,
-            origin=said,
-            subprotocols=[protocol],
-            compression=None,
-            max_queue=None,
-        ) as client:
-            client.recv(timeout=60.0)
-            yield client
-    finally:
-        stream.close()
+    protocol, sent_origin = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
+    address, unbuffered = f"ws://{host or own(page)}{where}", {"compression": None, "max_queue": None}
+    with (
+        socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0) as sock,
+        connect(address, sock=sock, origin=sent_origin, subprotocols=[protocol], **unbuffered) as client,
+    ):
+        client.recv(timeout=60.0)
+        yield client
 
 
 def upgraded(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
-    """Return the status of a websocket request; 101 means open."""
     try:
         with opened(page, where, origin, host):
             return 101
@@ -113,7 +90,6 @@ def upgraded(page: Page, where: str, origin: str | None, host: str | None = None
 
 
 def test_the_page_is_served_only_at_its_address(page: Page) -> None:
-    """With token and host, the page has its title and headers that forbid framing and referrers."""
     status, headers, body = got(page, path(page))
     assert status == 200 and b"<title>softfinger</title>" in body
     assert headers["X-Frame-Options"] == "DENY" and "frame-ancestors 'none'" in headers["Content-Security-Policy"]
@@ -123,7 +99,6 @@ def test_the_page_is_served_only_at_its_address(page: Page) -> None:
 
 @pytest.mark.parametrize("where", ["/", "/index.html", "/wrong-token/", "http://evil.example/", "/%2e%2e/", "*"])
 def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
-    """The refusal gives the remedy and forbids framing."""
     status, headers, body = got(page, where)
     assert status == 403 and b"token" in body and b"softfinger view" in body and headers["X-Frame-Options"] == "DENY"
     if where.startswith("/"):
@@ -143,20 +118,16 @@ def test_another_host_is_refused(page: Page, host: str) -> None:
 def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
     """Servers differ in the header they use, so two are refused in either order, even if both name the page."""
     hosts = [own(page), second or own(page)]
-    connection = HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)
-    try:
+    with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
         connection.putrequest("GET", path(page), skip_host=True)
         for host in hosts if first else reversed(hosts):
             connection.putheader("Host", host)
         connection.endheaders()
         assert connection.getresponse().status in (400, 403)
-    finally:
-        connection.close()
 
 
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
 def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
-    """With the token, other sites, pages without an origin and programs without the header are refused."""
     assert upgraded(page, path(page), origin) == 403
 
 
@@ -166,7 +137,6 @@ def test_a_request_of_another_origin_is_refused(page: Page) -> None:
 
 
 def test_the_page_and_allowed_hosts_have_access(page: Page) -> None:
-    """By host name, by address, and by the names of --allow-host."""
     port = page.server.get_port()
     for host in (own(page), f"127.0.0.1:{port}", f"rig.lab:{port}", "tunnel.lab:9000"):
         assert upgraded(page, path(page).rstrip("/"), f"http://{host}", host) == 101
@@ -176,7 +146,6 @@ def test_the_page_and_allowed_hosts_have_access(page: Page) -> None:
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_another_site_cannot_reach_the_page_in_a_browser(page: Page) -> None:
-    """The page's script may connect; a page on another port with the token may neither connect nor frame the page."""
     attack = ATTACK.replace("VERSION", viser.__version__)
     with HTTPServer(("127.0.0.1", 0), Elsewhere) as other, browser() as tab:
         thread = threading.Thread(target=other.serve_forever)
@@ -195,7 +164,6 @@ def test_another_site_cannot_reach_the_page_in_a_browser(page: Page) -> None:
 
 
 def test_each_page_has_its_own_token() -> None:
-    """A token has 128 bits, and the address can be opened in a browser for every host."""
     assert Access("::1").address(80).startswith("http://[::1]:80/")
     assert Access("0.0.0.0", ("rig.lab",)).address(80).startswith("http://rig.lab:80/")
     tokens = {Access("127.0.0.1").token for _ in range(100)}
@@ -203,21 +171,17 @@ def test_each_page_has_its_own_token() -> None:
 
 
 def test_an_unguarded_server_is_refused() -> None:
-    """ConfigError is raised if viser starts its server in an unexpected way."""
     with pytest.raises(ConfigError, match="cannot be protected"), Access("127.0.0.1").guard_server():
         pass
 
 
 def say(stream: ClientConnection, control: Any, value: Any) -> None:
-    """Send a browser's message for a changed control, with a value of any type."""
     told = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
     stream.send(msgspec.msgpack.encode(told))
 
 
 def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
-    """A stiffness outside its slider, NaN and an unlisted scene are reset and not sent to the daemon."""
-    live = LivePage(page, Addresses(*endpoints))
-    try:
+    with closing(LivePage(page, Addresses(*endpoints))) as live:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
         fed(live, lambda: page.fingers and slider.value == 1000.0)
         asked: list[Any] = []
@@ -234,12 +198,9 @@ def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tupl
             say(stream, slider, 740.0)
             fed(live, lambda: asked)
         assert asked == [{"object.0.material.stiffness_n_per_m": 740.0}]
-    finally:
-        live.close()
 
 
 def fed(live: LivePage, until: Callable[[], Any]) -> None:
-    """Step until a condition is true."""
     end = time.monotonic() + 60.0
     while not until():
         assert time.monotonic() < end

@@ -25,7 +25,6 @@ PLACES = {"thumb": (-0.04, 0.0, 0.02), "index": (0.04, 0.0, 0.02)}
 
 @pytest.fixture
 def led() -> Iterator[tuple[HandControls, dict[str, Target | None]]]:
-    """Return a hand with two fingers on a page without viewers, and their last targets, GRIP m below when held."""
     server = viser.ViserServer(port=0, verbose=False)
     sent: dict[str, Target | None] = {}
     try:
@@ -50,7 +49,6 @@ def places(sent: dict[str, Any]) -> dict[str, list[float]]:
 
 
 def test_a_motion_is_mirrored_along_the_line_between_fingers() -> None:
-    """Fingers move oppositely along the line and together across it; fingers at the same position move together."""
     line = np.array([2.0, 0.0, 0.0])
     assert mirror_motion(np.array([0.3, 0.4, 0.5]), line).tolist() == [-0.3, 0.4, 0.5]
     assert mirror_motion(np.array([0.3, 0.4, 0.5]), 0.0 * line).tolist() == [0.3, 0.4, 0.5]
@@ -58,7 +56,6 @@ def test_a_motion_is_mirrored_along_the_line_between_fingers() -> None:
 
 
 def test_keys_close_two_fingers_and_move_both(led: tuple[HandControls, dict[str, Target | None]]) -> None:
-    """Closing moves both fingers; a vertical step moves both, or only the chosen one."""
     hand, sent = led
     hand.nudge(Nudge(close=0.001))
     assert places(sent) == {"thumb": [-0.039, 0.0, 0.018], "index": [0.039, 0.0, 0.018]}
@@ -70,7 +67,6 @@ def test_keys_close_two_fingers_and_move_both(led: tuple[HandControls, dict[str,
 
 
 def test_each_hand_moves_one_finger(led: tuple[HandControls, dict[str, Target | None]]) -> None:
-    """The left hand moves the left finger and the wheel moves both, regardless of the chosen finger."""
     hand, sent = led
     hand._finger.value = "index"
     hand.nudge_each(Nudge(x=0.001), Nudge(y=0.002), 0.0)
@@ -101,7 +97,6 @@ def test_a_slider_moves_the_target_by_its_change(led: tuple[HandControls, dict[s
 
 
 def test_steps_before_the_hands_are_held_are_queued(led: tuple[HandControls, dict[str, Target | None]]) -> None:
-    """Key strokes before the daemon's answer are applied, after a refusal none is."""
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
     hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))
@@ -120,7 +115,6 @@ def test_steps_before_the_hands_are_held_are_queued(led: tuple[HandControls, dic
 
 
 def drag(hand: HandControls, phase: str, end: np.ndarray, how: str) -> None:
-    """Drag the thumb, with the camera above."""
     eye = SimpleNamespace(camera=SimpleNamespace(position=CM * np.array([0.0, 0.0, 10.0])))
     ball = CM * np.array(PLACES["thumb"])
     event = SimpleNamespace(phase=phase, client=eye, start_position=ball, end_position=end)
@@ -130,7 +124,6 @@ def drag(hand: HandControls, phase: str, end: np.ndarray, how: str) -> None:
 def test_a_drag_moves_both_fingers_and_the_wheel_closes_them(
     led: tuple[HandControls, dict[str, Target | None]],
 ) -> None:
-    """Both move 10 mm to the right and 5 mm sideways; closing by the wheel during the drag remains in effect."""
     hand, sent = led
     ball = CM * np.array(PLACES["thumb"])
     drag(hand, "start", ball, "move")
@@ -154,7 +147,6 @@ def test_a_pinch_drag_moves_both_fingers_together(led: tuple[HandControls, dict[
 
 
 def test_increments_of_two_hands_are_applied_once_and_clamped() -> None:
-    """Pages send totals, some of which may be lost; the increments are clamped, and invalid text is ignored."""
     told = SimpleNamespace(value="")
 
     class Gui:

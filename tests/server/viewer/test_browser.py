@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.browser import SIZE, Screen, coloured, eventually, served, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_results
@@ -23,7 +22,6 @@ ROLL, SPIN, SLIDE = 4300, 7000, 9000
 
 
 def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
-    """A roll shows only blue, a spin also an orange arc, and a slide red instead of blue."""
     file = tmp_path / "run.mcap"
     write_results(file, run_recording("press-roll-spin-drag"))
     seen = {}
@@ -41,18 +39,10 @@ def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
     assert seen[SLIDE]["blue"] < 30
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run a hand that can be controlled, above the paper's plane."""
-    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
-    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
-    """It shows the mode as text, all tabs, and a picture that is not of one colour."""
     assert eventually(lambda: screen.shows("free"))
     for name in ("Hand", "Feel", "Show", "Plots"):
         screen.tab(name)
@@ -61,7 +51,6 @@ def test_the_page_shows_the_rendered_scene(screen: Screen) -> None:
 
 
 def test_the_layout_fits_the_window(screen: Screen) -> None:
-    """At 1280 x 800 the plots need no scroll and labels have one line, also after the window was narrow as a phone."""
     page, plots = screen.page, screen.page.locator(".uplot:visible")  # plots of a tab remain after it was opened
 
     def canvas_width() -> float:
@@ -89,7 +78,6 @@ def test_the_layout_fits_the_window(screen: Screen) -> None:
 
 
 def test_the_page_shows_what_the_daemon_prepares(screen: Screen, daemon: Daemon) -> None:
-    """The progress of a scene in preparation is in the status line until the scene is ready."""
     daemon.publisher.set_preparing("compiling kernel 12")
     assert eventually(lambda: screen.shows("the daemon prepares: compiling kernel 12"))
     daemon.publisher.set_preparing("")
@@ -97,7 +85,6 @@ def test_the_page_shows_what_the_daemon_prepares(screen: Screen, daemon: Daemon)
 
 
 def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client: Client) -> None:
-    """A drag with shift presses the fingertip into the plane; a drag to the right moves it without releasing it."""
     height = client.get_state().position[2]
 
     def ball() -> tuple[float, float]:
@@ -122,9 +109,6 @@ def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client
 
 
 def test_a_slider_changes_the_material_of_the_daemon(screen: Screen, client: Client) -> None:
-    """A number next to it sets the stiffness; both coefficients of friction keep their ratio. Screen readers get its
-    name."""
-
     def material() -> dict[str, object]:
         made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
         return made

@@ -24,7 +24,6 @@ RADIUS = 0.01
 
 
 def seen(camera: Camera, point: Any) -> tuple[float, float]:
-    """Return the image coordinates of a point (3,) m, from -1 to 1 between the edges."""
     look = np.subtract(camera.look_at, camera.position)
     depth = look / np.linalg.norm(look)
     right = np.cross(depth, (0.0, 0.0, 1.0))
@@ -36,7 +35,6 @@ def seen(camera: Camera, point: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", list_shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
-    """It is inside a square picture and has at least a twentieth of its height."""
     scene = load_scene(name)
     camera, thing = initial_camera(scene), next(each for each in scene.object if not getattr(each, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
@@ -50,7 +48,6 @@ def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> Non
 
 
 def test_the_camera_looks_at_the_pose_of_a_body() -> None:
-    """The camera moves with a body that is 80 mm off; boxes of a [world], also lifted, are in view."""
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)
@@ -63,7 +60,6 @@ def test_the_camera_looks_at_the_pose_of_a_body() -> None:
 
 
 def test_the_camera_of_a_bowl_looks_at_the_ball() -> None:
-    """It does not look at the centre of the hollow sphere, 100 mm higher."""
     scene = load_scene("ball-in-a-bowl")
     ball = next(thing for thing in scene.object if thing.name == "ball")
     place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
@@ -72,7 +68,6 @@ def test_the_camera_of_a_bowl_looks_at_the_ball() -> None:
 
 
 def test_the_camera_looks_at_walls_from_the_front() -> None:
-    """The camera of the corner is on the fingertip's side of each plane."""
     scene = load_scene("corner")
     position = np.array(initial_camera(scene).position)
     for wall in scene.object:
@@ -81,7 +76,6 @@ def test_the_camera_looks_at_walls_from_the_front() -> None:
 
 
 def test_neither_of_two_fingers_is_hidden() -> None:
-    """The camera of the pinch looks across the line between the fingers, and both are in view."""
     camera = initial_camera(load_scene("pinch"))
     assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size by 2 mm
     for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
@@ -89,7 +83,6 @@ def test_neither_of_two_fingers_is_hidden() -> None:
 
 
 def test_the_camera_fits_a_mesh_once_it_is_drawn() -> None:
-    """The camera is farther from a height map with a hill of 60 mm than from a flat or unknown one."""
     scene = load_scene("heightmap")
     flat = np.array([(x, y, 0.0) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)])
     hill = np.array([(0.0, 0.0, 0.06)])
@@ -103,7 +96,6 @@ def test_the_camera_fits_a_mesh_once_it_is_drawn() -> None:
 
 
 def test_a_slope_towards_the_light_is_lighter() -> None:
-    """A higher level is lighter, and the highest has the map's own colour in linear light."""
     steep = np.array([(x, 0.1 * y, abs(x)) for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)])
     faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.uint32)
     valley = shade_vertices(SurfaceMesh(steep, faces), MAP)[:, :3].astype(int)

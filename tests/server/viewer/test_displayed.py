@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from emulators.haply2diy import Firmware, Port
 from helpers.browser import eventually, served, why_none
+from helpers.pages import running
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +20,6 @@ from softfinger.drivers.kinematics.options import Paddle
 from softfinger.drivers.kinematics.subspace import make_subspace
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.app import Daemon
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingers import FingerNodes
@@ -36,7 +36,6 @@ turns = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg
 def test_a_paddle_displays_the_force_along_its_arc(
     turn: Any, origin: np.ndarray, angle: float, force: np.ndarray
 ) -> None:
-    """It is the projection on the tangent of the arc, r (sin a, 0, cos a - 1), by a difference."""
     radius, step = 0.09, 1e-6
     mounting = Mounting(position_m=tuple(origin.tolist()), orientation_wxyz=turn)
     _, unit = mounting.frame()
@@ -54,7 +53,6 @@ def test_a_paddle_displays_the_force_along_its_arc(
 @pytest.mark.plain
 @given(vectors)
 def test_a_pantograph_displays_the_force_in_its_plane(force: np.ndarray) -> None:
-    """The shipped 2DIY displays x and z at every position; devices with three degrees of freedom everything."""
     (handle,) = find_low_dof_devices({"rig": describe(load_rig("haply-2diy"))}).values()
     row = np.zeros(RECORD_SIZE)
     row[AT.force : AT.force + 3], row[AT.probe_position] = force, 0.03
@@ -66,7 +64,6 @@ def test_a_pantograph_displays_the_force_in_its_plane(force: np.ndarray) -> None
 
 @pytest.mark.plain
 def test_the_arrow_shows_the_displayed_force_and_dashes_the_rest() -> None:
-    """Of (3, 4, 1) N a 2DIY displays 3 and 1 N; dashes show 4 N. A patch has its computed radius."""
     viser = pytest.importorskip("viser")
     server = viser.ViserServer(port=0, verbose=False)
     try:
@@ -112,17 +109,14 @@ def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
-    """On a floor tilted out of the handle's plane the page shows both parts and a link."""
     plain = describe(load_scene("paper-plane"))
     plain["object"][0] |= {"orientation_wxyz": [np.cos(np.pi / 8).item(), -np.sin(np.pi / 8).item(), 0.0, 0.0]}
     scene, board = build(schema.Scene, plain, "a slope"), Firmware()
     with Port(board) as port:
         changes: dict[str, Any] = {
-            "device.path": port.path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
-            "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*",
+            "device__path": port.path, "device__quiet_s": 0.1, "device__timeout_s": 0.5, "guard__ramp_s": 0.01,
         }  # fmt: skip
-        with Daemon(load_rig("haply-2diy", changes), scene, scene_name="slope") as daemon:
-            daemon.start()
+        with running("haply-2diy", scene, **changes) as daemon:
             for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above into the floor, slower than 10 m/s
                 board.angles = [168.0 - 26.0 * share, 12.0 + 26.0 * share]
                 time.sleep(0.002)

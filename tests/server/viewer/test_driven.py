@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,6 @@ def told(tick: int, **what: Any) -> dict[str, Any]:
 
 
 def test_events_set_the_poses_of_driven_objects() -> None:
-    """Before the first event the scene's pose; without orientation the last one is kept; invalid ones are ignored."""
     scene = build(Scene, paper_mapping(table=LID), "test scene")
     events = [
         told(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
@@ -48,7 +48,6 @@ def test_events_set_the_poses_of_driven_objects() -> None:
 
 
 def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None:
-    """All geoms of a knob, only one of which is touched, turn by 90 degrees at tick 500."""
     scene = load_scene("turn-a-knob")
     file = tmp_path / "turned.mcap"
     with file.open("wb", buffering=0) as out:
@@ -62,21 +61,17 @@ def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None
         recording.close()
     loaded = load(str(file), None)
     assert RecordedBodies(loaded.worlds).at(99) == {}
-    page = Page("127.0.0.1", 0)
-    try:
+    with closing(Page("127.0.0.1", 0)) as page:
         for tick, pointer in ((499, (0.026, 0.0)), (500, (0.0, 0.026)), (1500, (0.0, 0.026))):
             RecordedPage(page, loaded, tick).step(0.0)
             assert page.bodies is not None
             np.testing.assert_allclose(page.bodies.poses[-1][0], [*pointer, 0.0085], atol=1e-9)
-    finally:
-        page.close()
 
 
 @pytest.mark.real_time
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> None:
-    """Scrubbing in both directions, and playing over a command, shows the last commanded position."""
     moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
     events = [told(tick, object="lid", position_m=place) for tick, place in moves.items()]
     scene = build(Scene, paper_mapping(table=LID), "recorded")

@@ -19,8 +19,6 @@ pytestmark = pytest.mark.plain
 
 
 class Nodes:
-    """Stub of the page's scene that stores the node with a mesh."""
-
     def __init__(self) -> None:
         self.drawn = SimpleNamespace()
 
@@ -29,7 +27,6 @@ class Nodes:
 
 
 def test_an_elastic_object_returns_to_its_shape() -> None:
-    """The vertices move with the contact and are those of the file without one, also in a new start of the scene."""
     scene, nodes = load_scene("press-a-pad"), Nodes()
     thing = scene.object[0]
     assert isinstance(thing, Mesh)

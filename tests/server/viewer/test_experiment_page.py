@@ -12,7 +12,7 @@ from helpers.experiment_page import RATING, STUDY, session
 from softfinger.server.experiment.experiment import results
 from softfinger.server.recording.run import load_run
 from softfinger.server.viewer.prompt import assign_keys
-from softfinger.tools.bench.soak import viewer
+from softfinger.tools.bench.view import viewer
 
 WAIT_S = 120.0
 
@@ -26,12 +26,6 @@ def through_chromium() -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Consent, a survey, instructions, two blocks of two trials with a break and a survey between them, the end.
-
-    Answers are given by button and by key. Colour, image and noise are those of the condition. A second page, of a
-    watcher, shows the same and has nothing to answer with. The folder has everything. The prompt is in the middle of a
-    window of any width.
-    """
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
         for width in (390, 2560, 840):
@@ -112,7 +106,6 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Buttons and keys give a mark of a scale; a number field refuses invalid numbers with a message."""
     with session(tmp_path / "scale", RATING) as run:
         run.click("begin")
         assert run.waits("1: soft, 7: hard")
@@ -135,7 +128,6 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
 
 @pytest.mark.plain
 def test_each_choice_has_its_key() -> None:
-    """Two choices have their positions as keys, marks their digits, a single choice Enter; ten at most."""
     assert assign_keys(("first", "second")) == {"1": "first", "2": "second"}
     assert assign_keys(("3", "4", "5")) == {"3": "3", "4": "4", "5": "5"}
     assert assign_keys(("0", "1", "2")) == {"0": "0", "1": "1", "2": "2"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +10,15 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.browser import Screen, coloured, eventually, why_none
+from helpers.pages import daemon_of
 
 from softfinger.config import schema
-from softfinger.config.load import build, describe, load_rig, load_scene
-from softfinger.server.app import Daemon
+from softfinger.config.load import build, describe
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 RADIUS_M = 0.03
 GREY, WHITE = 240.0, 250.0
 """An object's colour is below GREY; the empty background is above WHITE."""
@@ -32,21 +30,14 @@ TRIANGLES = """name => {
 """Triangles that are drawn, not those of the message."""
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run a hand that can be controlled above the shipped height map."""
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("heightmap"), scene_name="heightmap") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "heightmap")
 
 
 def drawn(screen: Screen) -> float:
-    """Return the number of drawn triangles of the first object."""
     return float(screen.page.evaluate(TRIANGLES, "/objects/0"))
 
 
 def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
-    """Return the mean colour of a few pixels at a point (m, world)."""
     box = screen.page.locator("canvas").first.bounding_box()
     x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]))
     row, column = round(y - box["y"]), round(x - box["x"])
@@ -54,7 +45,6 @@ def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
 
 
 def touched(screen: Screen, client: Client) -> bool:
-    """Lower the hand until it presses; return True if the page shows the contact and a blue arrow."""
     for height in np.arange(0.02, 0.0, -0.001).tolist():
         client.ask("hand", {"position_m": [0.0, 0.0, height]})
         time.sleep(0.1)
@@ -65,7 +55,6 @@ def touched(screen: Screen, client: Client) -> bool:
 
 
 def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> None:
-    """Each cell of its 64 x 64 pixels has two triangles."""
     client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
     assert eventually(lambda: drawn(screen) == 2 * 63 * 63)
     assert eventually(lambda: colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
@@ -75,7 +64,6 @@ def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> No
 
 @pytest.mark.exhaustive
 def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client, tmp_path: Path) -> None:
-    """All triangles are drawn, in the ball's grey on a white background; a press shows its force."""
     file = meshes.write_ply(tmp_path / "ball.ply", meshes.geodesic(16, RADIUS_M))
     ball = {"name": "ball", "shape": "mesh", "file": str(file), "position_m": [0.0, 0.0, -RADIUS_M]}
     scene = {

@@ -14,8 +14,6 @@ pytestmark = pytest.mark.plain
 
 
 class Circle:
-    """Reference cycle, which only a garbage collection frees."""
-
     def __init__(self) -> None:
         self.itself = self
 

@@ -45,7 +45,6 @@ STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
 
 @cache
 def played(name: str, start: tuple[float, float, float]) -> list[Step]:
-    """Return the contact step of each frame of a gesture that starts above the plane."""
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = Stage(
@@ -105,8 +104,6 @@ def test_a_slide_goes_towards_the_middle() -> None:
 
 
 class MovableFinger(SimulatedHands):
-    """Two hands next to the shipped box whose targets the test sets."""
-
     def __init__(self) -> None:
         super().__init__("lift-a-box")
         places = {"thumb": -0.04, "index": 0.04}
@@ -122,7 +119,6 @@ class MovableFinger(SimulatedHands):
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
 def test_a_lift_raises_a_box_and_puts_it_down() -> None:
-    """To the nominal height less the compliance of the grip, level, and back down."""
     hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
     stage = Stage(
         lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema.contact import RollingMethod
-from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.inputs import KEYS, MAX_SPEED_M_PER_S, SPIN_RAD_S, Nudge, parse_gamepad
 from softfinger.server.viewer.nodes.looks import CM
@@ -24,15 +22,9 @@ PAD = """(axes) => {
     navigator.getGamepads = () => [{connected: true, mapping: "standard", axes, buttons}];
 }"""
 NO_PAD = "() => { navigator.getGamepads = () => [] }"
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run a hand that can be controlled, above the paper's plane."""
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 def place(client: Client) -> np.ndarray:
@@ -40,7 +32,6 @@ def place(client: Client) -> np.ndarray:
 
 
 def test_keys_move_the_hand(screen: Screen, client: Client) -> None:
-    """Keys move it to the right, then down until it presses, and up again."""
     start = place(client)
 
     def went_right() -> bool:
@@ -58,8 +49,6 @@ def test_keys_move_the_hand(screen: Screen, client: Client) -> None:
 
 
 def test_touch_moves_the_hand(screen: Screen, client: Client) -> None:
-    """A drag moves it horizontally; after a change of the menu, the same drag presses or lifts."""
-
     def ball() -> tuple[float, float]:
         x, y, z = place(client)
         return screen.at((CM * x, CM * y, CM * z))
@@ -84,7 +73,6 @@ def test_touch_moves_the_hand(screen: Screen, client: Client) -> None:
 
 
 def test_a_gamepad_moves_the_hand(screen: Screen, client: Client) -> None:
-    """A deflected stick moves the hand continuously, a released one stops it. Without a gamepad its field is hidden."""
     field = screen.page.locator("xpath=//label[normalize-space()='gamepad']")
     assert eventually(lambda: not field.is_visible())
     start = place(client)
@@ -103,7 +91,6 @@ def resting(client: Client) -> bool:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", [*get_args(RollingMethod)[1:], get_args(RollingMethod)[0], NO_ROLLING])
 def test_a_rolling_method_is_rendered_by_the_daemon(screen: Screen, client: Client, method: str) -> None:
-    """The daemon compiles and renders each method in turn, finally none; `describe` shows it, and ticks continue."""
     screen.tab("Feel")
     screen.choose("rolling", method)
     wanted = None if method == NO_ROLLING else method
@@ -115,7 +102,6 @@ def test_a_rolling_method_is_rendered_by_the_daemon(screen: Screen, client: Clie
 
 
 def test_a_scene_is_rendered_or_refused(screen: Screen, client: Client) -> None:
-    """Of another scene, which needs two fingers, the page shows the error and the old scene."""
     screen.tab("Feel")
     screen.choose("scene", "frictionless-plane")
     assert eventually(lambda: client.describe()["scene_name"] == "frictionless-plane")
@@ -127,7 +113,6 @@ def test_a_scene_is_rendered_or_refused(screen: Screen, client: Client) -> None:
 
 
 def test_invalid_gamepad_text_moves_nothing() -> None:
-    """Text, too few numbers, NaN and a stick at rest give no motion; a value beyond 1 is clamped."""
     assert {parse_gamepad(text) for text in ("", "a b", "1 2 3", "1 nan 0 0 0 0 0 0 0", "1 0.1 0 0 0 0 0 0 0")} == {
         Nudge()
     }
@@ -135,6 +120,5 @@ def test_invalid_gamepad_text_moves_nothing() -> None:
 
 
 def test_no_key_has_two_functions() -> None:
-    """Each pair of key and modifier is unique, and no key moves the camera."""
     used = [(key, modifier) for key, modifier, _ in KEYS.values()]
     assert len(set(used)) == len(used) and not {key for key, _ in used} & set("WASDQE")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,11 +22,14 @@ WAIT_MS = 60_000
 def test_the_force_is_switched_off_while_no_other_command_is_answered(tmp_path: Path) -> None:
     """The daemon gets `disarm` by a connection on which no other request of the page waits for its answer."""
     endpoint = f"ipc://{tmp_path}/commands"
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.ROUTER) as daemon,
+        closing(Page("127.0.0.1", 0)) as page,
+        closing(LivePage(page, Addresses(f"ipc://{tmp_path}/telemetry", endpoint))) as live,
+    ):
         daemon.linger = 0
         daemon.bind(endpoint)
-        page = Page("127.0.0.1", 0)
-        live = LivePage(page, Addresses(f"ipc://{tmp_path}/telemetry", endpoint))
         live._request_description()
         live._reset_world()
         received = dict[str, bytes]()
@@ -43,5 +47,3 @@ def test_the_force_is_switched_off_while_no_other_command_is_answered(tmp_path: 
             client, _, body = daemon.recv_multipart()
             received[msgpack.unpackb(body)["method"]] = client
         assert list(received.values()).count(received["disarm"]) == 1
-        live.close()
-        page.close()

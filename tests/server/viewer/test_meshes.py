@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +31,16 @@ BEGAN = SceneStart(0, 0, 1e-3, own_clock=False)
 
 
 def parse_scene(path: Path) -> schema.Scene:
-    """Return a scene with a plane and a mesh."""
     mapping = paper_mapping(rolling=None)
     part = {"name": "part", "shape": "mesh", "file": str(path), "material": {"stiffness_n_per_m": 500.0}}
     return build(schema.Scene, mapping | {"object": [*mapping["object"], part]}, "test scene")
 
 
 def scan(folder: Path, frequency: int) -> Path:
-    """Write a ball as a binary PLY file."""
     return meshes.write_ply(folder / f"ball{frequency}.ply", meshes.geodesic(frequency, 0.04))
 
 
 def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
-    """The largest answer to `mesh` is within the size limit of a client, and decodes to the same mesh."""
     report, picture = about(parse_scene(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
     assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
     message = encode_answer(
@@ -62,27 +60,22 @@ def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
     ("vertices", "triangles"), [(bytes(13), bytes(12)), (bytes(12), bytes(11)), (bytes(12), b"\x01" + bytes(11))]
 )
 def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
-    """Half a vertex, half a triangle, and a triangle with a missing vertex."""
     with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle of vertex 1, and there are 1"):
         decode_mesh(vertices, triangles)
 
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """Page that no browser has opened."""
-    page = Page("127.0.0.1", 8350)
-    yield page
-    page.close()
+    with closing(Page("127.0.0.1", 8350)) as page:
+        yield page
 
 
 def surfaces(page: Page) -> dict[str, Any]:
-    """Return the drawn nodes of the objects by name."""
     found = page.server.scene._handle_from_node_name
     return {name: handle for name, handle in found.items() if name.startswith("/objects/")}
 
 
 def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
-    """The mesh is drawn in centimetres as the second object; a missing file gives a message, and the rest is shown."""
     path = scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
     RecordedPage(page, LoadedRecording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)

@@ -17,6 +17,7 @@ import msgpack
 import pytest
 import viser
 from helpers.fuzzing import mutated
+from helpers.pages import CAMERA
 from helpers.programs import Program
 from viser._messages import GuiUpdateMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -37,11 +38,6 @@ print(page.address, flush=True)
 sys.stdin.readline()
 page.close()
 """
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, 0.0, 1.0], "look_at": [0.0, 0.0, 0.0],
-    "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
-}  # fmt: skip
 SAID: list[dict[str, Any]] = [
     CAMERA,
     {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1.0}},
@@ -60,7 +56,6 @@ def resident_kb(pid: int) -> int:
 
 
 def talk(address: str, messages: list[bytes]) -> None:
-    """Open the page's websocket like its script, receive one message, and send `messages`."""
     where = urlsplit(address)
     with connect(
         f"ws://{where.netloc}{where.path}", origin=Origin(f"http://{where.netloc}"), compression=None, max_queue=None,
@@ -81,8 +76,6 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
     waiters: Any = buffer.message_event._waiters
 
     class Connecting:
-        """Waiter that adds another waiter when it is checked."""
-
         def done(self) -> bool:
             waiters.append(self)
             return True
@@ -98,7 +91,6 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
 
 @pytest.mark.parametrize("seconds", [0.8, pytest.param(15.0, marks=pytest.mark.exhaustive)])
 def test_corrupted_messages_do_not_harm_the_page(seconds: float, tmp_path: Path) -> None:
-    """After random corruption the process still runs and serves, has not grown, and has logged no traceback."""
     seeds = [msgpack.packb(each) for each in SAID]
     chance = random.Random(25 if seconds < 5.0 else None)
     log = tmp_path / "said"

@@ -46,7 +46,6 @@ def child_of(process: subprocess.Popen[str]) -> int:
 
 
 def status_of(process: subprocess.Popen[str], address: str) -> int:
-    """Wait until the page answers; return the HTTP status."""
     while process.poll() is None:
         try:
             with urlopen(address, timeout=WAIT_S) as answer:
@@ -58,7 +57,6 @@ def status_of(process: subprocess.Popen[str], address: str) -> int:
 
 @contextmanager
 def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run `run --view` and return the address of its page; kill the process group after WAIT_S."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
     with Program(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
@@ -77,7 +75,6 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def restarted(process: subprocess.Popen[str], address: str, restart: int) -> None:
-    """Kill the page. The daemon logs it and restarts it at the same address, whose token is in no process list."""
     assert process.stderr is not None
     page = child_of(process)
     assert urlsplit(address).path.strip("/") not in Path(f"/proc/{page}/cmdline").read_text()
@@ -88,7 +85,6 @@ def restarted(process: subprocess.Popen[str], address: str, restart: int) -> Non
 
 
 def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
-    """The page ends if the daemon is killed."""
     with run_with_page() as (process, address):
         restarted(process, address, 1)
         page = Path(f"/proc/{child_of(process)}")
@@ -102,7 +98,6 @@ def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
 
 @pytest.mark.exhaustive
 def test_a_page_restarts_three_times() -> None:
-    """After the last restart the log contains the command that opens the page, and ticks continue."""
     with run_with_page() as (process, address):
         assert process.stderr is not None
         for restart in range(RESTARTS):
@@ -116,7 +111,6 @@ def test_a_page_restarts_three_times() -> None:
 
 
 def test_a_page_that_hangs_at_start_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The daemon continues without it and logs its end."""
     hangs = tmp_path / "python"
     hangs.write_text("#!/bin/sh\nexec sleep 600\n")
     hangs.chmod(0o755)
@@ -136,7 +130,6 @@ mv "{seen}/words.new" "{seen}/words"
 
 
 def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command line has no token; the private file that has it is deleted with the page."""
     program = tmp_path / "browser"
     program.write_text(BROWSER.format(seen=tmp_path))
     program.chmod(0o755)
@@ -166,7 +159,6 @@ def test_the_address_is_alone_on_its_line(caplog: pytest.LogCaptureFixture) -> N
 
 
 def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -> None:
-    """The first line of the log names --view, before a scene is compiled."""
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
     with caplog.at_level(logging.INFO):
         assert called("run", *ends, "--duration", "0.01").returncode == 0
@@ -176,7 +168,6 @@ def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
-    """Without a reload it shows ticks from after the end of the old page."""
     with run_with_page() as (process, address), browser() as page:
         threading.Thread(target=process.communicate, daemon=True).start()  # reads stderr, so that it does not block
         screen = shown(page, address)

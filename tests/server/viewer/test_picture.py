@@ -72,14 +72,12 @@ def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact
 
 
 def test_a_plane_faces_along_its_normal() -> None:
-    """The mesh is flat, and its triangles are counter-clockwise seen from above."""
     mesh = surface_mesh(thing({"shape": "plane"}))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
 def test_an_infinite_cylinder_has_no_end_faces() -> None:
-    """All vertices are on its side."""
     mesh = surface_mesh(thing({"shape": "cylinder", "radius_m": 0.02}))
     np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
 
@@ -94,7 +92,6 @@ def test_an_unknown_shape_has_no_mesh() -> None:
 
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
 def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
-    """The chords have the length of the arc, its direction follows the sign, and it never closes."""
     line = arc(angle, radius)[:ARC_PIECES]
     drawn = min(abs(angle), ARC_MAX)
     chord = 2.0 * radius * sin(drawn / ARC_PIECES / 2.0)
@@ -104,13 +101,11 @@ def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
 
 
 def test_a_cone_has_the_slope_of_the_friction() -> None:
-    """The rim has height 1 and radius mu."""
     rim = cone(1.0, 0.6).vertices[-1]
     assert atan2(np.hypot(rim[0], rim[1]), rim[2]) == pytest.approx(atan2(0.6, 1.0), rel=1e-12)
 
 
 def test_marks_are_on_the_surface_of_the_fingertip() -> None:
-    """Each point of the three ellipses satisfies the equation of the ellipsoid."""
     points = circles((0.8, 0.7, 1.2)).reshape(-1, 3)
     np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
 
@@ -132,7 +127,6 @@ def test_a_rotation_times_its_inverse_is_the_identity() -> None:
 
 
 def test_a_trace_drops_its_oldest_segments() -> None:
-    """Short steps are skipped, the oldest segments are overwritten, and no segment bridges a lift."""
     way = Trace(0.1, segments=3)
     zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
     drawn = [way.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
@@ -145,7 +139,6 @@ def test_a_trace_drops_its_oldest_segments() -> None:
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ...]]) -> None:
-    """Every point is within one step of the trace, segments are connected, and a straight line is one segment."""
     way = Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
     for point in points:
@@ -162,7 +155,6 @@ def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ..
 
 
 def test_a_trace_of_two_colours_has_two_segments() -> None:
-    """The colour is the mode, so even a straight trace is split."""
     way = Trace(0.1)
     for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
         way.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
@@ -171,15 +163,12 @@ def test_a_trace_of_two_colours_has_two_segments() -> None:
 
 
 def beside(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Return the distance of a point from a segment."""
     long = end - start
     share = np.clip((point - start) @ long / (long @ long), 0.0, 1.0)
     return float(np.linalg.norm(point - start - share * long))
 
 
 class Frames:
-    """Stub of the page's scene; the test reads the poses of the bodies."""
-
     def __getattr__(self, name: str) -> Any:
         return lambda *args, **kwargs: SimpleNamespace()
 
@@ -206,7 +195,6 @@ def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> N
 
 
 def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
-    """A message without the body does not change its pose."""
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.01, "position_m": [0.0, 0.1, 0.0]}
     ball |= {"material": {"stiffness_n_per_m": 500.0}, "motion": {"kind": "body", "body": "arm"}}
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
@@ -223,7 +211,6 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
 
 @given(units, st.floats(-0.05, 0.05))
 def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float) -> None:
-    """Planes steeper than 60 degrees and planes above the point are ignored; there may be no ground."""
     turn = rotation_to(normal / np.linalg.norm(normal))
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     floor = [0.0, 0.0, -0.1]
@@ -265,7 +252,6 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
 
 
 def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
-    """It ends on a box instead of the floor, and on the floor once the box has moved away."""
     material = {"stiffness_n_per_m": 1000.0}
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
     floor = {"shape": "plane", "name": "floor"}
@@ -281,7 +267,6 @@ def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
 
 
 def tick(**values: float) -> np.ndarray:
-    """Return a record with the given columns."""
     row = np.zeros(RECORD_SIZE)
     for name, value in values.items():
         row[getattr(AT, name)] = value
@@ -300,7 +285,6 @@ def tick(**values: float) -> np.ndarray:
     ],
 )
 def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: VisibleState) -> None:
-    """Two ticks 0.1 s apart give the state; a new contact, or a single tick, is sticking."""
     before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
     assert classify_contact(before, now, 0.01) == state
     if state in (VisibleState.ROLLING, VisibleState.SPINNING):
@@ -328,7 +312,6 @@ def luminance(colour: tuple[int, ...]) -> float:
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
 def test_an_arrow_fits_on_the_screen(force: float, asked: float) -> None:
-    """The scale is the requested one, or the next round one at which the arrow fits, at most 2.5 times larger."""
     scale = Looks(newtons_per_cm=asked).arrow(force)
     assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= asked
     if force / asked > ARROW_MAX_CM:
@@ -344,7 +327,6 @@ GRABBED = np.array([0.01, -0.01, 0.02])
 
 
 def pointer(to: np.ndarray) -> np.ndarray:
-    """Return the pointer's position, on a plane that faces the camera, for a look at `to`."""
     look = GRABBED - EYE
     found = intersect_plane(EYE, to, GRABBED, look)
     assert found is not None
@@ -352,7 +334,6 @@ def pointer(to: np.ndarray) -> np.ndarray:
 
 
 def test_a_drag_moves_horizontally() -> None:
-    """The grabbed point follows the mouse in its horizontal plane, and the hand moves along without turning."""
     to = GRABBED + np.array([0.02, 0.01, 0.0])
     target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
     assert target is not None and target.orientation == IDENTITY
@@ -360,7 +341,6 @@ def test_a_drag_moves_horizontally() -> None:
 
 
 def test_a_drag_with_shift_presses_vertically() -> None:
-    """The hand moves straight down by the displacement of the mouse."""
     target = drag_target(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
@@ -376,7 +356,6 @@ def test_a_drag_rolls_like_a_ball() -> None:
 
 
 def test_a_nudge_moves_rolls_and_spins() -> None:
-    """A move does not turn, a roll by a quarter circumference is a quarter turn, and a spin does not move."""
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
     assert on.orientation == pytest.approx(IDENTITY)
@@ -390,7 +369,6 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
 
 
 def test_a_board_has_the_dark_squares_of_a_chessboard() -> None:
-    """13 by 13 squares have 85 dark ones, level, with an area of 1 square centimetre, none adjacent."""
     corners = squares(13.0, 13)
     assert corners.shape == (85, 4, 3) and (corners[..., 2] == 0.0).all()
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
@@ -410,13 +388,11 @@ def test_a_view_along_a_plane_gives_no_target() -> None:
 
 
 def test_angles_are_about_the_axes_of_the_world() -> None:
-    """Spin is applied last: a roll about x, spun by 90 degrees, is a roll about y."""
     rolled = rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
     np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)
 
 
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
-    """The mesh is closed; no vertex is inside the ellipsoid, and all but those of the nail are on it."""
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
     assert volume(mesh) > 4 / 3 * pi * radii.prod()

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
@@ -22,20 +22,12 @@ from softfinger.server.wire.client import record_of, subscribe
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
 RADIUS_M = 0.01
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run a hand that can be controlled, above the paper's plane."""
-    with Daemon(load_rig("simulated-hand", RIG), load_scene("paper-plane"), scene_name="paper-plane") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 class Felt:
-    """Maxima over the ticks since the last `forget`."""
-
     def __init__(self) -> None:
         self.closing = False
         self.forget()
@@ -64,7 +56,6 @@ class Felt:
 
 @contextmanager
 def felt(daemon: Daemon) -> Iterator[Felt]:
-    """Collect maxima of the telemetry during the block."""
     found = Felt()
     thread = threading.Thread(target=found.listen, args=(daemon.publisher.endpoint,))
     thread.start()
@@ -76,7 +67,6 @@ def felt(daemon: Daemon) -> Iterator[Felt]:
 
 
 def play(screen: Screen, name: str, found: Felt) -> None:
-    """Press the button with the keyboard and wait until the finger has left the plane."""
     screen.tab("Hand")
     found.forget()
     button = screen.page.get_by_role("button", name=name, exact=True)
@@ -105,7 +95,6 @@ def test_each_button_plays_its_gesture(screen: Screen, daemon: Daemon) -> None:
 
 
 def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
-    """A stroke upwards cancels the press that has just started."""
     screen.tab("Hand")
     start = client.get_state().position[2]
     screen.page.get_by_role("button", name="press", exact=True).click()
@@ -116,14 +105,12 @@ def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
 
 
 def _rests(client: Client) -> bool:
-    """Return True if the hand moved less than 0.1 mm over 1000 ticks."""
     before = client.get_state()
     eventually(lambda: client.get_state().sequence > before.sequence + 1000)
     return float(np.linalg.norm(np.subtract(client.get_state().position, before.position))) < 1e-4
 
 
 def test_lifting_a_box_needs_two_fingers(screen: Screen) -> None:
-    """With one finger the button shows the command of a scene with two."""
     screen.tab("Hand")
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: screen.shows("it takes two fingers and a box"))
@@ -131,8 +118,6 @@ def test_lifting_a_box_needs_two_fingers(screen: Screen) -> None:
 
 
 def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
-    """The gap equals that of the telemetry, the shadow is below the ball, and the scale grows with the force."""
-
     def is_right() -> bool:
         """Friction of the device stops the hand some hundredths of a millimetre from its target."""
         (shown,) = re.findall(r"gap (\d+\.\d) mm", screen.page.inner_text("body"))
@@ -161,12 +146,10 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
 
 
 def brightness(screen: Screen) -> float:
-    """Return the mean brightness of the empty corner of the picture."""
     return float(screen.picture()[:20, :20].mean())
 
 
 def test_light_and_dark_follow_the_browser_until_the_switch_is_used(screen: Screen) -> None:
-    """The choice is remembered when the page is reloaded, regardless of the browser's preference."""
     page = screen.page
     switch = page.get_by_role("switch", name="dark look")
     page.emulate_media(color_scheme="light")
@@ -186,7 +169,6 @@ def test_light_and_dark_follow_the_browser_until_the_switch_is_used(screen: Scre
 
 
 def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, daemon: Daemon, client: Client) -> None:
-    """A press starts at the proxy on the plane; while the force is off, the page shows none."""
     client.hand((0.0, 0.0, -0.02), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 5.0)
     client.ask("disarm")
@@ -200,7 +182,6 @@ def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, d
 
 
 def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
-    """After a press, which ends higher than it started, the slider shows the height."""
     screen.tab("Hand")
     client.hand((0.0, 0.0, 0.012), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: abs(client.get_state().position[2] - 0.012) < 3e-4)
@@ -211,7 +192,6 @@ def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
 
 
 def test_on_a_phone_the_picture_is_not_covered(screen: Screen) -> None:
-    """At 390 px the controls are folded to a tenth of the window; unfolded they have its width."""
     page = screen.page
     page.set_viewport_size({"width": 390, "height": 844})
     page.reload()

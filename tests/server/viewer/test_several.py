@@ -33,7 +33,6 @@ NODE = "name => window.__viserMutable.nodeRefFromName[name]?.position.toArray()"
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Run two hands that can be controlled, a table, and a lid above it."""
     hand = {"driver": "simulated", "recording": "tap", "loop": True}
     rig = two_devices(hand, hand, commands={"endpoint": "tcp://127.0.0.1:*"})
     with Daemon(rig, two_fingers(object=[TABLE, LID]), scene_name="two") as running:
@@ -42,13 +41,11 @@ def daemon() -> Iterator[Daemon]:
 
 
 def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
-    """Return True if a node of the page exists and is at `place` (3,) m, relative to its parent."""
     found: Any = screen.page.evaluate(NODE, node)
     return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=within_m))
 
 
 def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client: Client) -> None:
-    """The page names both fingers; each moves to the target of its hand."""
     assert eventually(lambda: all(screen.shows(f"{name}: ") for name in NAMES))
     places = {"thumb": [0.03, 0.0, 0.04], "index": [-0.03, 0.01, 0.05]}
     for name, place in places.items():
@@ -60,7 +57,6 @@ def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client:
 
 
 def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> None:
-    """The driven object moves to the commanded position, and the table does not move."""
     assert eventually(lambda: stands(screen, "/objects/1", [0.0, 0.0, 0.06], 1e-6))
     for x in (0.01, 0.025):
         client.ask("drive", {"object": "lid", "position_m": [x, 0.0, 0.06]})
@@ -69,19 +65,16 @@ def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> No
 
 
 def lid(client: Client) -> list[float]:
-    """Return the daemon's position of the lid."""
     found: list[float] = client.describe()["scene"]["object"][1]["position_m"]
     return found
 
 
 def pull(screen: Screen, client: Client) -> None:
-    """Drag the lid's arrow along the world's x axis."""
     x, y, z = (CM * part for part in lid(client))
     screen.drag(screen.at((x + 0.7 * CONTROL_SIZE_CM, y, z)), (40.0, 0.0))
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:
-    """A drag of the arrow along x drives the lid along x only; the table, not driven, has no handles."""
     client.ask("drive", {"object": "lid", "position_m": [-0.02, 0.0, 0.03]})
     assert eventually(lambda: stands(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
     assert screen.page.evaluate(NODE, "/handles/1") is None

@@ -6,19 +6,21 @@ import sys
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.pages import running
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.app import Daemon as Servant
+from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
@@ -47,7 +49,6 @@ def results() -> np.ndarray:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending: str) -> None:
-    """Records of one finger are equal bit for bit, on the named scene."""
     file = tmp_path / f"run{ending}"
     write_results(file, results)
     shown = load(str(file), None)
@@ -56,7 +57,6 @@ def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending
 
 
 def test_poses_are_rendered_first(results: np.ndarray) -> None:
-    """The name of a shipped recording gives the records that the daemon would compute."""
     assert load("tap", None).fingers[""].tobytes() == results.tobytes()
 
 
@@ -78,14 +78,11 @@ def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    """Page that no browser has opened."""
-    page = Page("127.0.0.1", 8300)
-    yield page
-    page.close()
+    with closing(Page("127.0.0.1", 8300)) as page:
+        yield page
 
 
 def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.ndarray) -> None:
-    """Playing returns each tick once, a jump also returns the ticks before it, and after the end it starts again."""
     file = tmp_path / "run.npz"
     write_results(file, results)
     player = Player(page.server.gui, load(str(file), None), tick=0)
@@ -108,7 +105,6 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
 def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_the_initial_camera_later(
     page: Page,
 ) -> None:
-    """A window of 100 x 200 pixels has twice the distance; an orbit of its user remains."""
     scene = load_scene("paper-plane")
     page.add_views()
     page.change(scene, BEGAN)
@@ -133,8 +129,17 @@ def test_plots_have_the_name_of_their_finger_if_there_are_several(page: Page) ->
         assert page._plots._plots[0].title == title
 
 
+@pytest.fixture
+def live(page: Page, endpoints: tuple[str, str]) -> Iterator[LivePage]:
+    with closing(LivePage(page, Addresses(*endpoints))) as live:
+        yield live
+
+
+def live_page(page: Page, daemon: Daemon) -> closing[LivePage]:
+    return closing(LivePage(page, Addresses(daemon.publisher.endpoint, str(daemon.commands_endpoint))))
+
+
 def fed(live: LivePage, until: Any) -> bool:
-    """Step until a condition is true; return False after WAIT_S."""
     end = time.monotonic() + WAIT_S
     while not until():
         if time.monotonic() > end:
@@ -144,91 +149,73 @@ def fed(live: LivePage, until: Any) -> bool:
     return True
 
 
-def test_a_page_follows_its_daemon(page: Page, endpoints: tuple[str, str]) -> None:
-    """It draws the described scene, follows changes by other clients, and shows why a command is refused."""
-    live = LivePage(page, Addresses(*endpoints))
-    try:
-        assert fed(live, lambda: page.fingers)
-        knob = live._tuning._knobs["stiffness"].slider
-        assert fed(live, lambda: knob.value == 1000.0)
-        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
-        assert fed(live, lambda: knob.value == 640.0)
-        live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
-        assert fed(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
-        live._lead_hand("", None)
-        assert fed(live, lambda: "no program leads the hand on replay" in page.refusal)
-        live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
-        assert fed(live, lambda: knob.value == 1000.0)
-    finally:
-        live.close()
+def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[str, str]) -> None:
+    assert fed(live, lambda: page.fingers)
+    knob = live._tuning._knobs["stiffness"].slider
+    assert fed(live, lambda: knob.value == 1000.0)
+    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+    assert fed(live, lambda: knob.value == 640.0)
+    live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
+    assert fed(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
+    live._lead_hand("", None)
+    assert fed(live, lambda: "no program leads the hand on replay" in page.refusal)
+    live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
+    assert fed(live, lambda: knob.value == 1000.0)
 
 
 def test_a_page_catches_up_after_lost_messages(
-    page: Page, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+    page: Page, live: LivePage, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It requests the description again after a gap in the ticks, because the event of a change may be lost with them,
     and after a request without an answer."""
-    live = LivePage(page, Addresses(*endpoints))
-    try:
-        assert fed(live, lambda: page.fingers)
-        knob, samples = live._tuning._knobs["stiffness"].slider, live._telemetry._samples
-        assert fed(live, lambda: knob.value == 1000.0 and samples._ticks)
-        monkeypatch.setattr(live._telemetry, "_events", deque(maxlen=0))
-        failures, ask = ["describe"], live._commands._control.ask
+    assert fed(live, lambda: page.fingers)
+    knob, samples = live._tuning._knobs["stiffness"].slider, live._telemetry._samples
+    assert fed(live, lambda: knob.value == 1000.0 and samples._ticks)
+    monkeypatch.setattr(live._telemetry, "_events", deque(maxlen=0))
+    failures, ask = ["describe"], live._commands._control.ask
 
-        def ask_or_fail(method: str, params: dict[str, Any]) -> Any:
-            if method in failures:
-                failures.remove(method)
-                raise NoAnswer("too late")
-            return ask(method, params)
+    def ask_or_fail(method: str, params: dict[str, Any]) -> Any:
+        if method in failures:
+            failures.remove(method)
+            raise NoAnswer("too late")
+        return ask(method, params)
 
-        monkeypatch.setattr(live._commands._control, "ask", ask_or_fail)
-        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
-        samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
-        assert fed(live, lambda: knob.value == 640.0) and not failures
-        assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
-    finally:
-        live.close()
+    monkeypatch.setattr(live._commands._control, "ask", ask_or_fail)
+    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+    samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
+    assert fed(live, lambda: knob.value == 640.0) and not failures
+    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
 
 
 def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
-    page: Page, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+    page: Page, live: LivePage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    live = LivePage(page, Addresses(*endpoints))
-    try:
-        assert fed(live, lambda: page._newest) and not page._message.visible
-        with monkeypatch.context() as silence:
-            silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
-            live.step(0.5 * SILENCE_S)
-            assert not page._message.visible
-            live.step(SILENCE_S)
-            assert page._message.visible and page._message.content == SILENT
-        assert fed(live, lambda: not page._message.visible)
-        with monkeypatch.context() as silence:
-            silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
-            live.step(2.0 * SILENCE_S)
-        page.show_message("force off")
-        newest = page._newest[""][AT.tick]
-        assert fed(live, lambda: page._newest[""][AT.tick] > newest)
-        assert page._message.visible and page._message.content == "force off"
-    finally:
-        live.close()
-
-
-def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, endpoints: tuple[str, str]) -> None:
-    live = LivePage(page, Addresses(*endpoints))
-    try:
-        assert fed(live, lambda: page.fingers)
-        live._set_scene("scene", {"scene": "no-such-scene"})
-        assert page._message.content == PREPARING
-        assert fed(live, lambda: "no-such-scene" in page.refusal)
+    assert fed(live, lambda: page._newest) and not page._message.visible
+    with monkeypatch.context() as silence:
+        silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+        live.step(0.5 * SILENCE_S)
         assert not page._message.visible
-    finally:
-        live.close()
+        live.step(SILENCE_S)
+        assert page._message.visible and page._message.content == SILENT
+    assert fed(live, lambda: not page._message.visible)
+    with monkeypatch.context() as silence:
+        silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+        live.step(2.0 * SILENCE_S)
+    page.show_message("force off")
+    newest = page._newest[""][AT.tick]
+    assert fed(live, lambda: page._newest[""][AT.tick] > newest)
+    assert page._message.visible and page._message.content == "force off"
+
+
+def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, live: LivePage) -> None:
+    assert fed(live, lambda: page.fingers)
+    live._set_scene("scene", {"scene": "no-such-scene"})
+    assert page._message.content == PREPARING
+    assert fed(live, lambda: "no-such-scene" in page.refusal)
+    assert not page._message.visible
 
 
 def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
-    """A tick that touches an unknown object draws no trace, and later ticks are drawn."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1100]
     assert (rows[:, AT.contact_mode] > 0).all()
     page.add_views()
@@ -240,7 +227,6 @@ def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
 
 
 def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
-    """0.01 mN m is drawn as half a degree, 0.5 mN m as 30 degrees."""
     rows = np.array(run_recording("press-roll-spin-drag"))[1000:1001]
     page.add_views()
     page.change(load_scene("paper-plane"), BEGAN)
@@ -250,25 +236,20 @@ def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
         assert page.fingers[""]._arc.visible is drawn
 
 
-def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, endpoints: tuple[str, str]) -> None:
+def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, live: LivePage) -> None:
     """The first tick of the new scene distinguishes them."""
-    live = LivePage(page, Addresses(*endpoints))
-    try:
-        assert fed(live, lambda: page._newest)
-        live._first_tick = 10**9
-        page._newest.clear()
-        for _ in range(5):
-            live.step(0.05)
-        assert not page._newest
-    finally:
-        live.close()
+    assert fed(live, lambda: page._newest)
+    live._first_tick = 10**9
+    page._newest.clear()
+    for _ in range(5):
+        live.step(0.05)
+    assert not page._newest
 
 
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
 def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
-    """Simulate a drag of the first object's handles through these positions (cm), without its end."""
     node = handles._nodes[0]
     for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
         node.position = position
@@ -276,7 +257,6 @@ def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> No
 
 
 def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
-    """A frame sends only the last drag, and the next frame none. The handles follow the drag until it ends."""
     sent: list[Any] = []
     handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
@@ -295,51 +275,36 @@ def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
 
 
 def test_an_excessive_drag_is_refused_and_reset(page: Page) -> None:
-    """The page shows the daemon's reason and the object's old pose; a valid drag then succeeds."""
-    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
     scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
-    with Servant(load_rig("replay", ends | {"servo.realtime": "off"}), scene, scene_name="lid") as running:
-        running.start()
-        live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
-        try:
-            assert fed(live, lambda: page.fingers)
-            handles = live._object_controls
-            handles._switch.value = True
-            handles._show()
-            pulls(handles, (0.0, 0.0, 1e7))
-            assert fed(live, lambda: "Not done:" in page.refusal and "position_m" in page.refusal)
-            assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
-            pulls(handles, (0.0, 0.0, 2.0))
-            assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
-            assert running.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
-            live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
-            nodes = page.fingers[""]
-            assert fed(live, lambda: live._tuning._knobs["stiffness"].slider.value == 700.0)
-            assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
-        finally:
-            live.close()
+    with running("replay", scene) as daemon, live_page(page, daemon) as live:
+        assert fed(live, lambda: page.fingers)
+        handles = live._object_controls
+        handles._switch.value = True
+        handles._show()
+        pulls(handles, (0.0, 0.0, 1e7))
+        assert fed(live, lambda: "Not done:" in page.refusal and "position_m" in page.refusal)
+        assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
+        pulls(handles, (0.0, 0.0, 2.0))
+        assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
+        assert daemon.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
+        live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
+        nodes = page.fingers[""]
+        assert fed(live, lambda: live._tuning._knobs["stiffness"].slider.value == 700.0)
+        assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
 
 
 def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
     """The omega.3 senses no rotation, so none is requested: a key moves it by 2 mm, and nothing is refused."""
-    ends = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*"}
-    rig = load_rig("simulated-omega-3", ends | {"servo.realtime": "off"})
-    with Servant(rig, load_scene("paper-plane"), scene_name="plane") as running:
-        running.start()
-        live = LivePage(page, Addresses(running.publisher.endpoint, str(running.commands_endpoint)))
-        try:
-            assert fed(live, lambda: live._hand._fingers and live._hand._poses)
-            live._hand.nudge(Nudge(z=-0.002))
-            assert fed(live, lambda: live._hand._targets)
-            asked = running.rendering.servo.ticks
-            assert fed(live, lambda: running.rendering.servo.ticks > asked + 1000)
-            assert not page.refusal
-        finally:
-            live.close()
+    with running("simulated-omega-3", "paper-plane") as daemon, live_page(page, daemon) as live:
+        assert fed(live, lambda: live._hand._fingers and live._hand._poses)
+        live._hand.nudge(Nudge(z=-0.002))
+        assert fed(live, lambda: live._hand._targets)
+        asked = daemon.rendering.servo.ticks
+        assert fed(live, lambda: daemon.rendering.servo.ticks > asked + 1000)
+        assert not page.refusal
 
 
 def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then they show its target, even if the contact stops the finger elsewhere."""
     monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
     asked = []
     hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
@@ -15,20 +13,13 @@ from softfinger.server.wire.protocol import WORLD
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 HIGH_M = 0.06
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run the shipped hands, which lift the box and put it down repeatedly."""
-    with Daemon(load_rig("simulated-lift-a-box", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-lift-a-box", "lift-a-box")
 
 
 def test_taking_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client: Client) -> None:
-    """After a key for the left finger in the air, the height of the box no longer changes."""
     screen.tab("Hand")
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 

@@ -15,7 +15,6 @@ RADIUS = 0.01
 
 
 def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
-    """Return ticks of 1 ms with these modes that roll by `rolled` rad each."""
     made = np.zeros((len(modes), RECORD_SIZE))
     made[:, AT.tick] = np.arange(len(modes)) + 40
     made[:, AT.timestamp] = 0.001 * np.arange(len(modes))
@@ -25,7 +24,6 @@ def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
 
 
 def test_a_band_has_each_state_where_it_is() -> None:
-    """Free, sticking, then rolling once it exceeds 2 mm/s over the preceding 0.1 s."""
     made = rows([FREE] * 200 + [ROLLING] * 400)
     made[400:, AT.contact_rolled] = 0.01 * np.arange(200)
     assert find_state_runs(made, RADIUS) == [
@@ -44,7 +42,6 @@ def test_a_slide_shorter_than_a_column_is_visible() -> None:
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
-    """Each run is a box as wide as it is long; names are escaped; the pointer is in the middle."""
     drawn = band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
     free, sliding = (f"rgb{COLOURS[state]}" for state in (VisibleState.FREE, VisibleState.SLIDING))
     assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
@@ -53,7 +50,6 @@ def test_the_band_and_its_pointer_as_html() -> None:
 
 
 def test_events_can_be_reached_from_both_sides() -> None:
-    """Events are sorted by tick, the latest is printed first, and there is none before the first or after the last."""
     told = (
         {"tick": 60, "kind": "mark", "name": "mark", "label": "<here>"},
         {"tick": 45, "kind": "contact", "name": "touch", "cause": "touch"},
@@ -69,7 +65,6 @@ def test_events_can_be_reached_from_both_sides() -> None:
 
 
 def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
-    """The cause of a tick gives a release."""
     made = rows([ROLLING] * 10 + [FREE] * 10)
     made[10, AT.contact_cause] = 6
     events = Events({"": made}, (), 1000.0)
@@ -77,7 +72,6 @@ def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
 
 
 def test_the_description_of_an_event_is_short() -> None:
-    """It contains the cause only if it differs from the name."""
     assert (
         describe_event({"kind": "contact", "name": "slip", "cause": "drag", "finger": "", "count": 0})
         == "contact slip, cause drag"

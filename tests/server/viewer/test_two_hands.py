@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import daemon_of
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.viewer.gestures import LIFT_M
@@ -20,24 +20,17 @@ from softfinger.server.wire.protocol import WORLD
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 GRIP_N, NOTCHES = 2.0, 20
 """Notches of the wheel, or key strokes, of 1 mm: 10 to the box and 10 into it, at 3 mm/N of contact and hand."""
 RESTS_M = 0.02
 """Height of the centre of the box on the floor."""
 
 
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    """Run two hands that can be controlled, next to the box."""
-    with Daemon(load_rig("simulated-hands", RIG), load_scene("lift-a-box"), scene_name="lift-a-box") as running:
-        running.start()
-        yield running
+daemon = daemon_of("simulated-hands", "lift-a-box")
 
 
 @pytest.fixture
 def heights(daemon: Daemon) -> Iterator[object]:
-    """Return a function that returns the height (m) of the centre of the box."""
     with subscribe(daemon.publisher.endpoint, (WORLD,)) as samples:
 
         def height() -> float:
@@ -67,14 +60,12 @@ def beside(client: Client, screen: Screen) -> None:
 
 
 def test_the_button_lifts_the_box(screen: Screen, heights) -> None:  # type: ignore[no-untyped-def]
-    """It lifts the box to at least 80 % of the nominal height, which friction reduces, and puts it down."""
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
     assert eventually(lambda: heights() > RESTS_M + 0.8 * LIFT_M)
     assert eventually(lambda: heights() < RESTS_M + 1e-3)
 
 
 def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """A drag with shift moves the ball up while the wheel closes both fingers; the camera does not move."""
     mouse, keyboard = screen.page.mouse, screen.page.keyboard
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     corner = screen.at((0.0, 0.0, 0.0))
@@ -98,7 +89,6 @@ def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, he
 
 
 def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Client) -> None:
-    """The dragged ball is not recreated, so the finger still follows the mouse."""
     mouse = screen.page.mouse
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     mouse.move(x, y)
@@ -117,7 +107,6 @@ def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Clien
 
 
 def test_two_hands_on_keys_lift_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
-    """D and J squeeze, E and U together lift; none of these keys moves the camera."""
     keyboard = screen.page.keyboard
     corner = screen.at((0.0, 0.0, 0.0))
     for _ in range(NOTCHES):

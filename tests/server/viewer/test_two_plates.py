@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from helpers.browser import Screen, eventually, why_none
+from helpers.pages import running
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.materials import materials
 from softfinger.proxy.record import SLIDING
 from softfinger.server.app import Daemon
@@ -16,7 +17,6 @@ from softfinger.server.remote import Client
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RIG = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 FELT = ("paper", "rubber")
 """Neighbours in the scene; rubber has more than twice the kinetic friction."""
 STROKE_S = 0.05
@@ -25,17 +25,13 @@ STROKE_S = 0.05
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    """Run a hand above the near end of the first plate, because keys would need long from the middle of the scene."""
     scene = load_scene("plates")
     x, y, _ = next(plate.position_m for plate in scene.object if plate.name == FELT[0])
-    rig = load_rig("simulated-hand", RIG | {"device.position_m": [x, y - 0.02, 0.01]})
-    with Daemon(rig, scene, scene_name="plates") as running:
-        running.start()
-        yield running
+    with running("simulated-hand", scene, device__position_m=[x, y - 0.02, 0.01]) as started:
+        yield started
 
 
 def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    """Return drag / normal force while a pressed plate slides under keys away from the person."""
     found = list[float]()
     with client.subscribe(("contact",)) as ticks:
 

@@ -14,7 +14,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_boxes_without_contacts_are_drawn_at_their_poses() -> None:
-    """In `stack-boxes` fingers can touch the floor and one box; the page draws and moves the other two as well."""
     scene = load_scene("stack-boxes")
     assert [thing.name for thing in scene.object] == ["floor", "top"]
     assert [thing.name for thing in visual_geoms(scene)] == ["bottom", "middle"]

@@ -1,0 +1,36 @@
+"""`bench simulate` times the whole program in each format, and leaves no files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from softfinger.server import cli
+
+
+@pytest.mark.exhaustive
+def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each format has a time and the ratio to real time that follows from it; a figure is drawn; no file remains."""
+    folder, drawing = tmp_path / "files", tmp_path / "times.svg"
+    folder.mkdir()
+    words = ["--ticks", "2000", "--rounds", "1", "--folder", str(folder), "--plot", str(drawing)]
+    assert cli.main(["bench", "simulate", *words, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["formats"]
+    assert [row["format"] for row in rows] == ["csv", "npz", "mcap"]
+    for row in rows:
+        assert row["times_real_time"] * row["seconds"] == pytest.approx(2.0)
+        assert 0.0 < row["seconds"] <= row["median_seconds"]
+        assert row["cpu_s"] > 0.0
+    assert drawing.stat().st_size > 0
+    assert not list(folder.iterdir())
+
+
+def test_an_untimable_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Too few ticks, or a scene that a single recording cannot run on: an error with the message of simulate."""
+    assert cli.main(["bench", "simulate", "--ticks", "10"]) == 2
+    assert "1000 or more" in capsys.readouterr().err
+    words = ["--ticks", "1000", "--scene", "pinch", "--folder", str(tmp_path)]
+    assert cli.main(["bench", "simulate", *words]) == 2
+    assert "poses of" in capsys.readouterr().err

@@ -1,0 +1,96 @@
+"""`bench simulate`: speed of `simulate` relative to real time, from the start of the program to the file."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from softfinger.config.errors import ConfigError
+from softfinger.drivers.poses import POSE_COLUMNS, load_poses
+from softfinger.drivers.resample import close_loop, resample
+from softfinger.server.offline.figures import figure, save
+from softfinger.server.progress import progress
+from softfinger.server.recording.results import SUFFIXES, write_csv_rows
+from softfinger.tools.measure import Array, show
+
+RATE_HZ: Final = 1000.0
+TICKS_MIN: Final = 1000
+
+
+def run(args: argparse.Namespace) -> int:
+    ticks, rounds = args.ticks, max(args.rounds, 1)
+    if ticks < TICKS_MIN:
+        raise ConfigError(f"--ticks {ticks}: too few to measure: {TICKS_MIN} or more")
+    durations: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        poses = Path(folder, "poses.csv")
+        with progress("first run, which compiles kernels that are not cached"):
+            with poses.open("wb") as file:
+                file.write(",".join(POSE_COLUMNS).encode() + b"\n")
+                write_csv_rows(file, motion(args.poses, ticks))
+            simulate(args.scene, poses, Path(folder, "warm.npz"))
+        with progress("simulating", rounds * len(SUFFIXES)) as advance:
+            for turn in range(rounds):
+                for place, ending in enumerate(SUFFIXES):
+                    durations[ending].append(simulate(args.scene, poses, Path(folder, f"results{ending}")))
+                    advance(turn * len(SUFFIXES) + place + 1)
+    rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in durations.items()]
+    lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
+    lines += [
+        f"  {row['format']:<5}{row['seconds']:7.2f} s, median {row['median_seconds']:.2f}, "
+        f"processor {row['cpu_s']:.2f}: {row['times_real_time']:6.1f} x real time"
+        for row in rows
+    ]
+    show({"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}, args.json, lines)
+    if args.plot:
+        drawing = figure(height=2.5)
+        axes = drawing.add_subplot()
+        axes.barh([row["format"] for row in rows][::-1], [row["times_real_time"] for row in rows][::-1])
+        axes.set_xlabel("times real time")
+        save(drawing, args.plot)
+    return 0
+
+
+def motion(recording: str, ticks: int) -> Array:
+    """Return the recording as a loop: (ticks, 8), times and poses."""
+    once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
+    return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
+
+
+def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
+    """Run the program once and remove its file; returns wall-clock and processor time, s."""
+    words = ["simulate", "--scene", scene, "--poses", str(poses), "--out", str(out)]
+    before, begun = children_s(), time.perf_counter()
+    ended = subprocess.run(
+        [sys.executable, "-m", "softfinger.server.cli", *words], capture_output=True, text=True, check=False
+    )
+    duration = time.perf_counter() - begun, children_s() - before
+    out.unlink(missing_ok=True)
+    if ended.returncode:
+        raise ConfigError(f"simulate failed: {ended.stderr.strip()}")
+    return duration
+
+
+def children_s() -> float:
+    """Return the processor time of finished child processes."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def summarize(turns: list[tuple[float, float]], ticks: int) -> dict[str, Any]:
+    """Return the fastest run and the median. Compare the fastest: other programs share the machine."""
+    walls, cpus = zip(*turns, strict=True)
+    return {
+        "seconds": min(walls),
+        "median_seconds": float(np.median(walls)),
+        "cpu_s": min(cpus),
+        "times_real_time": ticks / RATE_HZ / min(walls),
+    }
