@@ -62,4 +62,5 @@ def stop_all() -> list[BaseException]:
 
 
 def close_all() -> None:
+    """Close every open device, despite failures."""
     call_all(lambda device: device.close(), list(devices))

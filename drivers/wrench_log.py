@@ -134,6 +134,7 @@ class WrenchLog:
             time.sleep(0.0001)  # a write has the lock for about twenty instructions
 
     def close(self) -> None:
+        """Stop, then save the file if there is one to save."""
         self.stop()
         path, self._path = self._path, None
         if path is not None:

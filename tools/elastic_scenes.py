@@ -40,6 +40,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> tuple[Points, Faces]:
 
 
 def ball(radius: float) -> tuple[Points, Faces]:
+    """Return vertices, m, and triangles of a sphere about the origin."""
     golden = 0.5 * (1.0 + 5.0**0.5)
     corners = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
     points = np.array([np.roll(corner, turn) for turn in range(3) for corner in corners], np.float64)

@@ -383,6 +383,7 @@ class Exchange:
 
 
 def check_seconds(seconds: float) -> None:
+    """Raise ConfigError for a part that cannot be recorded."""
     if not SECONDS.low <= seconds <= SECONDS.high:
         raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 

@@ -99,6 +99,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def burst_line(result: dict[str, Any]) -> str:
+    """Format the figures of a part without pauses."""
     return (
         f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "
         f"{result['new_samples_hz']:.0f} with a new sample"

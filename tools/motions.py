@@ -43,6 +43,7 @@ def press_roll_spin_drag() -> list[Move]:
 
 
 def roll_follow() -> list[Move]:
+    """Return a roll of 1 rad that the hand follows fully, so that nothing may slide; it is reversed in the air."""
     return [
         hold(0.2),
         press(0.6),

@@ -80,6 +80,7 @@ def to_csv(script: Script) -> str:
 
 
 def write(folder: Path) -> list[Path]:
+    """Write every recording into `folder`, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.csv" for name in RECORDINGS]
     for path, script in zip(paths, RECORDINGS.values(), strict=True):

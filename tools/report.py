@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def archive(file: Any, parts: Mapping[str, bytes]) -> None:
+    """Write a gzipped tar of files by name, without owner and time."""
     with tarfile.open(fileobj=file, mode="w:gz") as tar:
         for name, data in parts.items():
             info = tarfile.TarInfo(f"softfinger-report/{name}")

@@ -225,6 +225,10 @@ def _address(library: ctypes.CDLL, name: str) -> int:
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, bool]:
+    """Return whether firmware runs in an attached Falcon; opens it to find out, and sends none.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost or DeviceError.
+    """
     chip = usb.open_chip(None, device.node)
     try:
         chip.set_run_mode()
@@ -234,4 +238,8 @@ def identify(device: SystemDevice, options: Options) -> dict[str, bool]:
 
 
 def open_device(options: Options, rate_hz: float) -> Falcon:
+    """Open the Falcon that a rig describes, at any rate: sends the firmware if none runs, and waits for homing.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceTimeout or DeviceError, each with the remedy.
+    """
     return Falcon(options, firmware.start_firmware(partial(usb.open_chip, options.serial), options.firmware))

@@ -68,6 +68,7 @@ def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> Ser
 
 
 def has_firmware(chip: SerialChip) -> bool:
+    """Return True if firmware answers a packet of zeros."""
     out, reply, fill = np.zeros(packets.SIZE, np.uint8), np.zeros(packets.SIZE, np.uint8), 0
     packets.encode((0, 0, 0), packets.RED, out)
     for _ in range(PROBES_MAX):

@@ -295,6 +295,10 @@ def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bo
 
 
 def open_device(options: Options, rate_hz: float) -> ForceDimension:
+    """Open a device of Force Dimension.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
+    """
     return ForceDimension(options, rate_hz)
 
 

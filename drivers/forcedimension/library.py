@@ -103,6 +103,7 @@ def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.C
 
 
 def error_text(library: ctypes.CDLL) -> str:
+    """Return the library's text for this thread's last error."""
     text = library.dhdErrorGetLastStr()
     number = library.dhdErrorGetLast()
     return f"{text.decode(errors='replace')} (error {number})" if text else f"error {number}"

@@ -132,8 +132,10 @@ def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
 
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return HaplyDevice(options, opening.find(options))
 
 
 def identify(_: SystemDevice, options: Options) -> dict[str, Any]:
+    """Return the service's description of itself and its devices; sends nothing to a device."""
     return opening.identify(options.port, options.version)

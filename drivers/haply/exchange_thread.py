@@ -88,6 +88,7 @@ class ExchangeThread:
         return "; ".join(filter(None, (self._warning, UNREAD if self._has_unread else "")))
 
     def close(self) -> None:
+        """End the thread and the connection. May be called repeatedly."""
         self._is_closing.set()
         if self._thread.ident is None:
             self._close_link()

@@ -167,6 +167,7 @@ _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 
 
 def read_inventory(message: bytes) -> Inventory:
+    """Decode an inventory. Raises Malformed."""
     return _decode(_INVENTORIES, message)  # type: ignore[no-any-return]
 
 

@@ -210,5 +210,6 @@ def rows(options: Options) -> list[tuple[str, str]]:
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     link = open_link(options)
     return HidDevice(options, link.fd, link.threads, link.node)

@@ -72,6 +72,7 @@ NO_MECHANISM: Final = Mechanism(
 
 
 def kind_of(spec: options.Kinematics, has_orientation: bool) -> int:
+    """Return the kind of a rig's kinematics; `has_orientation`: True if the device senses an orientation."""
     kinds = {
         options.Cartesian: CARTESIAN, options.Chain: CHAIN, options.Paddle: PADDLE,
         options.Pantograph: PANTOGRAPH, options.Delta: DELTA,

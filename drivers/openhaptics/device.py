@@ -318,11 +318,19 @@ _CALIBRATION_REMEDIES: Final = {
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
+    """Return the library's description of the device that the options select; no force is switched on, no calibration.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
+    """
     with OpenHaptics(options, calibrates=False) as opened:
         return {"model": opened.model, "serial": opened.serial, "calibrated": opened.calibrated}
 
 
 def open_device(options: Options, rate_hz: float) -> OpenHaptics:
+    """Open a device of 3D Systems.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission, DeviceTimeout or DeviceError, each with the remedy.
+    """
     return OpenHaptics(options)
 
 

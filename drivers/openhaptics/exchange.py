@@ -210,6 +210,7 @@ def _make_pose(handle: int, new_pose: Any) -> None:
 
 @c_function(types.uint32(types.int64))
 def callback(handle: int) -> int:
+    """Run a frame; the library's thread calls it."""
     word = int64_at(handle)
     if word[AT.open] == 0:
         return DONE

@@ -73,6 +73,7 @@ class Scheduler:
                     self._running = True
 
     def add(self, block: Block) -> None:
+        """Make the thread call a device's callback."""
         with self._lock:
             self._schedule(block)
 

@@ -236,4 +236,5 @@ def rows(options: Options) -> list[tuple[str, str]]:
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:
+    """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     return SerialDevice(options, *open_port(options))

@@ -207,6 +207,10 @@ class SimulatedDevice(LoggedDevice):
 
 
 def open_device(options: Options, rate_hz: float) -> SimulatedDevice:
+    """Open a simulated device at `rate_hz`.
+
+    Raises RecordingError if its recording cannot be used, DeviceError or a subclass if its puck cannot.
+    """
     if options.puck is None:
         return SimulatedDevice(options, rate_hz)
     fd, name = spacemouse.open_puck(options.puck)

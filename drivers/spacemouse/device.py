@@ -130,6 +130,7 @@ def read_setup(handle: int) -> PuckParameters:
 
 @jit
 def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
+    """Return the fingertip's position (3,) m and orientation."""
     state = float64_at(handle + 8 * AT.state)
     return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
 
@@ -196,6 +197,7 @@ class Puck:
         self._light(LED_ON)
 
     def close(self) -> None:
+        """Switch the lamp off and close the node. May be called repeatedly, but not while the loop reads."""
         fd = int(self._word[AT.fd])
         if fd >= 0:
             self._light(LED_OFF)
@@ -268,5 +270,6 @@ def find(options: Options) -> SystemDevice:
 
 
 def open_device(options: Options, rate_hz: float) -> SpaceMouse:
+    """Open the puck that a rig describes; raises DeviceError or a subclass if it cannot be used."""
     fd, name = open_puck(options)
     return SpaceMouse(options, fd, rate_hz, name)

@@ -127,6 +127,7 @@ def _has_reports(device: SystemDevice, claim: Claim) -> bool:
 
 @cache
 def claims() -> tuple[Claim, ...]:
+    """Return every claim. The shipped rigs are read once, because they do not change at run time."""
     return tuple(_claims())
 
 

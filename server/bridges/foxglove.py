@@ -63,6 +63,7 @@ class Server:
         self._channels[channel].log(data, log_time=time_ns)
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
+        """Send messages (n, size) with their times (n,)."""
         log = self._channels[channel].log
         for time_ns, message in zip(times_ns.tolist(), messages, strict=True):
             log(message.tobytes(), log_time=time_ns)
@@ -80,10 +81,13 @@ class FoxgloveSink:
         self._fingers, self._topics = list(fingers), Topics(server, fingers, scene)
 
     def take(self, records: NDArray[np.float64], finger: int) -> None:
+        """Send records (n, RECORD_SIZE) of a finger, given by its index."""
         self._topics.ticks(records, self._fingers[finger])
 
     def event(self, event: Mapping[str, Any]) -> None:
+        """Send an event, a map as on the wire."""
         self._topics.event(event)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Send a message of a topic of the scene, a map as on the wire."""
         self._topics.message(topic, message)

@@ -81,6 +81,7 @@ class RerunSink:
         self._draw_objects()
 
     def take(self, records: Array, finger: int) -> None:
+        """Log records (n, RECORD_SIZE) of a finger, given by its index."""
         name, rows = self._fingers[finger], Records(records)
         for field in PLOTTED:
             path = f"plots/{name}/{field}" if name else f"plots/{field}"
@@ -92,6 +93,7 @@ class RerunSink:
             self._send_poses(Records(records[indices]), name)
 
     def event(self, event: Mapping[str, Any]) -> None:
+        """Log an event, a map as on the wire."""
         self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:

@@ -200,6 +200,7 @@ def format_fit(result: Fit | PowerLaw) -> str:
 
 
 def format_interval(value: float, interval: tuple[float, float]) -> str:
+    """Format a value with its interval, if there is one."""
     low, high = interval
     return f"{value:.3g}" if math.isnan(low) else f"{value:.3g} ({low:.3g} to {high:.3g})"
 

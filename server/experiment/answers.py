@@ -105,6 +105,7 @@ class Participant:
         return answer._replace(value=float(answer.value)) if question.kind == "likert" else answer
 
     def _show_feedback(self, is_right: bool) -> None:
+        """Show whether the answer to a practice trial was right, so that the participant learns the question."""
         text = "That was right." if is_right else "That was wrong."
         self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 

@@ -92,6 +92,7 @@ class _Checks:
                 attempt(partial(read_image, image, self._folder), self._faults)
 
     def _part(self, load: Callable[[str | Path], C], name: str, part_faults: PartFaults) -> C | None:
+        """Return a scene or rig, None if it cannot be loaded."""
         try:
             config = load(resolve_source(self._folder, name))
         except FaultyConfig as error:

@@ -204,6 +204,7 @@ def _write_new(path: Path, data: bytes) -> None:
 
 
 def _write(path: Path, data: bytes) -> None:
+    """Write or replace a file atomically."""
     try:
         with new_file(path) as file:
             file.write(data)

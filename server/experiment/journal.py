@@ -66,6 +66,7 @@ class Journal(MemoryJournal, Closeable):
         super().write(kind, **values)
 
     def close(self) -> None:
+        """Close the file; may be called repeatedly."""
         self._file.close()
 
     def _lock(self) -> None:

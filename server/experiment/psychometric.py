@@ -129,6 +129,7 @@ def log_likelihoods(levels: ArrayLike, right: ArrayLike, lapse: float) -> tuple[
 
 
 def _quantiles(values: Array, weights: Array) -> Array:
+    """Return the QUANTILES of values (n,) with weights (n,)."""
     order = np.argsort(values)
     share = np.cumsum(weights[order]) - 0.5 * weights[order]
     quantiles: Array = np.interp(QUANTILES, share / weights.sum(), values[order])

@@ -56,6 +56,7 @@ class Ledger:
 
     @property
     def empty(self) -> bool:
+        """True if nothing is recorded."""
         return not self._files
 
     @property

@@ -92,6 +92,7 @@ class FingerCounts:
         self.statuses = np.zeros(max(STATUSES) + 1, np.int64)
 
     def add(self, rows: Array) -> None:
+        """Count rows (n, columns)."""
         _, _, dt, mode, guard, status = rows[:, :6].T
         self.force.add(np.linalg.norm(rows[:, 6:], axis=1))
         self.modes_s += np.bincount(mode.astype(np.int64), weights=dt, minlength=len(MODE_NAMES))

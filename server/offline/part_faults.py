@@ -55,6 +55,7 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 
 
 def _has_complaint(table: Any, key: str) -> bool:
+    """Return True if the check of a table itself reports a key."""
     return any(name == key for name, *_ in table.faults())
 
 

@@ -43,6 +43,7 @@ class PlacedObject(NamedTuple):
 
 
 def half_sizes(wall: Workspace) -> Array:
+    """Return half the size (3,) m of the bounding box of the workspace."""
     return np.full(3, wall.radius_m) if wall.size_m is None else 0.5 * np.array(wall.size_m)
 
 
@@ -173,6 +174,7 @@ def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: Moti
 
 
 def _project_points(center: Array, axis: int, right: Array, up: Array) -> Array:
+    """Return points (n, 3) in a view's plane through the centre."""
     points = np.tile(center, (right.size, 1))
     points[:, axis], points[:, 2] = right.ravel(), up.ravel()
     return points
@@ -202,6 +204,7 @@ def _sample_triangles(triangles: Array, step: float) -> Array:
 
 
 def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion."""
     w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
     rotation: Any = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

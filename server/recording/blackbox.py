@@ -82,6 +82,7 @@ class LogBuffer(logging.Handler):
         self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
     def lines(self, since_s: float) -> list[LogLine]:
+        """Return the lines since a time (s)."""
         return [line for line in list(self._lines) if line.time >= since_s]
 
 
@@ -108,6 +109,7 @@ class BlackBox:
         self.log: Final = LogBuffer()
 
     def take(self, records: Array) -> None:
+        """Copy records (n, fingers x RECORD_SIZE) into the buffer."""
         with self._lock:
             for first in range(0, len(records), len(self._rows)):
                 block = records[first : first + len(self._rows)]

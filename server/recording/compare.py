@@ -123,6 +123,7 @@ class Replayed(NamedTuple):
     bodies: Array
 
     def field(self, name: str, finger_index: int) -> Array:
+        """Return a field of a finger, (n, size)."""
         return self.columns[:, finger_index, _SLICES[name]]
 
 
@@ -232,6 +233,7 @@ def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Ski
 
 
 def _has_bit(run: Run, bit: int) -> Mask:
+    """Return whether the guard of each finger set this bit, (n, fingers)."""
     guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
     has: Mask = (guards.astype(np.int64) & bit) != 0
     return has
@@ -249,6 +251,7 @@ def _withheld(run: Run) -> Mask:
 
 
 def _device_infos(run: Run) -> list[DeviceInfo]:
+    """Return the properties of the devices, if the recording has them."""
     fingers = run.notes.get("fingers")
     try:
         return [msgspec.convert(each["device"], DeviceInfo) for each in fingers] if isinstance(fingers, list) else []

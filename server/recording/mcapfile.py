@@ -73,6 +73,7 @@ class McapFile:
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library=f"softfinger {version('softfinger')}")))
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a table of texts immediately."""
         data, offset = _record(records.Metadata(name=name, metadata=dict(values))), self.size
         self._write(data)
         self._metadata.append(records.MetadataIndex(offset=offset, length=len(data), name=name))

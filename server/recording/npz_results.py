@@ -68,6 +68,7 @@ class _Columns:
         self.varying: NDArray[np.bool_] = np.zeros(fingers * RECORD_SIZE, bool)
 
     def append(self, block: Array) -> None:
+        """Append a block (m, fingers, RECORD_SIZE)."""
         rows = block.reshape(len(block), -1)
         if not self.count and len(rows):
             self._first = rows[0].copy()

@@ -66,6 +66,7 @@ def frame_names(finger: str) -> tuple[str, str]:
 
 
 def pose_message(record: Record, time_ns: int) -> bytes:
+    """Encode the measured pose of a record (RECORD_SIZE,)."""
     pose = _pose(_xyz(record, AT.probe_position), _wxyz(record, AT.probe_orientation))
     return _encode(POSE, timestamp=to_timestamp(time_ns), frame_id=WORLD, pose=pose)
 

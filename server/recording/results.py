@@ -287,6 +287,7 @@ class McapResults(Closeable):
             self._recording.ticks(np.atleast_2d(records), finger)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Add a message of a topic of the scene, a map as on the wire."""
         with self._translate_errors():
             self._recording.message(topic, message)
 

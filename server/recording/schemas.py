@@ -188,6 +188,7 @@ def load_message_class(descriptors: bytes, name: str) -> Any:
 
 
 def event_message(event: Mapping[str, Any]) -> bytes:
+    """Encode an event, a map as on the wire."""
     names = {key.name for key in _keys_of(event)}
     fields = {key: value for key, value in event.items() if key in names and key in _EVENT_FIELDS}
     # A value may have a type of the wire, such as the change of a parameter.
@@ -198,6 +199,7 @@ def event_message(event: Mapping[str, Any]) -> bytes:
 
 
 def topic_message(topic: str, message: Mapping[str, Any]) -> bytes:
+    """Encode a message of a topic of the scene, a map as on the wire."""
     return bytes(message_class(TOPIC_TYPES[topic])(**message).SerializeToString())
 
 

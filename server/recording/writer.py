@@ -122,6 +122,7 @@ class Topics:
             self._draw(records, times, finger)
 
     def event(self, event: Mapping[str, Any]) -> None:
+        """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
         self._add(topic, EVENT, event_time_ns(event), event_message(event))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:

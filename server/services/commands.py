@@ -120,6 +120,7 @@ class CommandService:
         self._queue.put((client, message, too_much))
 
     def _run_queue(self) -> None:
+        """Answer queued requests one after the other; runs in its own thread."""
         while (item := self._queue.get()) is not None:
             started = time.monotonic()
             client, message, too_much = item

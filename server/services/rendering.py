@@ -49,6 +49,7 @@ class Replacing(HapticError):
 
 @contextmanager
 def _acquire(lock: threading.Lock) -> Iterator[None]:
+    """Acquire a lock; raise Replacing after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
         raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
     try:

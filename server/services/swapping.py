@@ -38,6 +38,7 @@ class Swapping(Worker):
             self.check()
 
     def check(self) -> None:
+        """Report memory in swap, unless it has been reported."""
         kilobytes = parse_swapped_kb(self._status.read_text())
         if kilobytes and not self._reported:
             message = f"{kilobytes} kB of the daemon are in swap: {ADVICE}"

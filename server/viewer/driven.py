@@ -119,6 +119,7 @@ class ObjectControls:
             self._send(*self._unsent.popitem())
 
     def restore(self) -> None:
+        """Move the controls back to the objects after a command was refused."""
         for scene_index in list(self._nodes):
             self._update_control(scene_index)
 

@@ -24,9 +24,11 @@ Gesture = Generator[Goals, float, None]
 HOVER_M: Final = 0.008
 """Gap between fingertip and object before a touch."""
 APPROACH_SPEED_M_PER_S: Final = 0.02
+"""m/s during an approach."""
 MAX_STEP_S: Final = 0.05
 """Maximum time step of an approach, which must check the force between steps."""
 CARRY_SPEED_M_PER_S: Final = 0.08
+"""m/s in free space."""
 MAX_DEPTH_M: Final = 0.012
 """Maximum depth of the target below a surface."""
 PRESS_N: Final = 1.0
@@ -35,6 +37,7 @@ GRIP_N: Final = 2.5
 HOLD_S: Final = 0.8
 LIFT_M: Final = 0.05
 LIFT_SPEED_M_PER_S: Final = 0.04
+"""m/s of a gripped object."""
 ROLL_M: Final = 0.012
 SLIDE_M: Final = 0.025
 SPIN_RAD: Final = radians(70.0)

@@ -245,6 +245,7 @@ class HandControls:
         return self._targets.get(finger) or self._poses[finger]
 
     def radius(self, finger: str) -> float:
+        """Return the radius of a finger, m."""
         return self._fingers[finger].radius
 
     def chosen_finger(self) -> str | None:

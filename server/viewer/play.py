@@ -64,6 +64,7 @@ class Play:
             self._queue(scene_gesture)
 
     def update(self, finger: str, row: Array) -> None:
+        """Store the latest tick (RECORD_SIZE,) of a finger."""
         self._rows[finger] = row
 
     def step(self, dt: float) -> None:

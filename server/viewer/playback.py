@@ -150,6 +150,7 @@ class Player:
         self._slider.value = int(row) / self._rate_hz
 
     def advance(self, dt: float) -> None:
+        """Advance the playback by `dt` s."""
         if self._play.value:
             row = self._row + dt * self._rate_hz * float(self._speed.value if is_in_list(self._speed) else 1.0)
             self._seek(row if row <= self._count - 1 else 0.0)
@@ -191,6 +192,7 @@ class RecordedPage:
         self._names = dict(zip(recording.fingers, names, strict=True)) if len(names) == 1 else {n: n for n in names}
 
     def step(self, dt: float) -> None:
+        """Advance the playback by `dt` s and draw."""
         self._player.advance(dt)
         ticks, is_seek = self._player.take_rows()
         if is_seek:

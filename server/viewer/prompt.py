@@ -168,6 +168,7 @@ class ParticipantPage:
         self._since_request_s = REQUEST_PERIOD_S
 
     def step(self, dt: float) -> None:
+        """Show the data received in the last `dt` s."""
         self._since_request_s += dt
         if not self._prompt.is_known and self._since_request_s > REQUEST_PERIOD_S:
             self._since_request_s = 0.0

@@ -137,6 +137,8 @@ def of_modules(kernels: set[str], modules: tuple[str, ...]) -> set[str]:
 
 
 def test_bare_plane_has_no_kernel_of_absent_parts() -> None:
+    """Of friction, torsion, rolling, effects, motion and geometry it has only the kernels for absent parts, and the
+    plane."""
     assert of_modules(compiled("bare").kernels, PARTS) == STAND_INS
 
 
@@ -176,6 +178,8 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
     "name", ["bare", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in CALLED if name != "bare")]
 )
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
+    """atan2 is called only with rolling and torsion, sin with an oscillation or a turntable, pow with a nonlinear
+    normal force."""
     called = {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls}
     least, most = CALLED[name]
     assert least <= called and (most is None or called <= most)

@@ -410,6 +410,8 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
     ],
 )
 def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], message: str) -> None:
+    """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
+    the workspace are faults."""
     with pytest.raises(ConfigError) as refused:
         plane_scene(effect=[effect])
     assert message in str(refused.value)
@@ -474,6 +476,8 @@ PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 10
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
+    """The hand rests in a corner between a viscous floor at rest and a sliding wall. There is no viscous force,
+    whichever carries the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}

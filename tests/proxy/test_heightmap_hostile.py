@@ -59,6 +59,8 @@ def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
+    """Dragged, pressed and thrown from outside: finite, outside of the map, with a force of at most K times the depth.
+    Holds with and without friction."""
     pitch, heights = MADE[name]()
     shape, met = kernel_heightmap(heights, pitch), False
     for smooth in (True, False):

@@ -200,6 +200,8 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
 def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
+    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
+    the surface."""
     pitch, heights = MAPS[name]
     shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)
@@ -354,6 +356,8 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 
 
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
+    """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
+    both."""
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)

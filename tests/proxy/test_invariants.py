@@ -114,6 +114,8 @@ def test_proxy_is_never_inside_any_object(found, count):
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
+    """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
+    limit."""
     records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
     normal = column(records, "contact.normal_force")
     assert (normal >= 0.0).all()
@@ -283,6 +285,8 @@ def as_matrices(quaternions, out):
 
 @entry
 def walk_by(turns, steps, out):
+    """Compute orientations (n, 4) from successive rotation vectors (n, 3), and `relative` of each to the previous
+    one."""
     q = (1.0, 0.0, 0.0, 0.0)
     for i in range(turns.shape[0]):
         before = q

@@ -164,6 +164,8 @@ DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
 
 
 def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> None:
+    """A program starts with kernels that have a flipped bit, are truncated or were replaced. It names each file,
+    compiles the kernel and caches it again."""
     cache, script = tmp_path / "cache", scripts / "many.py"
     made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
     calls = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]

@@ -109,6 +109,8 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
 
 @pytest.mark.parametrize("room", [0.1, 0.3])
 def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
+    """Without friction the proxy moves to the side of the hand from any other side, though all triangles are equally
+    close."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
         reach = R * (room + 0.2)

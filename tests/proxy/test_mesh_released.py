@@ -116,6 +116,8 @@ SLIDES = ("tube", "needles")
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
 def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
+    """Two fingers follow separate strokes in the frame of a moving mesh, or opposite strokes through a fixed one; each
+    is blocked only by triangles it touches."""
     mesh, count = KINDS[kind], cases(3, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = thing("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))

@@ -112,6 +112,8 @@ def test_random_triangles_at_all_sizes(seed, count, exponent, away):
 
 
 def test_sign_of_the_gap_at_faces_edges_and_corners():
+    """The gap of a closed mesh is positive exactly outside, for points whose nearest feature is a face, edge or corner.
+    The meshes are a sphere and a bumpy sphere. A mesh with side -1 gives the opposite gap and normal."""
     rng = np.random.default_rng(4)
     for made in (meshes.geodesic(3, 1.0), meshes.bumpy_sphere(6, 1.0, height=0.2)):
         tree = build_tree(*made)
@@ -141,6 +143,8 @@ def test_an_open_mesh_is_a_sheet_with_two_sides():
 
 
 def test_a_limit_and_known_triangles_change_no_answer():
+    """A distance limit hides only triangles beyond it, and a known start triangle does not change the distance. Among
+    equally near triangles, the query returns the known one."""
     tree = build_tree(*meshes.geodesic(10, 0.05))
     mesh, rng = mesh_of(tree), np.random.default_rng(5)
     for _ in range(200):

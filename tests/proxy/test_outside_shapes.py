@@ -107,6 +107,8 @@ def test_a_tag_is_registered_once(cone: ModuleType) -> None:
 
 @pytest.mark.plain
 def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
+    """The gap is the distance to the closest of many points of the flank; the point is on the flank, along the
+    normal."""
     rng = np.random.default_rng(1)
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     spacing = 1e-4
@@ -281,6 +283,8 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
 
 @pytest.mark.plain
 def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, balls_file: Path) -> None:
+    """Two engines whose arrays have different addresses give the same bits with one compiled kernel; only the address
+    differs in their parameters."""
     one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
     first, second = one.scene.objects.body.shape.balls, other.scene.objects.body.shape.balls
     assert first.address != second.address
@@ -359,6 +363,8 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
 def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, program: str) -> None:
+    """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
+    again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")

@@ -299,6 +299,8 @@ def test_texture_moves_with_a_moving_object(scene: Make) -> None:
 
 
 def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
+    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
+    forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -454,6 +456,8 @@ def test_texture_stays_between_its_minimum_and_maximum(
 
 
 def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
+    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
+    compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -485,6 +489,8 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
 
 
 def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
+    `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]

@@ -203,6 +203,8 @@ ALONE: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
 def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
+    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
+    has no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

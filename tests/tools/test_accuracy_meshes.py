@@ -56,6 +56,9 @@ def test_rolling_over_edges_does_not_depend_on_the_tick(name: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", CASES)
 def test_paths_go_askew_over_edges(name: str) -> None:
+    """Each path passes at least four facets with different normals, even on coarse meshes: a path on a single facet
+    cannot show errors at edges. Its angles sum up to that of the path, r d(theta) = |dc|, with c on the surface grown
+    by r."""
     vertices, triangles = CASES[name].triangles(FINENESS[1])
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)

@@ -141,6 +141,7 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 
 def endpoint(rig: Rig) -> Check:
+    """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
     where, wanted = rig.telemetry.endpoint, "free to be bound"
     try:
         Publisher(where).close()

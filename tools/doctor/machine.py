@@ -33,6 +33,7 @@ def checks(root: Path = ROOT) -> list[Check]:
 
 
 def text(path: Path) -> str:
+    """Return the stripped contents of a system file, empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip("\0\n ")
     except OSError:

@@ -69,6 +69,7 @@ def by_itself(rows: Array) -> Array:
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
+    """Return the range of the handle: smallest and largest coordinates, m."""
     valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
         return None
@@ -86,6 +87,7 @@ def rotation(before: Array, after: Array) -> Array:
 
 
 def translation_of(rows: Array) -> Array:
+    """Return the displacement (3,) m of the handle from the start of a part to its end."""
     valid = finite(rows)
     count = max(1, round(ENDS * len(valid)))
     displacement: Array = np.median(valid[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(

@@ -38,6 +38,7 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 
 
 def run(args: argparse.Namespace) -> int:
+    """Probe, write and print; returns the exit code. Raises as `report.run`."""
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
     freedom = read_subspace(single_device(rig))
     file = report_file(rig, args.probe, "--probe")
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_push(rig: Rig) -> None:
+    """Raise ConfigError if the rig allows less force than a push has."""
     if rig.guard.force_max_n < PUSH_N:
         raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
 

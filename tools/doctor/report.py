@@ -37,6 +37,10 @@ LIBRARIES: Final = ("libdrd", "libHD")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Record, write and print the report; returns the exit code.
+
+    Raises the error that prevented opening the device or ended its exchange, after the report was written.
+    """
     rig = load_rig(args.rig)
     file = report_file(rig, args.device_report, "--device-report")
     check_force(args.with_force, args.seconds, rig)
@@ -101,6 +105,7 @@ def write_report(
 
 
 def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
+    """Raise ConfigError for pushes that the rig does not allow, or that are too fast."""
     if force_n is None:
         return
     limit = rig.guard.force_max_n
@@ -215,6 +220,7 @@ def loaded_libraries() -> list[str]:
 
 
 def write(file: Path, report: dict[str, Any]) -> None:
+    """Write the file completely or not at all. Raises ConfigError if it cannot be written."""
     try:
         with new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())

@@ -19,6 +19,7 @@ from softfinger.tools.measure import show
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
     check_seconds(args.seconds)
     if args.device_report is not None:
         return report.run(args)

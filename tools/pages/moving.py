@@ -96,6 +96,7 @@ def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
 
 
 def _pixels(places: Array) -> list[str]:
+    """Convert positions (n, 2) m, to the right and up, to points of a half."""
     return [f"{WIDTH / 2 + PIXELS_PER_M * y:.1f} {FLOOR - PIXELS_PER_M * z:.1f}" for y, z in places.tolist()]
 
 

@@ -54,6 +54,7 @@ tables as JSON Schema. {_KEYS}"""
 
 
 def drivers() -> str:
+    """Return the page with every key of every driver; tables shared by two drivers are printed once."""
     head = """\
 # Drivers: every key
 
@@ -263,6 +264,7 @@ def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
 
 
 def materials_page() -> str:
+    """Return the page of the library of materials and fingertips, with its sources."""
     head = """\
 # Materials and fingertips: every entry
 

@@ -227,12 +227,14 @@ def speed_of(engine: Engine) -> float:
 
 
 def poses_of(path: Array) -> dict[str, Array]:
+    """Return unrotated poses (n, 7) of each finger for centres (n, 2, 3)."""
     poses = np.zeros((*path.shape[:2], 7))
     poses[:, :, :3], poses[:, :, 3] = path, 1.0
     return {name: poses[:, at] for at, name in enumerate(FINGERS)}
 
 
 def play(engine: Engine, path: Array) -> Played:
+    """Move the fingertips along centres (n, 2, 3)."""
     poses = poses_of(path)
     played = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
@@ -248,6 +250,7 @@ def play(engine: Engine, path: Array) -> Played:
 
 
 def slips(mode: Array) -> int:
+    """Count the starts of slip: modes (n, 2)."""
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 

@@ -240,6 +240,7 @@ def with_damaged_poses() -> Iterator[ExtremeCase]:
 
 
 def on_other_objects() -> Iterator[ExtremeCase]:
+    """Yield curvature, edges, and several contacts at once."""
     for radius, object_radius in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
         poses = press(0.1 * min(radius, object_radius), radius, 0.1 * min(radius, object_radius))
@@ -280,6 +281,7 @@ def tuning_of(mapping: dict[str, Any]) -> Tuning:
 
 
 def run_case(case: ExtremeCase) -> Array:
+    """Return the records (n, RECORD_SIZE) of a case."""
     tuning = tuning_of(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
     samples, rows = case.samples[:, None], records[:, None]

@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_extremes(args: argparse.Namespace) -> int:
+    """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
     results, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
     result = {"extremes": [row._asdict() for row in results], "hostile": hostile_rows}
     show(result, args.json, [extremes.table(results), hostile.hostile_table(hostile_rows)])
@@ -65,6 +66,10 @@ def run_extremes(args: argparse.Namespace) -> int:
 
 
 def run_bodies(args: argparse.Namespace) -> int:
+    """Run every case of a body.
+
+    Returns exit code 1 if a body is unstable, gives energy to the hands, or has unbalanced forces.
+    """
     cells = bodies.measure_all()
     show({"bodies": [row._asdict() for row in cells]}, args.json, bodies_table.lines(cells))
     if args.plot:
@@ -73,6 +78,7 @@ def run_bodies(args: argparse.Namespace) -> int:
 
 
 def case_of(args: argparse.Namespace) -> WallCase:
+    """Return the case of the command line; raises ConfigError with every value that is out of range."""
     values = {key: getattr(args, flag.replace("-", "_")) for flag, key in FLAGS.items()}
     case, faults = examine(
         WallCase, values, "command line", {key: f"command line --{flag}" for flag, key in FLAGS.items()}

@@ -111,6 +111,7 @@ def find_violation(out: Array) -> str:
 
 
 def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
+    """Yield for each case its input, ticks, largest force (N), names of guard bits, and the fault."""
     for case in cases():
         out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
         guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)

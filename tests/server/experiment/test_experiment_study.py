@@ -131,6 +131,8 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
 
 
 def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two participants give tables, figures, and a single report page in which texts are escaped; the share of the
+    drawing that is done is shown for each file and section."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
     for number in ("1", "2"):
         words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]

@@ -109,6 +109,9 @@ def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client
 
 
 def test_a_slider_changes_the_material_of_the_daemon(screen: Screen, client: Client) -> None:
+    """A number next to it sets the stiffness; both coefficients of friction keep their ratio. Screen readers get its
+    name."""
+
     def material() -> dict[str, object]:
         made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
         return made
