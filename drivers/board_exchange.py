@@ -192,7 +192,10 @@ def _wait_ready(handle: int, wait_ms: int) -> None:
 
 @jit
 def _await(driver: Any, handle: int) -> int:
-    """Discard queued samples and wait for a current one, waking the device. Return like `drain`."""
+    """Discard queued samples and wait for a current one, waking the device. Return like `drain`.
+
+    The wait is short if there is a sample to repeat.
+    """
     at = int64_at(handle)
     count: int = drain(driver, handle)
     if count >= 0:

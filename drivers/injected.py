@@ -112,7 +112,10 @@ def _block_for(microseconds: float) -> None:
 
 @jit
 def _replace_read(handle: int, tick: int) -> tuple[int, bool]:
-    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample."""
+    """Apply a tick's faults that replace the read. Return the status, and True to repeat the previous sample.
+
+    A status below zero fails the read.
+    """
     word = int64_at(handle)
     status, is_repeated = OK, False
     for index in range(word[AT.length]):

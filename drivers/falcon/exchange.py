@@ -158,7 +158,10 @@ def _submit_packet(handle: int, motors: packets.Counts) -> int:
 
 @jit
 def _await(handle: int) -> int:
-    """Discard received replies and wait for a current one; return the number of replies, or a status below 0."""
+    """Discard received replies and wait for a current one; return the number of replies, or a status below 0.
+
+    The wait is short if there is a sample to repeat.
+    """
     word = int64_at(handle)
     count = _read_transfers(handle, 0)
     # The chip stores a reply until it is polled; during a pause of the loop it was polled only once.

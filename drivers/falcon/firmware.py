@@ -38,7 +38,10 @@ READY: Final = b"A"
 
 
 def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> SerialChip:
-    """Open a line to a device, send it the file at `path` if no firmware runs, and return the line in run mode."""
+    """Open a line to a device, send it the file at `path` if no firmware runs, and return the line in run mode.
+
+    Raises the errors of `open_chip`, and DeviceError if the file cannot be used or the device does not accept it.
+    """
     chip = open_chip()
     try:
         chip.set_run_mode()

@@ -120,7 +120,10 @@ class SerialChip:
 
 
 def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
-    """Open the only attached Falcon, or the one with this serial number or node, and claim it for this process."""
+    """Open the only attached Falcon, or the one with this serial number or node, and claim it for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
+    """
     try:
         devices = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
     except usb.core.USBError as error:

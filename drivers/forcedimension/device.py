@@ -280,7 +280,12 @@ class ForceDimension(BlockDevice):
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:
-    """Describe the device that the options select: USB does not identify which of several attached ones is `device`."""
+    """Return the library's description of the device that the options select, or of the first; switches no force on.
+
+    USB does not identify which of several attached devices is `device`: select one in the options.
+
+    Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
+    """
     call = selection.load(options.library_file)
     number, model = selection.find(call, options)
     try:

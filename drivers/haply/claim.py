@@ -21,6 +21,8 @@ def claim(port: int, device: DeviceRef) -> socket.socket:
 
     The lock is the name of an abstract Unix socket. Such names belong to a network namespace, like the service's port,
     and the system releases them however a process ends.
+
+    Raises DeviceBusy if this or another process has locked the device, DeviceError if the system has no such names.
     """
     address = f"\0softfinger/haply/{port}/{device.group}/{device.name}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -55,7 +55,11 @@ class WebSocketLink:
         return int.from_bytes(fcntl.ioctl(self._end, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
     def receive(self) -> list[bytes]:
-        """Return the complete messages that have arrived, without waiting."""
+        """Return the complete messages that have arrived, without waiting.
+
+        Raises DeviceLost if the connection is closed, Malformed if the data violates the protocol or a message is too
+        long.
+        """
         messages, self._queued_messages = self._queued_messages, []
         try:
             data = self._end.recv(CHUNK)

@@ -168,7 +168,10 @@ def _version(port: int, until: float) -> str:
 
 
 def _choose_version(options: Options, until: float) -> tuple[int, int]:
-    """Return the version that the rig names, or else the service's."""
+    """Return the version that the rig names, or else the service's.
+
+    Raises DeviceError if they have different keys of forces.
+    """
     if options.version is None:
         return parse_version(_version(options.port, until))
     version = parse_version(options.version)

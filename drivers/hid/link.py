@@ -35,7 +35,11 @@ class ReportLink(NamedTuple):
 
 
 def open_link(options: Options) -> ReportLink:
-    """Find the device of a rig and open it with the method that the rig selects."""
+    """Find the device of a rig and open it with the method that the rig selects.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
     path = options.path or find_device(options)
@@ -61,7 +65,11 @@ def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None
 
 
 def find_device(options: Options) -> str:
-    """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus."""
+    """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
+
+    Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
+    device, it also raises the errors of `usb.open_usb`.
+    """
     nodes_found = list(discovery.hidraw_nodes())
     usb_ids = (options.vendor_id, options.product_id)
     nodes = {node.node: node for node in nodes_found if (node.vendor, node.product) == usb_ids}
@@ -114,7 +122,11 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
 
 
 def _open_node(path: str, options: Options) -> int:
-    """Open the device's node, non-blocking and locked, and return its file descriptor."""
+    """Open the device's node, non-blocking and locked, and return its file descriptor.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
         check_reports(_descriptor(fd, path), path, options.reports)

@@ -42,7 +42,11 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
 
 
 def open_usb(path: str, options: Options) -> OpenInterface:
-    """Open the interface at hidapi's `path`, and claim it for this process."""
+    """Open the interface at hidapi's `path`, and claim it for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
+    than the rig.
+    """
     interface, descriptor = _open(path, options)
     try:
         check_reports(descriptor, path, options.reports)
@@ -53,7 +57,10 @@ def open_usb(path: str, options: Options) -> OpenInterface:
 
 
 def with_reports_of(paths: list[str], options: Options) -> list[str]:
-    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each."""
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
+
+    Raises the errors of `open_usb`, except for other reports.
+    """
     matching = []
     for path in paths:
         interface, descriptor = _open(path, options)

@@ -29,5 +29,8 @@ def jacobian(length: float, a: float) -> Vec3:
 
 @jit
 def torques_for(length: float, a: float, force: Vec3) -> Vec3:
-    """Return the joint torque (3,) N m, the last two 0, for a force (3,) N, device's frame."""
+    """Return the joint torque (3,) N m, the last two 0, for a force (3,) N, device's frame.
+
+    Only the part of the force along the arc is displayed.
+    """
     return (vec3.dot(jacobian(length, a), force), 0.0, 0.0)

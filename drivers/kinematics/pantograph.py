@@ -65,7 +65,10 @@ def forward(p: Pantograph, a: float, b: float) -> Vec3:
 
 @jit
 def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
-    """Return columns dP/da and dP/db, (3,) m/rad each, and the sine of the angle between the outer links."""
+    """Return columns dP/da and dP/db, (3,) m/rad each, and the sine of the angle between the outer links.
+
+    If the sine is 0, the columns are 0.
+    """
     elbow_a, elbow_b = _elbows(p, a, b)
     end = _end(p, a, b)
     u, v = vec3.sub(end, elbow_a), vec3.sub(end, elbow_b)
@@ -80,7 +83,10 @@ def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
 
 @jit
 def torques_for(p: Pantograph, a: float, b: float, force: Vec3) -> tuple[Vec3, bool]:
-    """Return joint torques (3,) N m, the third 0, for a force (3,) N, device's frame, and True in a singular pose."""
+    """Return joint torques (3,) N m, the third 0, for a force (3,) N, device's frame, and True in a singular pose.
+
+    The part of the force normal to the plane is not displayed.
+    """
     by_a, by_b, sine = jacobian(p, a, b)
     share = min((sine - SINE_NONE) / (SINE_FULL - SINE_NONE), 1.0)
     if share <= 0.0:

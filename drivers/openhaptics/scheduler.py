@@ -49,7 +49,10 @@ class Scheduler:
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Stop the library's thread inside the context, and restart it afterwards."""
+        """Stop the library's thread inside the context, and restart it afterwards.
+
+        Raises DeviceBusy if a device of this process is armed.
+        """
         with self._lock:
             for block, _ in self._scheduled.values():
                 if block.word[AT.armed]:

@@ -40,7 +40,10 @@ BLOCKED: Final = (
 
 
 class SerialDevice(BlockDevice):
-    """Open device, owner of the file descriptor `fd` of its port."""
+    """Open device, owner of the file descriptor `fd` of its port.
+
+    Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
+    """
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
         self._options, self._path = options, path

@@ -34,7 +34,17 @@ def frame_bytes(options: Options) -> tuple[int, int]:
 
 
 def check(options: Options, rate_hz: float, where: str) -> None:
-    """Raise ConfigError if the line is too slow for a frame in each direction per tick."""
+    """Raise ConfigError if the line is too slow for a frame in each direction per tick.
+
+    Parameters
+    ----------
+    options
+        of the rig
+    rate_hz
+        ticks per second
+    where
+        file and table of the options, prefix of the message
+    """
     if not has_rate(options):
         return
     out, into = frame_bytes(options)

@@ -33,7 +33,10 @@ DRAIN_WAIT_S: Final = 0.2
 
 
 def open_port(options: Options) -> tuple[int, str]:
-    """Open the device's port, raw, non-blocking, locked and empty, and return its file descriptor and path."""
+    """Open the device's port, raw, non-blocking, locked and empty, and return its file descriptor and path.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is not a port or another device.
+    """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
     path = options.path or find_port(options)

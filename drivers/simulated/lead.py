@@ -45,6 +45,8 @@ def hold(device: Device, tool: Tool | None, offset: Vec3) -> Pose:
     In a grip the intended pose is deeper than the actual one, because the object resists.
 
     offset  (3,) m  added to the position that the device senses
+
+    Raises NoSimulatedHand if the device has no simulated hand.
     """
     hand = hand_of(device)
     hand.hold()
@@ -57,6 +59,8 @@ def lead(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPo
     """Make the hand of `device` with `tool` intend the pose `requested`; None: return to its configured intention.
 
     offset  (3,) m  added to the position that the device senses
+
+    Raises NoSimulatedHand if the device has no simulated hand, ConfigError if it cannot reach or sense the pose.
     """
     hand, info = hand_of(device), device.info
     if requested is None:

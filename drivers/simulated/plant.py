@@ -135,7 +135,10 @@ class Intention(NamedTuple):
 
 
 def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plant:
-    """Return the plant for ticks of `period` s."""
+    """Return the plant for ticks of `period` s.
+
+    Raises ValueError if a number is out of range; a device checks its options before.
+    """
     mass, damping, friction, lag, force_max, delay, resolution, orientation_lag = handle
     if not (period > 0.0 and min(mass) + hand.mass > 0.0 and 0 <= delay <= DELAY_MAX):
         raise ValueError(f"period {period} and mass {mass} must be above 0, delay {delay} within 0 to {DELAY_MAX}")

@@ -242,7 +242,10 @@ class SpaceMouse(LoggedDevice):
 
 
 def open_puck(options: Options) -> tuple[int, str]:
-    """Open the puck that the options select, or the only one attached; return file descriptor and name."""
+    """Open the puck that the options select, or the only one attached; return file descriptor and name.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
+    """
     if not sys.platform.startswith("linux"):
         raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
     puck = find(options)

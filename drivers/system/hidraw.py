@@ -17,7 +17,10 @@ _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
 
 def open_path(path: str, vendor: int, product: int) -> int:
-    """Open the node of a device with these ids, non-blocking and locked, and return its file descriptor."""
+    """Open the node of a device with these ids, non-blocking and locked, and return its file descriptor.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
+    """
     fd = open_locked(path, how_to_permit(vendor, product))
     try:
         _check_device(fd, path, vendor, product)

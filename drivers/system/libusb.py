@@ -31,7 +31,10 @@ def origin() -> str:
 
 
 def find(**ids: int) -> list[Any]:
-    """Return pyusb's devices with these ids."""
+    """Return pyusb's devices with these ids.
+
+    Raises DeviceError if no libusb can be loaded, usb.core.USBError if the bus cannot be listed.
+    """
     import usb.core
 
     usb_backend = backend()

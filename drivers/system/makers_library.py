@@ -36,6 +36,8 @@ def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], no
 
     patterns  places to search, in order; the last part of each is a glob pattern
     note      appended to the list of searched places in the message
+
+    Raises DeviceNotFound, with every place searched, if no file exists, and DeviceError if a file cannot be used.
     """
     if named is not None:
         path = expand_home(named)

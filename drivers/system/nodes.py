@@ -14,6 +14,8 @@ def open_locked(path: str, permit: str) -> int:
     """Open a node for reading and writing, non-blocking and locked, and return its file descriptor.
 
     permit  remedy for a missing permission, for the message
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy or DeviceError.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
