@@ -88,7 +88,10 @@ def pose(handle: int) -> int:
 
 @jit
 def motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
-    """Return motor counts (3,) for a force (3,) N, device's frame, at `knob_position`, and if they were limited."""
+    """Return motor counts (3,) for a force (3,) N, device's frame, at `knob_position`, and True if they were limited.
+
+    If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
+    """
     torque, exists = torques_for(delta.FALCON, knob_position, force)
     counts = vec3.scale(gain, torque)
     largest = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))

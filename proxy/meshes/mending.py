@@ -56,6 +56,11 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     loose
         Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
 
+    Returns
+    -------
+    Mended
+        Repaired mesh, with counts of repairs and of remaining faults.
+
     Raises
     ------
     ValueError

@@ -19,9 +19,14 @@ def draw_session(
 ) -> list[Path]:
     """Draw interleaved staircases, confidence and surveys, if the experiment has them; return the files.
 
-    rows    answered trials
-    table   rows of `surveys.survey_table`
-    groups  fits by condition; those of the first participant, or of all, are drawn
+    Parameters
+    ----------
+    rows
+        Answered trials.
+    table
+        Rows of `surveys.survey_table`.
+    groups
+        Fits by condition; those of the first participant, or of all, are drawn.
     """
     import matplotlib.pyplot as plt  # after `figures.draw`, which has chosen the backend
 

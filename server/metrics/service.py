@@ -33,9 +33,14 @@ DASHBOARD_PATH: Final = "/dashboard.json"
 class MetricsService(Worker):
     """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
 
-    bound   endpoint
-    counts  source of the metrics
-    event   publishes an event
+    Parameters
+    ----------
+    bound
+        Endpoint.
+    counts
+        Source of the metrics.
+    event
+        Publishes an event.
     """
 
     def __init__(self, bound: BoundSocket, counts: MetricsCollector, event: Callable[..., Any]) -> None:
