@@ -47,19 +47,9 @@ class RepairedMesh(NamedTuple):
 
 
 def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
-    """Repair a mesh, and wind its triangles.
+    """Repair a mesh (m), and wind its triangles; `loose` merges vertices within MERGED_WITHIN of its size.
 
-    Parameters
-    ----------
-    arrays
-        Vertices, m, finite, and triangles with valid indices.
-    loose
-        Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
-
-    Raises
-    ------
-    ValueError
-        If the mesh is too small, too large or too far from its origin, or if no triangle has an area.
+    Raises ValueError if it is too small, too large or too far from its origin, or if no triangle has an area.
     """
     vertices, triangles = arrays
     used, triangles = _drop_unused_vertices(arrays)
