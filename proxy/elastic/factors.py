@@ -40,21 +40,10 @@ class Front(NamedTuple):
 
 
 class Factors:
-    """Factors of a symmetric positive definite matrix.
+    """Factors of a symmetric positive definite matrix: sparse (n, n), by rows, with both triangles.
 
-    Parameters
-    ----------
-    matrix
-        Sparse (n, n) by rows (CSR), with both triangles.
-    places
-        (n, 3) m, positions of the unknowns.
-
-    Raises
-    ------
-    ValueError
-        If the matrix is not positive definite.
-    OSError
-        If the temporary file cannot be written.
+    `places` (n, 3) m are the positions of the unknowns. Raises ValueError if the matrix is not positive definite, and
+    OSError if the temporary file cannot be written.
     """
 
     def __init__(self, matrix: Any, places: Doubles) -> None:

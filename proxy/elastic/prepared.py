@@ -140,10 +140,7 @@ def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: 
 def volume_of(thing: schema.Mesh, resolution_m: float) -> Volume:
     """Return the volume mesh of an object; a file of tetrahedra has its own resolution.
 
-    Raises
-    ------
-    ConfigError, ValueError
-        If the file cannot be read, its surface is open, or it cannot be filled.
+    Raises ConfigError or ValueError if the file cannot be read, its surface is open, or it cannot be filled.
     """
     if thing.file.lower().endswith(thing.volumes):
         return read_volume(thing.file, thing.scale)

@@ -101,15 +101,7 @@ def save(path: str, key: str, body: ElasticBody) -> None:
 
 
 def read(path: str, key: str) -> ElasticBody:
-    """Return the body in a file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is damaged, or of another identity than `key`.
-    """
+    """Return the body in a file. Raises ValueError if it is damaged or of another identity than `key`, or OSError."""
     arrays = _arrays(read_input(path, BYTES_MAX))
     if arrays["hash"].tobytes() != _hash(key, arrays).tobytes():
         raise ValueError("is damaged or the solution for other values")

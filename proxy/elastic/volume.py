@@ -33,10 +33,7 @@ class Volume(NamedTuple):
 def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     """Fill a closed surface with tetrahedra of about this edge length; its triangles are replaced, too.
 
-    Raises
-    ------
-    ValueError
-        If gmsh is not installed, or cannot fill the surface.
+    Raises ValueError if gmsh is not installed, or cannot fill the surface.
     """
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     expected = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0 / (resolution_m**3 / 8.5)  # of regular ones
@@ -86,10 +83,7 @@ def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float)
 def read_volume(file: str, scale: float) -> Volume:
     """Return the tetrahedra of a .msh or .vtu file, m: of second order, those of the corners.
 
-    Raises
-    ------
-    ValueError
-        If meshio is not installed, the file cannot be read, or its tetrahedra cannot be used.
+    Raises ValueError if meshio is not installed, the file cannot be read, or its tetrahedra cannot be used.
     """
     try:
         import meshio

@@ -47,7 +47,7 @@ class RepairedMesh(NamedTuple):
 
 
 def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
-    """Repair a mesh, and wind its triangles.
+    """Repair a mesh (m), and wind its triangles; `loose` merges vertices within MERGED_WITHIN of its size.
 
     Parameters
     ----------

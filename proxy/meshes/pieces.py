@@ -91,10 +91,7 @@ def pieces_of(edges: Edges) -> Pieces:
 
 @entry
 def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
-    """Write `first_alike` to `first`, with a hash table of a power of two entries, all -1, more than the rows.
-
-    Open addressing with linear probing, from the slot of a row's hash.
-    """
+    """Write `first_alike` to `first`, by linear probing in `table`: entries -1, a power of two, more than the rows."""
     mask = np.uint64(len(table) - 1)
     for i in range(rows.shape[0]):
         mixed = seed
@@ -175,10 +172,7 @@ def mark_flat(vertices: Vertices, triangles: Numbers, flatness: float, flat: NDA
 
 @entry
 def add_volumes(vertices: Vertices, triangles: Numbers, middle: Vertices, body: Numbers, volumes: Vertices) -> None:
-    """Add to each body (bodies,) the signed volume, m^3, of the tetrahedra from `middle` (3,) to its triangles.
-
-    vertices (n, 3) m, triangles (m, 3), body (m,) of each triangle
-    """
+    """Add to each body (bodies,) the signed volume, m^3, of the tetrahedra from `middle` (3,) m to its triangles."""
     o = (middle[0], middle[1], middle[2])
     for i in range(len(triangles)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
