@@ -28,10 +28,6 @@ log: Final = logging.getLogger(__name__)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb; return the exit code.
-
-    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
-    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:

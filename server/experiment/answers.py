@@ -35,9 +35,7 @@ class Participant:
     """Participant at the device. The first answer counts, from any source.
 
     Each question is a prompt of the daemon. Pages and other programs answer it by the command `answer`; this class does
-    so for keys in the terminal and the first two buttons of the device.
-
-    images  data URIs of the images of the page, by name
+    so for keys in the terminal and the first two buttons of the device. `images` are data URIs by name.
     """
 
     def __init__(self, experiment: ExperimentFile, haptics: Haptics, images: Mapping[str, str]) -> None:

@@ -28,10 +28,7 @@ LABELS: Final = {
 
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
-    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files.
-
-    Raises ConfigError if matplotlib is not installed.
-    """
+    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files."""
     try:
         import matplotlib
 

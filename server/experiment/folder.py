@@ -41,8 +41,6 @@ class ParticipantFolder:
     """Files of one participant's sessions. Nothing is written before `begin`.
 
     files  hashes of the scenes and the rig next to the experiment, by name
-
-    Raises ConfigError if the folder belongs to another experiment.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
@@ -59,10 +57,7 @@ class ParticipantFolder:
     def begin(
         self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
     ) -> None:
-        """Write the missing files: description of the experiment, design and order.
-
-        Raises ConfigError if a file cannot be written, or exists with another content.
-        """
+        """Write the missing files: description of the experiment, design and order."""
         rows = _rows(conditions, trials)
         try:
             (self.participant_dir / "trials").mkdir(parents=True, exist_ok=True)

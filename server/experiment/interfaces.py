@@ -67,10 +67,7 @@ class Apparatus(Protocol):
 
 
 class NullApparatus:
-    """No apparatus: only design, answers, journal and tables, as fast as possible.
-
-    on_trial  receives the number of the trial
-    """
+    """No apparatus: only design, answers, journal and tables, as fast as possible."""
 
     def __init__(self, on_trial: Callable[[int], None] = lambda trial: None) -> None:
         self._on_trial = on_trial

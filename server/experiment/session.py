@@ -27,10 +27,7 @@ class Stopped(HapticError):
 
 
 class Session:
-    """Trials of a participant.
-
-    report  receives progress lines for the experimenter
-    """
+    """Trials of a participant; `report` receives progress lines for the experimenter."""
 
     def __init__(
         self, experiment: ExperimentFile, participant: int, report: Callable[[str], None] = lambda line: None
@@ -49,10 +46,7 @@ class Session:
         folder.begin(self.experiment, self.conditions, self.trials)
 
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask for consent and the surveys before the first trial, then show the instructions.
-
-        Raises Stopped if the participant does not agree.
-        """
+        """Ask for consent and the surveys before the first trial, then show the instructions."""
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
             answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
@@ -95,10 +89,7 @@ class Session:
             journal.write("finished", trials=len(self.trials))
 
     def _ask_surveys(self, at: str, block: int, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask the questions that are due and have no answer in the journal.
-
-        block  number of the block that has ended, 0: none
-        """
+        """Ask the unanswered questions that are due after a block (0: none)."""
         block_conditions = [
             trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block
         ]

@@ -17,12 +17,7 @@ from softfinger.server.experiment.schema import ExperimentFile
 def draw_session(
     experiment: ExperimentFile, rows: Sequence[Entry], table: Sequence[Entry], groups: Sequence[Group], out: Path
 ) -> list[Path]:
-    """Draw interleaved staircases, confidence and surveys, if the experiment has them; return the files.
-
-    rows    answered trials
-    table   rows of `surveys.survey_table`
-    groups  fits by condition; those of the first participant, or of all, are drawn
-    """
+    """Draw interleaved staircases, confidence and surveys, if the experiment has them; return the files."""
     import matplotlib.pyplot as plt  # after `figures.draw`, which has chosen the backend
 
     figures = {}

@@ -43,10 +43,7 @@ DEFERRED: Final = frozenset({"set_scene", "reset_world"})
 
 
 class CommandService:
-    """Service that answers the requests of an endpoint.
-
-    scene_name  name of the initial scene
-    """
+    """Service that answers the requests of an endpoint."""
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
         self.endpoint: Final = endpoint

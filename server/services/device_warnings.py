@@ -16,10 +16,7 @@ NAME: Final = "device_warning"
 
 
 class DeviceWarnings(Worker):
-    """Service that polls the devices for warnings, and reports each once, when it starts or changes.
-
-    devices  returns the present devices, which change with the rig
-    """
+    """Service that polls the devices for warnings, and reports each once, when it starts or changes."""
 
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
         super().__init__("device warnings")

@@ -17,7 +17,6 @@ class Prompts:
     """Current prompt, and whether it is open for an answer.
 
     publish  publishes a change made by a command: method, id of the request, change
-    ticks    returns the number of ticks started
     """
 
     def __init__(self, publish: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:

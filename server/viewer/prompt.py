@@ -37,13 +37,7 @@ REQUEST_PERIOD_S: Final = 1.0
 
 
 class PromptPanel:
-    """Display of a daemon's prompt, and input of the answer.
-
-    commands    sends commands to the daemon
-    on_refused  called with the reason if an answer was refused
-    can_answer  False: only show the prompt
-    size        text size relative to the page
-    """
+    """Display of a daemon's prompt, and input of the answer."""
 
     def __init__(
         self,

@@ -60,9 +60,7 @@ def new_token() -> str:
 class Access:
     """Check of requests to a page on `host`.
 
-    host     address that the page listens on
     allowed  further hosts, NAME or NAME:PORT, for access through a tunnel
-    title    title of the page
     token    secret part of the address; None: a new one
     """
 
