@@ -39,7 +39,6 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Address to open in Foxglove."""
         return f"ws://127.0.0.1:{self._server.port}"
 
     @property

@@ -47,7 +47,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def to_foxglove(args: argparse.Namespace) -> int:
-    """Serve until the end of the daemon, or a signal."""
     server = foxglove.Server(args.port)
     try:
         log.info("in Foxglove open the connection %s, or %s", server.url, server.app)

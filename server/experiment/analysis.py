@@ -85,12 +85,10 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
 
 
 def is_counted(row: Entry) -> bool:
-    """Return True for a trial that is neither practice nor a catch trial."""
     return not (row["practice"] or row.get("catch"))
 
 
 def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
-    """Return the number of right and of all catch trials of each participant that has any."""
     shares = dict[str, tuple[int, int]]()
     for row in rows:
         if row.get("catch") and not row["practice"]:
@@ -100,7 +98,6 @@ def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
 
 
 def find_excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]) -> dict[str, str]:
-    """Return the reason for each participant whose catch trials are below the limit of the file."""
     if experiment.catch is None:
         return {}
     limit = experiment.catch.min_right
@@ -196,7 +193,6 @@ def format_interval(value: float, interval: tuple[float, float]) -> str:
 
 
 def table(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """Return a row of plain numbers for each group."""
     rows_by_group = []
     for group in groups:
         row: dict[str, Any] = {"participant": group.participant, "condition": group.condition, "trials": group.trials}

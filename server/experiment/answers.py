@@ -45,7 +45,6 @@ class Participant:
         self._screen: dict[str, Any] = {}
 
     def instruct(self) -> None:
-        """Show the instructions until the participant starts."""
         if text := self._experiment.instructions:
             self._ask(
                 Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Press Enter or a button to start."
@@ -127,7 +126,6 @@ class Participant:
         return number
 
     def _ask(self, prompt: Prompt, line: str) -> Answer:
-        """Ask on pages and with a line in the terminal, wait for the answer, and return it."""
         client, typed, single = self._haptics.client, "", is_single(prompt)
         with keyboard(single) as keys:  # discards keys typed before the question
             if single and sys.stdin.isatty():

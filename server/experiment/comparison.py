@@ -191,7 +191,6 @@ def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, 
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
-    """Return the mean with Student's 95 % interval, which is nan for a single value."""
     mean, count = float(np.mean(values)), len(values)
     margin = student_975(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
     return mean, (mean - margin, mean + margin)

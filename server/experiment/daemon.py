@@ -52,7 +52,6 @@ class RunOptions(NamedTuple):
 def start_daemon(
     experiment: ExperimentFile, folder: Path, results: Path, running: RunOptions
 ) -> Iterator[tuple[Haptics, dict[str, Any]]]:
-    """Start a daemon with rig and scene of an experiment; yield its `Haptics` and its description."""
     from softfinger.server.app import Daemon
 
     rig, scene_of = resolve_source(folder, experiment.rig), partial(resolve_source, folder)

@@ -54,7 +54,6 @@ class Experiment:
 
     @property
     def conditions(self) -> list[Condition]:
-        """All combinations of the factors' levels."""
         return list_conditions(self.file)
 
     def __repr__(self) -> str:

@@ -61,12 +61,10 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
 
 
 def wrap_title(experiment: ExperimentFile, participant: str) -> str:
-    """Return the title of a figure, on lines that fit, and the participant."""
     return f"{textwrap.fill(experiment.title, 50)}\n{participant}"
 
 
 def name_factors(experiment: ExperimentFile) -> str | None:
-    """Return the names of the factors, whose levels name the conditions."""
     return ", ".join(factor.name for factor in experiment.factor) or None
 
 

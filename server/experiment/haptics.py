@@ -160,7 +160,6 @@ class Haptics:
         return {path: value_at(scene, index_entries(scene, path)) for path in paths}
 
     def _lead_to_start(self, seconds: float) -> None:
-        """Lead hands to their start; takes at least `seconds`."""
         starts = self._hands.lead_to_start()
         until = time.monotonic() + START_TIMEOUT_S
         self.wait(seconds)

@@ -48,7 +48,6 @@ class Progress(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Number of the next touch, if there are several."""
         return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
 
 

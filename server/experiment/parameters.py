@@ -78,7 +78,6 @@ def split_masses(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str,
 
 
 def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
-    """Return a scene with changed values, including masses."""
     masses, parameters = split_masses(values)
     scene = load_scene(source)
     if not masses:

@@ -113,7 +113,6 @@ class Session:
     def _run_trial(
         self, trial: PlannedTrial, attempt: int, apparatus: Apparatus, answers: AnswerSource
     ) -> tuple[Entry, list[dict[str, Any]]]:
-        """Present a trial and wait for its answer; return its journal entry and its ticks."""
         condition, task = self.conditions[trial.condition], self.experiment.task
         level = trial.level
         if level is None:
@@ -190,11 +189,9 @@ def number_blocks(trials: Sequence[PlannedTrial], is_mixed: bool) -> list[int]:
 
 
 def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
-    """Return the parameters of a touch for a value of the level."""
     also: Mapping[str, float] = experiment.task.also
     return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
 
 
 def is_right_answer(trial: PlannedTrial, answer: str | float) -> bool:
-    """Return True if the answer to a comparison names the test stimulus, not the reference."""
     return (answer == "first") == trial.test_first

@@ -86,7 +86,6 @@ def format_measured(each: Measured) -> str:
 
 
 def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
-    """Return name and reference of each of the papers, with the extent to which it was read."""
     return [
         (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
         for name, paper in papers().items()

@@ -85,13 +85,11 @@ def _form(finger: FingerParts) -> str:
 
 
 def _size(item: ObjectBase) -> str:
-    """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
     return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
 def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
-    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:
@@ -206,7 +204,6 @@ def _values(table: Struct) -> str:
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:
-    """Return rows on device, loop, guard and telemetry."""
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [

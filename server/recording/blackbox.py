@@ -53,7 +53,6 @@ def folder() -> Path | None:
 
 
 def files(directory: Path) -> list[Path]:
-    """Return the files of a folder, oldest first; empty if the folder does not exist."""
     with contextlib.suppress(OSError):
         timed_paths = [(path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")]
         return [path for _, path in sorted(timed_paths)]

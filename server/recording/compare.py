@@ -367,7 +367,6 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
 
 
 def _rows_after(mask: Mask) -> list[int]:
-    """Return the row after each stretch of true values."""
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 

@@ -58,7 +58,6 @@ def to_timestamp(time_ns: int) -> dict[str, int]:
 
 
 def frame_names(finger: str) -> tuple[str, str]:
-    """Return the names of a finger's frames: measured fingertip and proxy."""
     return (f"{finger}/{FINGERTIP}", f"{finger}/{PROXY}") if finger else (FINGERTIP, PROXY)
 
 

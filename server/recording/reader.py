@@ -108,7 +108,6 @@ class _Channel:
 
     @property
     def message_type(self) -> Any:
-        """Class of its messages."""
         if self._message_type is None:
             if self.schema is None or self.schema.encoding != "protobuf":
                 raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")

@@ -144,7 +144,6 @@ def _is_comment(line: bytes, columns: int) -> bool:
 
 
 def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialect) -> list[float]:
-    """Return the numbers of a line."""
     try:
         text = line.decode().replace("\N{MINUS SIGN}", "-")
     except UnicodeDecodeError as error:

@@ -123,7 +123,6 @@ class Topics:
             self.set_scene(driven_scene)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Write a message of a topic of the scene, a map as on the wire."""
         time_ns = event_time_ns(message)
         self._add(topic, TOPIC_TYPES[topic], time_ns, topic_message(topic, message))
         if self._with_pictures and topic == WORLD:
@@ -131,12 +130,10 @@ class Topics:
                 self._add(FRAME_TOPIC, FRAME, time_ns, frame)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
-        """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
         time_ns = event_time_ns({"timestamp": time_s})
         self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
 
     def set_scene(self, scene: schema.Scene) -> None:
-        """Draw another scene from now on."""
         self._scene, self._scene_due_s = scene, 0.0
 
     def _draw(self, records: Array, times: NDArray[np.int64], finger: str) -> None:
@@ -186,7 +183,6 @@ class RecordingFile(Topics):
         self.mcap.metadata(name, {JSON: json.dumps(value)})
 
     def count(self, finger: str = "") -> int:
-        """Return the number of ticks of a finger that were written to the file."""
         return self.mcap.counts.get(self._ticks[finger], 0)
 
     def flush(self) -> None:

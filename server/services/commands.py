@@ -145,7 +145,6 @@ class CommandService:
         return encode_answer(request.command_id, getattr(self._handlers, request.method)(request))
 
     def _reply(self, client: bytes, command_id: str, outcome: Any) -> None:
-        """Send the result of a deferred method, or the refusal for an exception."""
         if isinstance(outcome, Exception):
             answer = encode_refusal(self._as_declined(outcome), command_id)
         else:
@@ -153,7 +152,6 @@ class CommandService:
         self._daemon.reply(client, answer)
 
     def _as_declined(self, error: Exception) -> Declined:
-        """Convert an exception into an answer."""
         match error:
             case Declined():
                 return error

@@ -249,7 +249,6 @@ class Rendering:
         return ticks
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
-        """Return a loop for the given devices, or for the present ones."""
         devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))

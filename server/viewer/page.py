@@ -136,7 +136,6 @@ class Page:
         self.server.gui.add_html(PROMPT_STYLE)
 
     def add_views(self) -> None:
-        """Add the tabs for view settings and plots; call after the data source has added its tabs."""
         gui, looks = self.server.gui, self.looks
         with self.tabs.add_tab("Show"):
             for name, text in (
@@ -171,7 +170,6 @@ class Page:
         self._set_camera()
 
     def restart(self, start: SceneStart) -> None:
-        """Restart the same scene."""
         if self.bodies is not None:
             self.bodies.start = start
         self.clear_traces()
@@ -227,7 +225,6 @@ class Page:
             self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:
-        """Show the new ticks (n, RECORD_SIZE) of each finger."""
         new_rows = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
         for name, rows in new_rows.items():
             self._newest[name] = rows[-1]
@@ -264,7 +261,6 @@ class Page:
             client.add_notification(title, text, auto_close_seconds=NOTIFICATION_S, color="orange")
 
     def clear_message(self, text: str) -> None:
-        """Hide the message above the controls if it is `text`."""
         if self._message.content == text:
             self.show_message("")
 
@@ -291,7 +287,6 @@ class Page:
 
 
 def _bind(control: Any, looks: Looks, name: str) -> None:
-    """Connect a checkbox or slider to an attribute of the looks; slider values out of range are ignored."""
 
     def store_value(event: Any) -> None:
         if not hasattr(control, "max") or is_on_slider(control):

@@ -107,7 +107,6 @@ class TickBatcher:
         self.end_reason = ""
 
     def take(self, sample: Sample) -> None:
-        """Process the next message; set `end_reason` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
             self.receiver.event(sample.data)

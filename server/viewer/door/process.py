@@ -122,7 +122,6 @@ class PageProcess:
             timer.cancel()
 
     def supervise(self) -> None:
-        """Restart a crashed page, or report its exit once."""
         if self._is_final or (code := self._process.poll()) is None:
             return
         text = f"the page has ended, with exit code {code}; the servo continues"
