@@ -24,15 +24,14 @@ from softfinger.server.services.command_handlers import DaemonInterface
 from softfinger.server.services.commands import CommandService
 from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.device_warnings import DeviceWarnings
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import Notify
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import RecordService, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
-from softfinger.server.services.swapping import Swapping
 from softfinger.server.services.telemetry import TelemetryService
+from softfinger.server.services.watches import DeviceWarnings, Swapping
 from softfinger.server.services.world import WorldState
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.states import DaemonState, States, Trigger

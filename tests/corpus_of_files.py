@@ -22,7 +22,7 @@ from zipfile import ZipFile
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.proxy.meshes.reading import READERS, arrays_of, read_bytes
-from softfinger.server.offline.worlds import check_start
+from softfinger.server.offline.summary import check_start
 
 PACKAGES: Final = {
     "robosuite": "robosuite==1.5.2",

@@ -18,12 +18,7 @@ BACKLOG: Final = 8192
 
 
 class Server:
-    """Foxglove's WebSocket server, for this machine only; a `Sink` for `Topics`.
-
-    port  0: a free port
-
-    Raises ConfigError if foxglove-sdk is not installed, and AddressInUse if the port is not available.
-    """
+    """Foxglove's WebSocket server, for this machine only, on a port (0: a free one); a `Sink` for `Topics`."""
 
     def __init__(self, port: int = FOXGLOVE_PORT) -> None:
         try:
@@ -44,7 +39,6 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Address to open in Foxglove."""
         return f"ws://127.0.0.1:{self._server.port}"
 
     @property

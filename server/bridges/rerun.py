@@ -32,10 +32,7 @@ PLOTTED: Final = (
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
-    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here.
-
-    Raises ConfigError if rerun-sdk is not installed, or if the file or viewer is not available.
-    """
+    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here."""
     try:
         import rerun
     except ImportError as error:
@@ -55,11 +52,7 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
 
 
 class RerunSink:
-    """Logs the data of a daemon or a recording to a Rerun stream.
-
-    fingers  names of several fingers, one empty name for a single one
-    scene    scene to draw, None for none
-    """
+    """Logs the data of a daemon or a recording to a Rerun stream."""
 
     failed = False
 

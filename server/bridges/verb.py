@@ -28,10 +28,6 @@ log: Final = logging.getLogger(__name__)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb; return the exit code.
-
-    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
-    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -51,7 +47,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def to_foxglove(args: argparse.Namespace) -> int:
-    """Serve until the end of the daemon, or a signal."""
     server = foxglove.Server(args.port)
     try:
         log.info("in Foxglove open the connection %s, or %s", server.url, server.app)

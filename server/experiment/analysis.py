@@ -85,12 +85,10 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
 
 
 def is_counted(row: Entry) -> bool:
-    """Return True for a trial that is neither practice nor a catch trial."""
     return not (row["practice"] or row.get("catch"))
 
 
 def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
-    """Return the number of right and of all catch trials of each participant that has any."""
     shares = dict[str, tuple[int, int]]()
     for row in rows:
         if row.get("catch") and not row["practice"]:
@@ -100,7 +98,6 @@ def catch_shares(rows: Sequence[Entry]) -> dict[str, tuple[int, int]]:
 
 
 def find_excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]) -> dict[str, str]:
-    """Return the reason for each participant whose catch trials are below the limit of the file."""
     if experiment.catch is None:
         return {}
     limit = experiment.catch.min_right
@@ -120,18 +117,9 @@ def fit_answers(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | Powe
 
 
 def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
-    """Fit a line to the logarithms of answers over levels.
+    """Fit a line to the logarithms of answers (n,) over levels (n,), all above 0; the intervals are Student's.
 
-    Parameters
-    ----------
-    levels, answers
-        (n,) values above 0.
-
-    Returns
-    -------
-    PowerLaw
-        Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too
-        few answers.
+    Undetermined values are nan: the exponent of a single level, and the intervals of too few answers.
     """
     x, y = np.log(levels), np.log(answers)
     middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()
@@ -206,7 +194,6 @@ def format_interval(value: float, interval: tuple[float, float]) -> str:
 
 
 def table(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """Return a row of plain numbers for each group."""
     rows_by_group = []
     for group in groups:
         row: dict[str, Any] = {"participant": group.participant, "condition": group.condition, "trials": group.trials}

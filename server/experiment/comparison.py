@@ -38,22 +38,12 @@ class Comparison(NamedTuple):
 def compare_models(
     experiment: ExperimentFile, rows: Sequence[Entry], excluded: Collection[str] = ()
 ) -> list[Comparison]:
-    """Compare the model of all conditions with the models in which a factor has no effect, for each factor.
+    """Compare the model of all conditions with the models in which a factor has no effect.
 
-    Parameters
-    ----------
-    rows
-        Answered trials; practice and catch trials are ignored.
-    excluded
-        Participants to leave out.
+    rows      answered trials; practice and catch trials are ignored
+    excluded  participants to leave out
+    returns   a comparison for each factor with an answer at two or more of its levels, in the order of the file
 
-    Returns
-    -------
-    list of Comparison
-        One for each factor with an answer at two or more of its levels, in the order of the file.
-
-    Notes
-    -----
     Each participant has a threshold in each condition and one slope; for numbers and durations, an intercept in each
     condition, one exponent and one noise. Without a factor, conditions that differ only in it share the threshold or
     intercept. Twice the difference of the log likelihoods is chi-squared distributed (Wilks, Annals of Mathematical
@@ -84,10 +74,7 @@ def compare_models(
 
 
 def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
-    """Return the number of parameters and the maximum of the log likelihood of a participant's answers.
-
-    keys  factors that have an effect
-    """
+    """Return parameters and maximum log likelihood of a participant if the factors `keys` have an effect."""
     groups = dict[tuple[Any, ...], list[Entry]]()
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -204,7 +191,6 @@ def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, 
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
-    """Return the mean with Student's 95 % interval, which is nan for a single value."""
     mean, count = float(np.mean(values)), len(values)
     margin = student_975(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
     return mean, (mean - margin, mean + margin)

@@ -54,7 +54,6 @@ class Experiment:
 
     @property
     def conditions(self) -> list[Condition]:
-        """All combinations of the factors' levels."""
         return list_conditions(self.file)
 
     def __repr__(self) -> str:
@@ -156,10 +155,7 @@ def _begin_run(
     run_files: Mapping[str, Any],
     dry_run: bool,
 ) -> tuple[Journal, int]:
-    """Append a start to the journal; return the journal and the number of the start.
-
-    run_files  additional files of the start, by name
-    """
+    """Append a start to the journal; return the journal and the number of the start."""
     session.begin(participant_folder)
     number = participant_folder.next_run()
     if journal is None:

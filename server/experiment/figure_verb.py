@@ -10,10 +10,9 @@ from typing import Any
 
 from softfinger.config.files import new_file
 from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, table
-from softfinger.server.experiment.figures import draw
+from softfinger.server.experiment.figures import draw, draw_session
 from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, write_csv
 from softfinger.server.experiment.report import write_report
-from softfinger.server.experiment.session_figures import draw_session
 from softfinger.server.experiment.surveys import compare_scores, survey_table
 from softfinger.server.progress import progress
 

@@ -30,7 +30,6 @@ FILE_KEYS: Final = ("file", "solution")
 
 
 def list_shipped() -> list[str]:
-    """Return the names of the shipped experiments."""
     return names_in(EXPERIMENTS)
 
 
@@ -43,7 +42,6 @@ def read(source: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str
 
 
 def read_survey(survey: Survey, folder: Path) -> Survey:
-    """Return a survey with the questions of its file; raises ConfigError with every fault of that."""
     if not survey.file:
         return survey
     path = find_in(EXPERIMENTS / "surveys", "survey", resolve_source(folder, survey.file))
@@ -86,7 +84,6 @@ def _list_files(scene: Scene) -> Iterator[str]:
 
 
 def image_names(experiment: ExperimentFile) -> list[str]:
-    """Return the names of all images of the participant's page."""
     return sorted({screen_for(experiment, condition).image for condition in list_conditions(experiment)} - {""})
 
 

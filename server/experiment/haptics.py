@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import index_entries, value_at
@@ -16,7 +18,6 @@ from softfinger.server.experiment.hands import Hands, angle_between
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.parameters import load_changed_scene, split_masses, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.ticks import row, summary
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
@@ -94,7 +95,7 @@ class Haptics:
         finally:
             ticks, self._touch_ticks = self._touch_ticks, None
         self._wait_for_disk(ticks)
-        return TouchResult(summary(ticks, reached_s), ticks)
+        return TouchResult(_summary(ticks, reached_s), ticks)
 
     def release(self) -> None:
         """Remove the force, and wait until it is zero."""
@@ -160,7 +161,6 @@ class Haptics:
         return {path: value_at(scene, index_entries(scene, path)) for path in paths}
 
     def _lead_to_start(self, seconds: float) -> None:
-        """Lead hands to their start; takes at least `seconds`."""
         starts = self._hands.lead_to_start()
         until = time.monotonic() + START_TIMEOUT_S
         self.wait(seconds)
@@ -221,7 +221,7 @@ class Haptics:
             return
         self.latest[name] = sample
         if self._touch_ticks is not None:
-            self._touch_ticks.append(row(name, sample))
+            self._touch_ticks.append(_row(name, sample))
 
 
 def to_file_mapping(scene: Scene) -> dict[str, Any]:
@@ -230,3 +230,37 @@ def to_file_mapping(scene: Scene) -> dict[str, Any]:
     if scene.world is not None:
         mapping["object"] = [obj for obj in mapping["object"] if (obj.get("motion") or {}).get("kind") != "body"]
     return mapping
+
+
+def _row(finger: str, sample: Sample) -> dict[str, Any]:
+    tick = sample.data
+    (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
+    return {
+        "finger": finger, "tick": tick.tick, "timestamp": tick.timestamp, "x_m": x, "y_m": y, "z_m": z,
+        "fx_n": fx, "fy_n": fy, "fz_n": fz, "mode": tick.contact.mode, "object": tick.contact.object,
+        "penetration_m": tick.contact.penetration, "buttons": tick.buttons, "lost": sample.lost,
+    }  # fmt: skip
+
+
+def _summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
+    """Return the columns of a touch for the table of trials.
+
+    With several fingers, the path is that of the first one; the forces are over all.
+    """
+    if not ticks:
+        return {}
+    force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])
+    first = [tick for tick in ticks if tick["finger"] == ticks[0]["finger"]]
+    path = np.array([[tick["x_m"], tick["y_m"], tick["z_m"]] for tick in first])
+    norm = np.linalg.norm(force, axis=1)
+    touching = norm > 0.0
+    return {
+        "first_tick": first[0]["tick"],
+        "last_tick": first[-1]["tick"],
+        "lost_ticks": sum(tick["lost"] for tick in first),
+        "peak_force_n": float(norm.max()),
+        "mean_force_n": float(norm[touching].mean()) if touching.any() else 0.0,
+        "path_m": float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
+        "duration_s": float(first[-1]["timestamp"] - first[0]["timestamp"]) if reached_s is None else reached_s,
+        "reached": reached_s is not None,
+    }

@@ -195,7 +195,6 @@ def _analysis(experiment: ExperimentFile) -> list[str]:
 
 
 def count_trials(rows: Sequence[Entry]) -> tuple[int, int, int]:
-    """Return the number of trials of practice, of catch trials, and of those that are analysed."""
     practice = sum(bool(row["practice"]) for row in rows)
     counted = sum(is_counted(row) for row in rows)
     return practice, len(rows) - practice - counted, counted

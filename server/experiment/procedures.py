@@ -105,6 +105,5 @@ class QuestPlus:
 
 
 def _entropy(chances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the entropy of each row, nats."""
     entropy: NDArray[np.float64] = -(chances * np.log(np.maximum(chances, 1e-300))).sum(axis=-1)
     return entropy

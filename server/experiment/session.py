@@ -27,10 +27,7 @@ class Stopped(HapticError):
 
 
 class Session:
-    """Trials of a participant.
-
-    report  receives progress lines for the experimenter
-    """
+    """Trials of a participant; `report` receives progress lines for the experimenter."""
 
     def __init__(
         self, experiment: ExperimentFile, participant: int, report: Callable[[str], None] = lambda line: None
@@ -50,10 +47,7 @@ class Session:
         folder.begin(self.experiment, self.conditions, self.trials)
 
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask for consent and the surveys before the first trial, then show the instructions.
-
-        Raises Stopped if the participant does not agree.
-        """
+        """Ask for consent and the surveys before the first trial, then show the instructions."""
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
             answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
@@ -96,10 +90,7 @@ class Session:
             journal.write("finished", trials=len(self.trials))
 
     def _ask_surveys(self, at: str, block: int, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask the questions that are due and have no answer in the journal.
-
-        block  number of the block that has ended, 0: none
-        """
+        """Ask the unanswered questions that are due after a block (0: none)."""
         block_conditions = [
             trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block
         ]
@@ -123,7 +114,6 @@ class Session:
     def _run_trial(
         self, trial: PlannedTrial, attempt: int, apparatus: Apparatus, answers: AnswerSource
     ) -> tuple[Entry, list[dict[str, Any]]]:
-        """Present a trial and wait for its answer; return its journal entry and its ticks."""
         condition, task = self.conditions[trial.condition], self.experiment.task
         level = trial.level
         if level is None:
@@ -200,11 +190,9 @@ def number_blocks(trials: Sequence[PlannedTrial], is_mixed: bool) -> list[int]:
 
 
 def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
-    """Return the parameters of a touch for a value of the level."""
     also: Mapping[str, float] = experiment.task.also
     return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
 
 
 def is_right_answer(trial: PlannedTrial, answer: str | float) -> bool:
-    """Return True if the answer to a comparison names the test stimulus, not the reference."""
     return (answer == "first") == trial.test_first

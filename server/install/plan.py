@@ -50,10 +50,7 @@ SYSTEM: Final = InstallPaths(
 
 
 def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
-    """Return the places by the XDG base directories.
-
-    Raises ConfigError if one of them needs a home folder and there is none.
-    """
+    """Return the places by the XDG base directories."""
 
     def folder(name: str, fallback: str) -> Path:
         value = environment.get(name, "")
@@ -80,10 +77,7 @@ def install_paths(system: bool) -> InstallPaths:
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
-    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs.
-
-    Raises the errors of loading the rig or the scene.
-    """
+    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs."""
     from softfinger.server.cli import completion
 
     load_scene(scene)
@@ -115,9 +109,9 @@ def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
 
 
 def first_private_folder(words: Sequence[str]) -> Path | None:
-    """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
+    """Return the first folder that only its owner may enter, or None.
 
-    Returns None if there is none.
+    Looks on the path of a program, its interpreter or its files.
     """
     for path in (Path(word) for word in (*words, os.path.realpath(sys.executable)) if word.startswith("/")):
         for folder in reversed(path.parents):

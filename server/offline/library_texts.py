@@ -41,10 +41,7 @@ def library_table(kind: str, name: str) -> Any:
 
 
 def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
-    """Return rows for `check`: the entry that a table of a scene names, and the values that differ from it.
-
-    Returns no rows if the table names none.
-    """
+    """Return rows for `check`, if any: the entry that a table of a scene names, and the values that differ from it."""
     kind = "fingertip" if isinstance(table, Form) else "material"
     library, mapping = LIBRARIES[kind], describe(table)
     name = mapping.get(library.key)
@@ -89,7 +86,6 @@ def format_measured(each: Measured) -> str:
 
 
 def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
-    """Return name and reference of each of the papers, with the extent to which it was read."""
     return [
         (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
         for name, paper in papers().items()

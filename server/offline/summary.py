@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -18,13 +19,14 @@ from softfinger.config.schema import (
     ObjectBase,
     Rig,
     Scene,
+    Servo,
     Texture,
     Textured,
     Workspace,
+    World,
 )
 from softfinger.config.words import format_value
 from softfinger.server.offline.library_texts import entry_rows
-from softfinger.server.offline.worlds import world_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
     from softfinger.proxy.meshes.report import MeshReport
@@ -44,7 +46,7 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     for item in scene.object:
         rows += object_rows(item, scene.soft)
     rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows + ([] if scene.world is None else world_rows(scene.world))
+    return rows + ([] if scene.world is None else _world_rows(scene.world))
 
 
 def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
@@ -85,13 +87,11 @@ def _form(finger: FingerParts) -> str:
 
 
 def _size(item: ObjectBase) -> str:
-    """Format the dimensions of the shape, as in the file."""
     own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
     return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
 def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
-    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:
@@ -206,7 +206,6 @@ def _values(table: Struct) -> str:
 
 
 def rig_summary(rig: Rig) -> list[tuple[str, str]]:
-    """Return rows on device, loop, guard and telemetry."""
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [
@@ -257,3 +256,34 @@ def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
     driver = registry.load(device.driver)
     rows = getattr(driver, "rows", None)
     return [] if rows is None else list(rows(build(driver.Options, device.options, f"[{table}]")))
+
+
+def _world_rows(world: World) -> list[tuple[str, str]]:
+    """Return rows of the model, its time step and start, and of the geoms that differ from MuJoCo's."""
+    from softfinger.config.mjcf import compile_model
+    from softfinger.config.mjcf_geoms import convert_geoms
+
+    geoms = list(convert_geoms(world))
+    touched = sum(geom.object is not None for geom in geoms)
+    rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
+    rows.append(("  timestep", _timestep(world, float(compile_model(world.model, world.root).model.opt.timestep))))
+    if world.keyframe is not None:
+        rows.append(("  keyframe", world.keyframe))
+    return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
+
+
+def check_start(world: World, rate_hz: float = Servo().rate_hz) -> None:
+    """Raise ConfigError if the bodies of a world cannot begin at this rate."""
+    from softfinger.proxy.bodies import RigidBodies
+
+    RigidBodies(world).begin(1.0 / rate_hz)
+
+
+def _timestep(world: World, own: float) -> str:
+    if world.timestep == "file":
+        return f"{own:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (own * world.substeps):g}"
+    step = 1.0 / (Servo().rate_hz * world.substeps)
+    text = f"a tick's, {step:g} s at {Servo().rate_hz:g} Hz; the model's own is {own:g} s"
+    if own < 0.999 * step:
+        text += f": substeps = {math.ceil(step * world.substeps / own - 1e-3)} would keep to it"
+    return text

@@ -106,7 +106,6 @@ def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
 
 
 def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace | None = None) -> list[str]:
-    """Return both views side by side, as lines."""
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
     half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
     heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]

@@ -125,7 +125,6 @@ class McapFile:
             self._flush_if_full()
 
     def flush(self) -> None:
-        """End the chunk and write it to the file."""
         if not self._pending:
             return
         data = self._pending[0] if len(self._pending) == 1 else b"".join(self._pending)

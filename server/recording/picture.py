@@ -45,10 +45,7 @@ ARROW_M_PER_N: Final = 0.02
 def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
     """Return the indices of the records (n, RECORD_SIZE) to draw, and the number of the last picture.
 
-    Parameters
-    ----------
-    before
-        Number of the last picture, returned by the previous call; NaN for the first.
+    `before` is that number from the previous call, NaN for the first.
     """
     if not len(records):
         return np.empty(0, np.int64), before
@@ -61,7 +58,6 @@ def to_timestamp(time_ns: int) -> dict[str, int]:
 
 
 def frame_names(finger: str) -> tuple[str, str]:
-    """Return the names of a finger's frames: measured fingertip and proxy."""
     return (f"{finger}/{FINGERTIP}", f"{finger}/{PROXY}") if finger else (FINGERTIP, PROXY)
 
 

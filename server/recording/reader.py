@@ -108,7 +108,6 @@ class _Channel:
 
     @property
     def message_type(self) -> Any:
-        """Class of its messages."""
         if self._message_type is None:
             if self.schema is None or self.schema.encoding != "protobuf":
                 raise ValueError(f"messages of topic {self.topic[:40]!r} are not protobuf")
@@ -137,13 +136,7 @@ def translate_errors(path: str | Path, action: str = "written") -> Iterator[None
 
 
 def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
-    """Yield the contents of a recording in file order, followed by an End; report the progress.
-
-    Raises
-    ------
-    RecordingError
-        If the file is not a readable recording.
-    """
+    """Yield the contents of a recording in file order, followed by an End; report the progress."""
     with (
         translate_errors(path, "read"),
         open_input(path) as file,

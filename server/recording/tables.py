@@ -37,11 +37,7 @@ _SEPARATORS: Final = {
 
 
 class _Dialect:
-    """Dialect of a table, from its rows so far.
-
-    separator  name of the separator of cells, empty before the first row
-    commas     True for a decimal comma, False for a decimal point, as they occurred
-    """
+    """Dialect of a table, from its rows so far: name of the separator, and whether it has decimal commas or points."""
 
     def __init__(self) -> None:
         self.separator = ""
@@ -148,7 +144,6 @@ def _is_comment(line: bytes, columns: int) -> bool:
 
 
 def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialect) -> list[float]:
-    """Return the numbers of a line."""
     try:
         text = line.decode().replace("\N{MINUS SIGN}", "-")
     except UnicodeDecodeError as error:

@@ -43,10 +43,7 @@ DEFERRED: Final = frozenset({"set_scene", "reset_world"})
 
 
 class CommandService:
-    """Service that answers the requests of an endpoint.
-
-    scene_name  name of the initial scene
-    """
+    """Service that answers the requests of an endpoint."""
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
         self.endpoint: Final = endpoint
@@ -149,7 +146,6 @@ class CommandService:
         return encode_answer(request.command_id, getattr(self._handlers, request.method)(request))
 
     def _reply(self, client: bytes, command_id: str, outcome: Any) -> None:
-        """Send the result of a deferred method, or the refusal for an exception."""
         if isinstance(outcome, Exception):
             answer = encode_refusal(self._as_declined(outcome), command_id)
         else:
@@ -157,7 +153,6 @@ class CommandService:
         self._daemon.reply(client, answer)
 
     def _as_declined(self, error: Exception) -> Declined:
-        """Convert an exception into an answer."""
         match error:
             case Declined():
                 return error

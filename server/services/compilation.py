@@ -49,12 +49,7 @@ class NotCompiled(HapticError):
 
 
 class SceneRequest(NamedTuple):
-    """Request to replace the scene.
-
-    read  returns the validated scene
-    name  name of the scene
-    done  called with the first tick of the scene, or with the error
-    """
+    """Request to replace the scene."""
 
     read: Callable[[], schema.Scene]
     name: str

@@ -32,13 +32,7 @@ CLOSE_S: Final = 2.0
 
 
 class RecordingTotals(NamedTuple):
-    """Statistics of recordings.
-
-    ticks, bytes    written
-    ticks_dropped   ticks lost because the disk was too slow
-    events_dropped  events lost because the disk was too slow
-    worst_write_s   duration of the longest write
-    """
+    """Statistics of recordings; lost because the disk was too slow: `ticks_dropped`, `events_dropped`."""
 
     ticks: int
     bytes: int
@@ -58,11 +52,7 @@ class RecordingTotals(NamedTuple):
 
 
 class Recordings:
-    """Service that starts, feeds and ends recordings of a daemon.
-
-    fingers  names of several fingers, an empty name for a single one
-    event    publishes an event
-    """
+    """Service that starts, feeds and ends recordings of a daemon."""
 
     def __init__(self, rendering: Rendering, fingers: Sequence[str], event: Callable[..., Any]) -> None:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event

@@ -61,16 +61,12 @@ def _acquire(lock: threading.Lock) -> Iterator[None]:
 class Rendering:
     """Service of a servo and its devices, which are opened on construction and closed by `stop` in any case.
 
-    All changes to the running servo are made here; this class knows the scene and whether the force is on.
+    All changes to the running servo are made here; this class knows the scene and whether the force is on. A failure of
+    the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and ConfigError if the
+    rig has no device for a finger; no device remains open then.
 
-    rig, scene      validated configuration
-    ticks, prepare  as for `Servo`
-    faults          faults to inject between the devices and the loop
-    states          updated with the reasons that keep the force off
-    switch          as for `Servo`
-
-    A failure of the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and
-    ConfigError if the rig has no device for a finger; no device remains open then.
+    faults  faults to inject between the devices and the loop
+    states  updated with the reasons that keep the force off
     """
 
     def __init__(
@@ -173,24 +169,11 @@ class Rendering:
 
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        Parameters
-        ----------
-        changes
-            Values by dotted key, as for `load_scene`.
-        where
-            Origin of the changes, for messages.
+        changes  values by dotted key, as for `load_scene`
+        where    origin of the changes, for messages
+        returns  scene before and after, and a lower bound of the number of ticks started without the change
 
-        Returns
-        -------
-        tuple[Scene, Scene, int]
-            Scene before and after, and a lower bound of the number of ticks started without the change.
-
-        Raises
-        ------
-        ConfigError
-            If a value is out of its range, or would need another loop.
-        Replacing
-            If another change is in progress.
+        Raises ConfigError if a value is out of its range or would need another loop, Replacing during another change.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
@@ -267,7 +250,6 @@ class Rendering:
         return ticks
 
     def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
-        """Return a loop for the given devices, or for the present ones."""
         devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
@@ -330,10 +312,7 @@ class Rendering:
         shutdown.stop_all(self.servo.devices)
 
     def _wait_ticks(self, count: int, timeout_s: float) -> bool:
-        """Wait for a number of further ticks; return False on a timeout.
-
-        Returns True if the loop ends, because the force is then zero.
-        """
+        """Wait for further ticks; False on a timeout. True if the loop ends, because the force is then zero."""
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
         while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:

@@ -17,8 +17,7 @@ from softfinger.config.schema import Guard, Mesh, Object, Rig, Scene, Servo
 from softfinger.config.sources import EXPERIMENTS, find, find_in, list_shipped, names_in, read_toml
 from softfinger.config.words import format_value, near
 from softfinger.server.offline.part_faults import part_faults
-from softfinger.server.offline.summary import mesh_report, rig_summary, scene_summary
-from softfinger.server.offline.worlds import check_start
+from softfinger.server.offline.summary import check_start, mesh_report, rig_summary, scene_summary
 from softfinger.server.progress import progress, report_compilation
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)

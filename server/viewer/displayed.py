@@ -28,12 +28,10 @@ class LowDofDevice(NamedTuple):
     offset: Array
 
     def displayed_force(self, row: Array) -> Array:
-        """Return the part (3,) N of a tick's force that the device displays."""
         position, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
         return self.freedom.project_force(position - self.offset, force)
 
     def format_html(self, row: Array) -> str:
-        """Return the displayed and the missing force of a tick as HTML."""
         displayed = self.displayed_force(row)
         missing = float(np.linalg.norm(row[AT.force : AT.force + 3] - displayed))
         degrees = "one degree" if self.freedom.degrees == 1 else "two degrees"

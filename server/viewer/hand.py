@@ -116,7 +116,6 @@ class HandControls:
         self._help.content = ""  # whether a finger can be moved is unknown before the daemon describes them
 
     def change(self, fingers: list[MovableFinger]) -> None:
-        """Set the fingers that can be moved."""
         self._fingers = {finger.name: finger for finger in fingers}
         for memory in (self._targets, self._poses, self._active_drags, self._target_offsets):
             memory.clear()
@@ -249,7 +248,6 @@ class HandControls:
         return self._fingers[finger].radius
 
     def chosen_finger(self) -> str | None:
-        """Return the name of the chosen finger, which may be empty; None if no finger can be moved."""
         return self._chosen_finger() if self._fingers else None
 
     def send_target(self, finger: str, target: Target) -> None:

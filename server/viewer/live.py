@@ -212,7 +212,6 @@ class LivePage:
             self._request_description()
 
     def _send(self, name: str, method: str, params: dict[str, Any], on_result: Callable[[Any], None] = ignore) -> None:
-        """Queue a command whose refusal is shown."""
         self._commands.submit(name, QueuedCommand(method, params, on_result, self._show_refusal))
 
     def _lead_hand(self, finger: str, target: Target | None) -> None:
@@ -273,7 +272,6 @@ class LivePage:
 
 
 def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
-    """Return the visible part of a scene, without the poses of driven objects, which events report."""
     plain, driven = describe(scene), initial_poses(scene)
     objects = [
         {

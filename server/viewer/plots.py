@@ -54,7 +54,6 @@ class Plots:
         self._titles = [str(plot.title) for plot in self._plots]
 
     def name_finger(self, name: str) -> None:
-        """Add the finger's name to the titles; empty: no name."""
         for plot, title in zip(self._plots, self._titles, strict=True):
             plot.title = f"{name}: {title}" if name else title
 

@@ -71,11 +71,9 @@ class PromptPanel:
 
     @property
     def is_known(self) -> bool:
-        """Whether the daemon has sent its prompt."""
         return self._shown_prompt is not None
 
     def request(self) -> None:
-        """Request the prompt; `step` shows it."""
         self._commands.submit("prompt", QueuedCommand("get_prompt", {}, self._store))
 
     def handle_event(self, event: dict[str, Any]) -> None:
@@ -87,7 +85,6 @@ class PromptPanel:
         self._received = prompted
 
     def step(self) -> None:
-        """Show the received prompt; from the thread that draws."""
         received, self._received = self._received, None
         if received is None or received == self._shown_prompt:
             return
@@ -137,7 +134,6 @@ class PromptPanel:
 
 
 def format_screen(prompt: Prompt) -> str:
-    """Return colour, image and noise of a prompt as HTML; their values are escaped."""
     parts = []
     if prompt.colour:
         parts.append(COLOUR.format(colour=html.escape(prompt.colour)))

@@ -85,17 +85,14 @@ class Events:
         self._rate_hz = rate_hz
 
     def before(self, row: int) -> int | None:
-        """Return the row of the last event before a row."""
         index = bisect_left(self._rows, row)
         return self._rows[index - 1] if index else None
 
     def after(self, row: int) -> int | None:
-        """Return the row of the first event after a row."""
         index = bisect_right(self._rows, row)
         return self._rows[index] if index < len(self._rows) else None
 
     def format_html(self, row: int) -> str:
-        """Return the last events up to a row, latest first, as HTML."""
         end = bisect_right(self._rows, row)
         lines = [
             f"{self._rows[k] / self._rate_hz:.3f} s · {html.escape(self._texts[k])}"
@@ -106,7 +103,6 @@ class Events:
 
 
 def describe_event(event: dict[str, Any]) -> str:
-    """Return an event as a short text: kind, name, cause and finger."""
     text = f"{event.get('kind', '')} {event.get('name', '')}"
     for key in ("cause", "finger", "label", "message", "count"):
         if event.get(key) not in (None, "", 0, event.get("name")):

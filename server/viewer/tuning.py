@@ -31,7 +31,6 @@ class Knob(NamedTuple):
 
 
 def _friction(material: schema.Material, static: float) -> dict[str, float]:
-    """Return both coefficients in their present ratio."""
     friction = material.friction
     share = friction.kinetic / friction.static if friction is not None and friction.static > 0.0 else 1.0
     return {"friction.static": static, "friction.kinetic": static * share}
@@ -87,7 +86,6 @@ class SceneControls:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
     def show(self) -> None:
-        """Show the current values, also after a command was refused."""
         if self._scene is None:
             return
         for knob in self._knobs.values():

@@ -74,7 +74,6 @@ class TelemetryReceiver:
                 self._has_lost |= sample.lost > 0
 
     def take(self) -> ReceivedData:
-        """Return the data received since the last call."""
         ticks = {finger: np.array(rows) for finger, queue in list(self._rows.items()) if (rows := _drain(queue))}
         has_lost, self._has_lost = self._has_lost, False
         return ReceivedData(ticks, _drain(self._events), self._bodies, self._preparing, has_lost)
@@ -125,7 +124,6 @@ class CommandQueue:
         self._thread.start()
 
     def submit(self, name: str, request: QueuedCommand) -> None:
-        """Queue a command; it replaces a waiting one of the same name."""
         if self._allowed_methods is not None and request.method not in self._allowed_methods:
             request.on_error(f"{request.method}: this page has a --role that may not")
             return

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from softfinger.server.services.device_warnings import NAME, DeviceWarnings
+from softfinger.server.services.watches import DEVICE_WARNING, DeviceWarnings
 
 pytestmark = pytest.mark.plain
 
@@ -23,11 +23,11 @@ def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None
     for words in ("", "hot", "hot", "hotter", "", "", "hot"):
         said[0] = words
         watch.check()
-    assert told == [("fault", NAME, f"arm: {words}") for words in ("hot", "hotter", "hot")]
+    assert told == [("fault", DEVICE_WARNING, f"arm: {words}") for words in ("hot", "hotter", "hot")]
     assert caplog.text.count("arm: hot") == 3
 
 
 def test_a_failing_check_is_published() -> None:
     told = []
     DeviceWarnings(list, lambda *_, message: told.append(message)).handle_failure(ValueError("broken"))
-    assert told == ["warnings of devices are no longer published: broken"]
+    assert told == ["warnings of devices are no longer reported: broken"]

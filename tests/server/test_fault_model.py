@@ -14,7 +14,7 @@ from softfinger.drivers import base
 from softfinger.drivers.openhaptics import exchange as openhaptics
 from softfinger.server.loop import health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.services import device_warnings, swapping
+from softfinger.server.services import watches
 from softfinger.server.states import DaemonState
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
@@ -98,7 +98,7 @@ SET_BY = {
     "a pose that is not finite, out of range or short": [(health, "NO_FORCE_MAX_S")],
     "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "JUMP_S")],
     "a handle that runs away": [(limits, "SPEED_S"), (limits, "SLOW_S")],
-    "a device that warns": [(device_warnings, "PERIOD_S")],
+    "a device that warns": [(watches, "DEVICE_PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
     "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
     "a device that takes no force": [(base, "IGNORED_WRENCH_MAX_S")],
@@ -113,7 +113,7 @@ SET_BY = {
     ],
     "a process of commands that hangs": [(link, "SILENT_MAX_S")],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
-    "memory of the daemon in swap": [(swapping, "PERIOD_S")],
+    "memory of the daemon in swap": [(watches, "SWAP_PERIOD_S")],
     "commands that cannot be taken": [(SafetyStop, "exit_code")],
 }
 """Constants that set the numbers of a row; defaults of rig keys are in the reference of rigs."""

@@ -6,6 +6,7 @@ import gc
 import os
 import threading
 import weakref
+from contextlib import contextmanager
 
 import msgpack
 import numpy as np
@@ -52,6 +53,17 @@ class Kept:
 
 def scenes():
     return load_scene("paper-plane"), load_scene("frictionless-plane")
+
+
+@contextmanager
+def started(rig, scene, *sinks):
+    """Run a daemon; after 100 ticks yield it, then stop it if it still runs."""
+    with Daemon(rig, scene, sinks=sinks) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 100)
+        yield running
+        running.stop()
+        assert running.wait(WAIT_S)
 
 
 def left_open() -> tuple[int, int]:
@@ -117,13 +129,10 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
     rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
-    with Daemon(rig, load_scene("frictionless-plane"), sinks=[recorder.sink]) as running:
-        running.start()
+    with started(rig, load_scene("frictionless-plane"), recorder.sink) as running:
         assert eventually(recorder.pressed)
         begun = running.rendering.replace(stiff)
         assert eventually(lambda: running.servo.ticks > begun + 500)
-        running.stop()
-        assert running.wait(WAIT_S)
     forces = np.linalg.norm(recorder.all[begun : begun + 500, 3:], axis=1)
     limits = rig.guard.force_max_n * np.arange(1, 501) / (rig.guard.ramp_s * rig.servo.rate_hz)
     assert (forces <= limits * (1.0 + 1e-9)).all()  # rounding of the sum of shares
@@ -162,8 +171,7 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
         (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"servo.priority": 70})}),
         (DeviceNotFound, "no driver", {"rig": load_rig("replay", QUIET | {"device.driver": "nosuch"})}),
     ]
-    with Daemon(rig, first, sinks=[recorder.sink]) as running:
-        running.start()
+    with started(rig, first, recorder.sink) as running:
         shared, devices = running.servo.shared, running.devices
         for error, words, given in refused:
             with pytest.raises(error, match=words):
@@ -173,8 +181,6 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
             running.replace(second)
         assert running.servo.shared is shared and running.devices is devices
         assert eventually(recorder.pressed)
-        running.stop()
-        assert running.wait(60.0)
 
 
 @pytest.fixture
@@ -189,17 +195,12 @@ def faulty_rig(**changes):
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
     recorder, (first, second) = Kept(), scenes()
-    with Daemon(faulty_rig(), first, sinks=[recorder.sink]) as running:
-        running.start()
+    with started(faulty_rig(), first, recorder.sink) as running:
         assert eventually(recorder.pressed)
         running.replace(second, faulty_rig(**{"servo.rate_hz": 4000.0}))
-        recorder.rows.append(np.zeros((1, 6)))
-        recorder.rows.pop()
         assert eventually(
             lambda: len(driver.devices) == 2 and np.abs(driver.devices[1].wrenches).max(initial=0.0) > 0.2
         )
-        running.stop()
-        assert running.wait(60.0)
     old, new = driver.devices
     assert acts(old) == ["arm", "stop", "close", "stop"] and acts(new)[:2] == ["arm", "stop"]
     assert new.acts[0][2] == 0
@@ -213,20 +214,17 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
     newest, (first, second) = [], scenes()
     rig = faulty_rig(**{"guard.arm": "command"})
-    with Daemon(
-        rig, first, sinks=[Sink("newest", lambda records, drops: newest.append(records[-1].copy()))]
-    ) as running:
+    with started(rig, first, Sink("newest", lambda records, drops: newest.append(records[-1].copy()))) as running:
         rendering, devices = running.rendering, driver.devices
-        running.start()
 
         def pressed() -> bool:
             return float(np.abs(devices[-1].wrenches[-5:]).max(initial=0.0)) > 0.1
 
-        def idle(ticks: int) -> bool:
-            return eventually(lambda: running.servo.ticks > begun + ticks)
+        def idle() -> bool:
+            begun = running.servo.ticks
+            return eventually(lambda: running.servo.ticks > begun + 100)
 
-        begun = running.servo.ticks
-        assert idle(100) and not devices[0].wrenches.any()
+        assert not devices[0].wrenches.any()
         rendering.disarm(COMMANDED)
         assert eventually(lambda: rendering.force.is_off and newest)
         z = newest[-1][AT.probe_position + 2]
@@ -243,12 +241,9 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
             running.replace(second, faulty_rig(**{"guard.arm": "command"} | changes))
             assert len(devices) == count + 1 and not rendering.force.is_requested
             assert rendering.offsets == ((0.0, 0.0, 0.0),)
-            begun = running.servo.ticks
-            assert idle(100) and not devices[-1].wrenches.any()
+            assert idle() and not devices[-1].wrenches.any()
             rendering.arm(UNARMED)
             assert eventually(pressed)
-        running.stop()
-        assert running.wait(60.0)
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
@@ -266,9 +261,7 @@ def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
     first, second = scenes()
-    with Daemon(faulty_rig(), first) as running:
-        running.start()
-        assert eventually(lambda: running.servo.ticks > 100)
+    with started(faulty_rig(), first) as running:
         opening = driver.open_device
 
         def stopped_meanwhile(options, rate_hz):
@@ -285,9 +278,7 @@ def test_a_stop_during_a_replacement_arms_nothing(driver):
 def test_a_pause_during_a_replacement_ends_the_run(driver):
     """While a loop is replaced, Ctrl-Z cannot ramp the force down, so the servo stops at zero."""
     first, _ = scenes()
-    with Daemon(faulty_rig(), first) as running:
-        running.start()
-        assert eventually(lambda: running.servo.ticks > 100)
+    with started(faulty_rig(), first) as running:
         with running.rendering._tuning_lock:
             running.pause()()
         assert running.wait(60.0)
@@ -319,11 +310,10 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
 
 def test_two_pauses_are_one_pause(driver):
     first, _ = scenes()
-    with Daemon(faulty_rig(), first) as running:
-        running.start()
+    with started(faulty_rig(), first) as running:
         device = driver.devices[0]
         pressed = lambda: np.linalg.norm(device.wrenches[-1]) > 0.2  # noqa: E731
-        assert eventually(lambda: len(device.wrenches) and pressed())
+        assert eventually(pressed)
         outer = running.pause()
         inner = running.pause()
         inner()
@@ -332,8 +322,6 @@ def test_two_pauses_are_one_pause(driver):
         assert not device.wrenches[-10:].any()
         outer()
         assert eventually(pressed)
-        running.stop()
-        assert running.wait(60.0)
 
 
 def test_a_device_that_refuses_arming_raises_its_error(driver):

@@ -45,11 +45,6 @@ def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
     assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
 
 
-def test_csv_header_names_every_component(tmp_path: Path) -> None:
-    write_results(tmp_path / "o.csv", some_records(2))
-    assert (tmp_path / "o.csv").read_text().splitlines()[0] == ",".join(columns())
-
-
 @pytest.mark.parametrize("count", [1, 7, 1100])
 def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
     records = some_records(count)
@@ -59,8 +54,8 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
     records[::2, 12] = -0.0
     records[:, 13] = np.resize([1e15, 9999999999999998.0, 1e16, -(2.0**53), 1e22, 1e-5], count)
     write_results(tmp_path / "o.csv", records)
-    wanted = [[msgspec.json.encode(number).decode().removesuffix(".0") for number in row] for row in records.tolist()]
-    assert (tmp_path / "o.csv").read_text().splitlines()[1:] == [",".join(row) for row in wanted]
+    rows = [[msgspec.json.encode(number).decode().removesuffix(".0") for number in row] for row in records.tolist()]
+    assert (tmp_path / "o.csv").read_text().splitlines() == [",".join(row) for row in [columns(), *rows]]
 
 
 @pytest.mark.parametrize("count", [0, 1, 9000])
@@ -83,17 +78,6 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
     with ZipFile(tmp_path / "o.npz") as archive:
         stored = {each.filename for each in archive.infolist() if each.compress_type == ZIP_STORED}
     assert stored == {"records.npy", "tick.npy", "buttons.npy"}
-
-
-def test_npz_has_an_array_for_each_field(tmp_path: Path) -> None:
-    records = some_records(5)
-    write_results(tmp_path / "o.npz", records)
-    with np.load(tmp_path / "o.npz") as archive:
-        assert set(archive) == {"records", *(field.name for field in FIELDS)}
-        for field in FIELDS:
-            at = field.at
-            wanted = records[:, at : at + field.size] if field.size > 1 else records[:, at]
-            assert archive[field.name].tobytes() == np.ascontiguousarray(wanted).tobytes()
 
 
 def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from softfinger.server.services.swapping import NAME, STATUS, Swapping, parse_swapped_kb
+from softfinger.server.services.watches import STATUS, SWAPPED, Swapping, parse_swapped_kb
 
 pytestmark = pytest.mark.plain
 
@@ -24,7 +24,7 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
         status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
         watch.check()
     assert [(kind, name, message.split(":")[0]) for kind, name, message in told] == [
-        ("fault", NAME, f"{kilobytes} kB of the daemon are in swap") for kilobytes in (40, 12)
+        ("fault", SWAPPED, f"{kilobytes} kB of the daemon are in swap") for kilobytes in (40, 12)
     ]
     assert caplog.text.count("softfinger doctor") == 2
 
@@ -36,7 +36,7 @@ def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) ->
     watch._thread.join(10.0)
     watch.stop()
     ((words, fields),) = told
-    assert words == ("fault", NAME) and "No such file" in fields["message"]
+    assert words == ("fault", SWAPPED) and "No such file" in fields["message"]
 
 
 def test_this_system_reports_swapped_memory() -> None:

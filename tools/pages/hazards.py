@@ -23,7 +23,7 @@ from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
 from softfinger.drivers.serial.options import Options as SerialOptions
 from softfinger.server.loop import health, limits
 from softfinger.server.loop.force_switch import MAX_OFF_S
-from softfinger.server.services import device_warnings, swapping
+from softfinger.server.services import watches
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
 
@@ -178,8 +178,8 @@ HAZARDS: Final = (
         ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
     ),
     Hazard(
-        "a device that warns", f"the driver, every {device_warnings.PERIOD_S:g} s",
-        f"{device_warnings.PERIOD_S:g} s", "as before", "as its message says",
+        "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
+        f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as its message says",
         ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
@@ -342,8 +342,8 @@ HAZARDS: Final = (
          "tests/server/test_cli.py::test_an_endpoint_in_use_gives_exit_code_7"),
     ),
     Hazard(
-        "memory of the daemon in swap", f"VmSwap, at the start and every {swapping.PERIOD_S:g} s",
-        f"{swapping.PERIOD_S:g} s", "as before",
+        "memory of the daemon in swap", f"VmSwap, at the start and every {watches.SWAP_PERIOD_S:g} s",
+        f"{watches.SWAP_PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
         ("tests/server/test_swapping.py::test_memory_in_swap_is_reported_once",),
     ),

@@ -184,7 +184,6 @@ def limit_browsers(handler: Handler) -> Handler:
 
 @lru_cache(maxsize=4)
 def _set_title(body: bytes, is_gzip: bool, title: str) -> bytes:
-    """Return an HTML page with this program's title."""
     plain = gzip.decompress(body) if is_gzip else body
     plain = plain.replace(VISER_TITLE, f"<title>{title}</title>".encode(), 1)
     return gzip.compress(plain) if is_gzip else plain

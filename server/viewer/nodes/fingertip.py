@@ -32,7 +32,6 @@ SHADOW_OPACITY: Final = 0.085
 
 
 def add_finger(api: Any, node: str, parts: schema.FingerParts) -> Any:
-    """Add a finger with its nail; return the node of the finger."""
     radii = np.array(parts.radii_m or (parts.radius_m,) * 3)
     skin, _ = (
         api.add_mesh_simple(

@@ -59,7 +59,6 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
 
 
 def rotation_to(normal: Array) -> Quaternion:
-    """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
         return (0.0, 1.0, 0.0, 0.0)
@@ -68,7 +67,6 @@ def rotation_to(normal: Array) -> Quaternion:
 
 
 def rotate(q: Quaternion, points: Array) -> Array:
-    """Rotate points (..., 3) by the unit quaternion `q`."""
     w, v = q[0], np.array(q[1:])
     cross = 2.0 * np.cross(v, points)
     return np.asarray(points + w * cross + np.cross(v, cross))
@@ -115,19 +113,16 @@ class Trace:
 
     @property
     def segments(self) -> Array:
-        """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
         return self._segments[: self._padded_count()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
-        """Colours of the segments (n, 2, 3)."""
         return self._colours[: self._padded_count()]
 
     def _padded_count(self) -> int:
         return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
 
     def break_line(self) -> None:
-        """Start a new line at the next point."""
         self._last, self._can_extend = None, False
 
     _can_extend = False

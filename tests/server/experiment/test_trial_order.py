@@ -10,7 +10,6 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import number_blocks
@@ -31,11 +30,6 @@ def small(**tables: Any) -> dict[str, Any]:
 
 def file(**tables: Any) -> ExperimentFile:
     return Experiment(small(**tables)).file
-
-
-@pytest.mark.parametrize("name", list_shipped())
-def test_each_shipped_experiment_can_be_used(name: str) -> None:
-    assert Experiment(name).file.title
 
 
 def test_all_combinations_occur_equally_often() -> None:

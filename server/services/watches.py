@@ -1,0 +1,95 @@
+"""Conditions that affect rendering but do not end it, reported to the log and to subscribers."""
+
+from __future__ import annotations
+
+import logging
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from softfinger.drivers.base import Device
+from softfinger.server.services.base import Worker
+
+log: Final = logging.getLogger(__name__)
+
+DEVICE_PERIOD_S: Final = 0.5
+SWAP_PERIOD_S: Final = 1.0
+DEVICE_WARNING: Final = "device_warning"
+SWAPPED: Final = "swapped"
+STATUS: Final = Path("/proc/self/status")
+ADVICE: Final = (
+    "a tick that needs it waits for the disk: end the programs that fill the memory, or let the daemon lock its memory "
+    "(see `softfinger doctor`)"
+)
+
+
+class _Check(Worker):
+    """Service that calls `check` periodically; a failure is an event, and the run continues."""
+
+    def __init__(self, name: str, subject: str, period_s: float, publish: Callable[[str], object]) -> None:
+        super().__init__(name)
+        self._subject, self._period_s, self._publish = subject, period_s, publish
+
+    @abstractmethod
+    def check(self) -> None: ...
+
+    def work(self) -> None:
+        self.check()
+        while not self.closing.wait(self._period_s):
+            self.check()
+
+    def warn(self, message: str) -> None:
+        log.warning("%s", message)
+        self._publish(message)
+
+    def handle_failure(self, error: Exception) -> None:
+        self._publish(f"{self._subject} no longer reported: {error}")
+
+
+class DeviceWarnings(_Check):
+    """Service that polls the devices for warnings, and reports each once, when it starts or changes."""
+
+    def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
+        super().__init__(
+            "device warnings",
+            "warnings of devices are",
+            DEVICE_PERIOD_S,
+            lambda text: event("fault", DEVICE_WARNING, message=text),
+        )
+        self._devices = devices
+        self._reported: set[tuple[str, str]] = set()
+
+    def check(self) -> None:
+        now = {(device.info.name, device.warning()) for device in self._devices()}
+        for name, warning in sorted(now - self._reported):
+            if warning:
+                self.warn(f"{name}: {warning}")
+        self._reported = now
+
+
+class Swapping(_Check):
+    """Service that checks for memory of the daemon in swap, and reports it once until all of it is back.
+
+    status  of the process, in the format of proc_pid_status(5)
+    """
+
+    def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
+        super().__init__(
+            "swapping", "memory in swap is", SWAP_PERIOD_S, lambda text: event("fault", SWAPPED, message=text)
+        )
+        self._status = status
+        self._reported = False
+
+    def check(self) -> None:
+        kilobytes = parse_swapped_kb(self._status.read_text())
+        if kilobytes and not self._reported:
+            self.warn(f"{kilobytes} kB of the daemon are in swap: {ADVICE}")
+        self._reported = kilobytes > 0
+
+
+def parse_swapped_kb(status: str) -> int:
+    """Return the memory of a process in swap, kB; 0 if the system does not report it."""
+    match = re.search(r"^VmSwap:\s+(\d+) kB$", status, re.MULTILINE)
+    return int(match[1]) if match else 0
