@@ -10,6 +10,7 @@ from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, De
 from softfinger.drivers.forcedimension import library, usb
 from softfinger.drivers.forcedimension.models import Model, find_model
 from softfinger.drivers.forcedimension.options import Options
+from softfinger.drivers.system import discovery
 
 log: Final = logging.getLogger(__name__)
 
@@ -51,7 +52,7 @@ def load(named: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:
-        devices = [str(device) if device.permitted else usb.how_to_permit(device) for device in usb.list_attached()]
+        devices = [usb.refusal(device) or str(device) for device in usb.list_attached()]
         attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
         raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
@@ -70,8 +71,8 @@ def read_serial(call: ctypes.CDLL, device: int) -> int:
 def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
     devices = usb.list_attached()
     for device in devices:
-        if not device.permitted:
-            raise DevicePermission(usb.how_to_permit(device))
+        if refusal := usb.refusal(device):
+            raise DevicePermission(refusal)
     if count < 0:
         raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
     if devices:
@@ -82,14 +83,15 @@ def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
 def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        by = ", ".join(name for device in usb.list_attached() for name in usb.holders(device)) or "another process"
+        holders = [str(holder) for device in usb.list_attached() if (holder := discovery.holder(device.node))]
+        by = ", ".join(holders) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
         for device in usb.list_attached():
-            if not device.permitted:
-                return DevicePermission(usb.how_to_permit(device))
+            if refusal := usb.refusal(device):
+                return DevicePermission(refusal)
     if code == library.ERROR_TIMEOUT:
         return DeviceTimeout(f"device {number} did not answer when opened ({text}): switch it off and on")
     return DeviceError(f"device {number} cannot be opened: {text}: check cable and power, then start again")

@@ -39,6 +39,13 @@ def root() -> Iterator[Path]:
         yield Path(folder)
 
 
+@pytest.fixture
+def node(root: Path) -> Path:
+    path = root / "node"
+    path.write_bytes(b"")
+    return path
+
+
 def write(folder: Path, **files: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
@@ -158,9 +165,7 @@ def test_no_driver_claims_a_keyboard() -> None:
     assert "docs/devices/hid.md" in diagnose(keyboard, None).remedy
 
 
-def test_a_node_that_may_be_opened_is_usable(root: Path) -> None:
-    node = root / "hidraw0"
-    node.write_bytes(b"")
+def test_a_node_that_may_be_opened_is_usable(node: Path) -> None:
     assert diagnose(at(node), find_claim(at(node))) == Diagnosis("usable")
 
 
@@ -176,9 +181,7 @@ def test_missing_nodes_are_diagnosed(root: Path) -> None:
     assert "cdc_acm" in diagnose(bare, find_claim(bare)).remedy
 
 
-def test_a_teensy_is_not_identified_by_its_ids(root: Path) -> None:
-    node = root / "ttyACM0"
-    node.write_bytes(b"")
+def test_a_teensy_is_not_identified_by_its_ids(node: Path) -> None:
     board = at(node, 0x16C0, 0x0483, bus="serial")
     diagnosis = diagnose(board, find_claim(board))
     assert diagnosis.state == "product"
@@ -249,10 +252,8 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
 def test_permission_is_diagnosed(
-    root: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
+    node: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
 ) -> None:
-    node = root / "node"
-    node.write_bytes(b"")
     node.chmod(mode)
     os.chown(node, 0, group)
     device = at(node, vendor, product, bus)
@@ -267,9 +268,7 @@ def test_permission_is_diagnosed(
     assert remedy in diagnosis.remedy
 
 
-def test_a_holder_is_named(root: Path) -> None:
-    node = root / "hidraw0"
-    node.write_bytes(b"")
+def test_a_holder_is_named(node: Path) -> None:
     code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
     with Program(
         [sys.executable, "-c", code, str(node)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -290,12 +289,10 @@ def test_a_holder_is_named(root: Path) -> None:
         assert holder.pid == os.getpid()
 
 
-def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("HOME", str(root))
-    node = root / "node"
-    node.write_bytes(b"")
+    monkeypatch.setenv("HOME", str(node.parent))
     omega = at(node, 0x1451, 0x0402, bus="usb")
     diagnosis = diagnose(omega, find_claim(omega))
     assert diagnosis.state == "library"
@@ -303,13 +300,11 @@ def test_a_missing_library_is_diagnosed(root: Path, monkeypatch: pytest.MonkeyPa
     assert "export FDSDK=" in diagnosis.remedy
 
 
-def test_the_library_file_of_the_rig_is_checked(root: Path) -> None:
-    node = root / "node"
-    node.write_bytes(b"")
+def test_the_library_file_of_the_rig_is_checked(node: Path) -> None:
     omega = at(node, 0x1451, 0x0402, bus="usb")
-    named = DeviceConfig(driver="forcedimension", options={"library_file": str(root / "libdrd.so.9")})
+    named = DeviceConfig(driver="forcedimension", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9': there is no such file" in diagnose(omega, find_claim(omega), named).reason
-    other = DeviceConfig(driver="hid", options={"library_file": str(root / "libdrd.so.9")})
+    other = DeviceConfig(driver="hid", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), other).reason
 
 
@@ -330,9 +325,7 @@ def test_a_missing_driver_is_diagnosed(root: Path) -> None:
     assert "'no-such-driver' is not in this installation" in diagnosis.reason
 
 
-def test_a_falcon_is_claimed(root: Path) -> None:
-    node = root / "node"
-    node.write_bytes(b"")
+def test_a_falcon_is_claimed(node: Path) -> None:
     falcon = at(node, 0x0403, 0xCB48, bus="usb")
     diagnosis = diagnose(falcon, find_claim(falcon))
     assert diagnosis.state == ("firmware" if "falcon" in registry.names() else "driver")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call
 
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import delta, exchange, packets
@@ -50,18 +50,20 @@ NOTHING = packet((0, 0, 0), 2)
 """Zero with the green light."""
 
 
-class Usb:
+class Usb(FarEnd):
     """Scripted libusb, and the block of a driver that is homed and armed.
 
     comes    data of the incoming transfers; None: the transfer ends with state `ends`
     answers  add the next reply whenever handling of events completes a packet
     """
 
+    exchange = exchange
+
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
         patch.setattr(exchange, "call_int32", self._call)
         self.block = GuardedBlock(AT)
-        self.word = word = self.block.word
+        word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
         self.transfers = {at: np.zeros(8, np.int64) for at in (AT.transfer_in, AT.transfer_out)}
         for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
@@ -137,14 +139,13 @@ class Usb:
     def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
         self.comes += comes
         self.waits.clear()
-        sample = np.full(SAMPLE_SIZE, nan)
-        status = self.block.call(exchange.read, sample)
+        status, sample = super().read()
         assert self.word[AT.lock] == 0
         return status, sample
 
     def write(self, *wrench: float) -> int:
         self.waits.clear()
-        status = self.block.call(exchange.write, wrench)
+        status = super().write(*wrench)
         assert self.word[AT.lock] == 0
         return status
 
@@ -157,9 +158,6 @@ class Usb:
         out = self.sent[:]
         self.sent.clear()
         return out
-
-    def counts(self) -> dict[str, int]:
-        return {name: count for name, count in self.block.counts().items() if count}
 
     def forces(self) -> dict[str, int]:
         return {name: n for name, n in self.counts().items() if name in ("written", "held", "kicks", "cut")}

@@ -10,14 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
-from helpers.usb_stub import (
-    NO_COMPILER,
-    FalconBench,
-    UsbStub,
-    stub,
-    usb_library,
-    word,
-)
+from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library, word
 
 from softfinger.config.errors import DeviceError, DeviceLost
 from softfinger.config.load import load_rig, load_scene

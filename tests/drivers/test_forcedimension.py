@@ -424,7 +424,7 @@ def test_the_process_that_uses_the_device_is_named(stub: Stub, bench: StubBench)
         (nodes / "001" / "005").open() as node,
         Program(["sleep", "60"], stdin=node) as holder,
     ):
-        with pytest.raises(DeviceBusy, match=rf"used by \w+ \({holder.pid}\)"):
+        with pytest.raises(DeviceBusy, match=rf"used by process {holder.pid} \(sleep\)"):
             bench.open()
         holder.kill()
 

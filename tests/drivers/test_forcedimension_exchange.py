@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import exchange
@@ -25,14 +25,15 @@ FORCE, ERROR, CAUSE = 5, 9, 14
 """Indices of the library's status words, by its manual."""
 
 
-class Library:
+class Library(FarEnd):
     """Scripted library with `results` by name (0 by default), and an armed driver's block that calls it."""
+
+    exchange = exchange
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
         patch.setattr(exchange, "call_int32", self._call)
         self.block = GuardedBlock(AT)
-        self.word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
         for number, name in enumerate(LIBRARY_FUNCTIONS, 100):
             self.word[getattr(AT, name)] = number
@@ -70,16 +71,12 @@ class Library:
 
     def read(self) -> tuple[int, np.ndarray]:
         self.asked.clear()
-        sample = np.full(SAMPLE_SIZE, 7.0)
-        return self.block.call(exchange.read, sample), sample
+        return super().read()
 
     def write(self, *wrench: float) -> int:
         self.asked.clear()
         self.wrenches.clear()
-        return self.block.call(exchange.write, wrench)
-
-    def counts(self) -> dict[str, int]:
-        return {name: count for name, count in self.block.counts().items() if count}
+        return super().write(*wrench)
 
 
 @pytest.fixture

@@ -97,6 +97,21 @@ def service() -> Iterator[Service]:
         yield running
 
 
+@contextlib.contextmanager
+def exchanging(service: Service, **changes: Any) -> Iterator[tuple[HaplyDevice, Servo]]:
+    """Open a device, and wait for its first state."""
+    with opened(service, **changes) as device:
+        servo = Servo(device)
+        fresh(servo)
+        yield device, servo
+
+
+def push_up(device: HaplyDevice, servo: Servo) -> None:
+    """Write 1 N along z, and wait until it is sent."""
+    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    settle(device)
+
+
 def at_rest(service: Service) -> None:
     until(lambda: not any(service.force()), 5.0)
 
@@ -149,9 +164,7 @@ def test_a_wired_grip_has_one_button() -> None:
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
     late_s = 0.02
     service.set(late_s=late_s)
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, servo):
         before, statuses, begun = device.counts(), [], time.monotonic()
         for n in range(1, 51):
             statuses.append(servo.write(0.01 * n, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -172,11 +185,8 @@ def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
     ("version", "key"), [("3.1.1", "values"), ("3.4.2", "values"), ("3.5.0", "vector"), ("3.9.1", "vector")]
 )
 def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None:
-    with Service(version) as of_version, opened(of_version) as device:
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device)
+    with Service(version) as of_version, exchanging(of_version) as (device, servo):
+        push_up(device, servo)
         assert of_version.force() == (0.0, 0.0, 1.0)
         assert f'"set_cursor_force":{{"{key}"' in of_version.do("seen")["said"][0]
 
@@ -211,9 +221,7 @@ def test_the_error_lists_available_devices() -> None:
             opened(two, device_id="0A11", models=None)
         with pytest.raises(DeviceNotFound, match=r"no VerseGrip '3'.*pair it"):
             opened(two, device_id="0A11", models=None, grip="3")
-        with opened(two, device_id="0A11", models=None, grip="none") as device:
-            servo = Servo(device)
-            fresh(servo)
+        with exchanging(two, device_id="0A11", models=None, grip="none") as (device, servo):
             servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
             settle(device)
             assert (two.force("0A11"), two.force("049D")) == ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0))
@@ -315,9 +323,7 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
 
 
 def test_warnings_of_the_service_are_reported(service: Service) -> None:
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, _):
         assert device.warning() == ""
         for status, told in (
             ({"power_supply": False, "calibrated": False}, "no power supply, and gives no force; it is not calibrated"),
@@ -335,12 +341,9 @@ def test_the_lock_is_for_one_service() -> None:
 
 
 def test_an_old_wrench_becomes_zero(service: Service) -> None:
-    with opened(service, stale_s=0.02) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service, stale_s=0.02) as (device, servo):
         begun = time.monotonic()
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device)
+        push_up(device, servo)
         until(lambda: servo.read()[0] == WITHHELD, 10.0)
         at_rest(service)
         given = [row[3] for row in service.log() if row[0] >= begun]
@@ -356,9 +359,7 @@ def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
         '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
     )
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, servo):
         service.set(spoil=text)
         if place == "1e400":
             assert first_failure(servo) == PROTOCOL
@@ -391,11 +392,8 @@ BAD: dict[str, tuple[Any, int, str]] = {
 @pytest.mark.parametrize("case", BAD)
 def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
     text, wanted, told = BAD[case]
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device)
+    with exchanging(service) as (device, servo):
+        push_up(device, servo)
         service.set(spoil=text)
         assert first_failure(servo) == wanted
         assert re.search(told, device.reason()), device.reason()
@@ -407,9 +405,7 @@ def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> N
 
 
 def test_a_flood_of_states_is_a_protocol_error(service: Service) -> None:
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, servo):
         service.set(copies=40)
         assert first_failure(servo) == PROTOCOL
         assert "unexpected states" in device.reason()
@@ -417,9 +413,7 @@ def test_a_flood_of_states_is_a_protocol_error(service: Service) -> None:
 
 def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
     """If the grip in use is no longer listed, the device is lost: otherwise its orientation would be frozen."""
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, servo):
         service.do("vanish", id="7")
         assert first_failure(servo) == LOST
         assert "wireless_verse_grip 7 is no longer in the service's list" in device.reason()
@@ -429,8 +423,7 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     device = opened(service, timeout_s=0.3)
     servo = Servo(device)
     fresh(servo)
-    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    settle(device)
+    push_up(device, servo)
     os.kill(service.process.pid, signal.SIGSTOP)
     try:
         assert first_failure(servo) == TIMEOUT
@@ -443,9 +436,7 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
 
 
 def test_stop_while_the_loop_writes(service: Service) -> None:
-    with opened(service) as device:
-        servo = Servo(device)
-        fresh(servo)
+    with exchanging(service) as (device, servo):
         going = threading.Event()
 
         def push() -> None:

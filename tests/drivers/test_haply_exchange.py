@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, GuardedBlock, by_call, check_pose
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT, FrameConversion
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -23,12 +23,13 @@ ZERO = (0.0,) * 6
 Q = (0.5, 0.1, -0.7, 0.5)
 
 
-class Device:
+class Device(FarEnd):
+    exchange = exchange
+
     def __init__(self, patch: pytest.MonkeyPatch, mounting: tuple[Any, Any]) -> None:
         self.clock, self.woken = by_call(patch, exchange), File(FD)
         patch.setattr(exchange, "write_now", self.woken.write)
         self.block = GuardedBlock(AT)
-        self.word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
         self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(FrameConversion(*mounting, 5.0))
         self.word[AT.opened_at] = START_NS - 2000 * MS
@@ -40,12 +41,8 @@ class Device:
         pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
         self.word[AT.pose_sequence] += 2
 
-    def read(self) -> tuple[int, np.ndarray]:
-        sample = np.full(SAMPLE_SIZE, np.nan)
-        return self.block.call(exchange.read, sample), sample
-
     def write(self, *wrench: float, sends: bool = True) -> int:
-        status = self.block.call(exchange.write, wrench)
+        status = super().write(*wrench)
         if sends:
             self.word[AT.handled] = self.word[AT.written]
         return status
@@ -54,9 +51,6 @@ class Device:
         """Return the last wrench in the sequence lock: force (N), time (ns), number."""
         assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
         return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
-
-    def counts(self) -> dict[str, int]:
-        return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, GuardedBlock, by_call, matrix, turned
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
 
-from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import exchange
 from softfinger.drivers.openhaptics.block import AT, WRENCH_SIZE
 
@@ -36,14 +36,16 @@ PULL = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 OVER, AGAIN = 0, 1
 
 
-class Library:
+class Library(FarEnd):
+    exchange = exchange
+
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, exchange)
         patch.setattr(exchange, "call_void", self._call)
         patch.setattr(exchange, "call_int32", self._call)
         patch.setattr(exchange, "call_two_int64", self._call)
         self.block = GuardedBlock(AT)
-        self.word = word = self.block.word
+        word = self.block.word
         for number, name in enumerate(LIBRARY_FUNCTIONS, 100):
             word[getattr(AT, name)] = number
         word[AT.device], word[AT.has_torque], word[AT.age_max] = DEVICE, 1, AGE_MAX
@@ -95,13 +97,12 @@ class Library:
     def read(self) -> tuple[int, np.ndarray]:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
         self.block.fixed = [(0, AT.reads), (AT.position, AT.read_pose), (AT.wrench_sequence, len(self.word))]
-        sample = np.full(SAMPLE_SIZE, 7.0)
-        return self.block.call(exchange.read, sample), sample
+        return super().read()
 
     def write(self, *wrench: float) -> int:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
         self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
-        return self.block.call(exchange.write, wrench)
+        return super().write(*wrench)
 
     def given(self, what: int = FORCE) -> list[float]:
         """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
@@ -116,9 +117,6 @@ class Library:
         for _ in range(exchange.PROBES + 1):
             assert self.frame() == AGAIN
         assert self.read()[0] == OK
-
-    def counts(self) -> dict[str, int]:
-        return self.block.counts()
 
 
 @pytest.fixture

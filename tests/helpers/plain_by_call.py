@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from numba import config
 from numpy.typing import NDArray
 
 from helpers.plain_exchange import ORDERED, exchange_int64, unpack_at
+from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.block import Block
 from softfinger.drivers.system.libc import EAGAIN, EIO
 from softfinger.proxy.kernels.jit import seqlock
@@ -85,6 +86,30 @@ def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
     for name, does in ORDERED.items():
         patch.setattr(seqlock, name, does)
     return clock
+
+
+class FarEnd:
+    """Far end of a driver, by a script, and the driver's calls; the base of those of the tests."""
+
+    exchange: ClassVar[Any]
+    """Module of the driver's exchange."""
+    clock: Clock
+    block: GuardedBlock
+
+    @property
+    def word(self) -> NDArray[np.int64]:
+        return self.block.word
+
+    def read(self) -> tuple[int, NDArray[np.float64]]:
+        sample = np.full(SAMPLE_SIZE, np.nan)
+        return self.block.call(self.exchange.read, sample), sample
+
+    def write(self, *wrench: float) -> int:
+        return self.block.call(self.exchange.write, wrench)
+
+    def counts(self) -> dict[str, int]:
+        """Return the counters that are not zero."""
+        return {name: count for name, count in self.block.counts().items() if count}
 
 
 class File:

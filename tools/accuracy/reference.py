@@ -223,16 +223,3 @@ def integrate(
         derivative, (begin, end), state, method="DOP853", rtol=1e-13, atol=1e-17, max_step=longest,
         dense_output=True, events=list(events) or None,
     )  # fmt: skip
-
-
-def roll_in_frame(
-    shape: Any,
-    radius: float,
-    center: ArrayLike,
-    normal: ArrayLike,
-    rate: Callable[[float], ArrayLike],
-    duration: float = 1.0,
-) -> tuple[Array, Array, float]:
-    """Return centre (3,) m, normal (3,) and spin (rad) at the end of the path; arguments as for `roll_path`."""
-    points, normals, spins = roll_path(shape, radius, center, normal, rate, duration).at(np.array([duration]))
-    return points[0] + radius * normals[0], normals[0], float(spins[0])

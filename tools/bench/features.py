@@ -109,10 +109,10 @@ class Feature(NamedTuple):
     poses: Callable[[], tuple[Array, Array]] | None = None
 
 
-def corner_poses(count: int = BLOCK) -> Array:
-    """Return poses (count, 7) that press about 1 mm into three walls at right angles and turn; the radius is 10 mm."""
-    poses = np.zeros((count, 7))
-    t = 2.0 * np.pi * np.arange(count) / count
+def corner_poses() -> Array:
+    """Return poses (BLOCK, 7) that press about 1 mm into three walls at right angles and turn; the radius is 10 mm."""
+    poses = np.zeros((BLOCK, 7))
+    t = 2.0 * np.pi * np.arange(BLOCK) / BLOCK
     poses[:, :3] = 0.009 + 0.0005 * np.stack([np.sin(3.0 * t), np.sin(2.0 * t), np.sin(5.0 * t)], axis=1)
     poses[:, 3], poses[:, 4], poses[:, 6] = 1.0, 0.02 * np.sin(5.0 * t), 0.05 * np.sin(t)
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]

@@ -90,11 +90,7 @@ def write_report(
         report["ended"], failure = "cut short by the user", error
     except (DeviceError, SafetyStop) as error:
         report["ended"], failure = "by a fault", error
-        report["fault"] = {
-            "kind": type(error).__name__,
-            "message": str(error),
-            "in_use": report["device"] is not None,
-        }
+        report["fault"] = {"kind": type(error).__name__, "message": str(error), "in_use": report["device"] is not None}
     report["questions"] = answer_questions(report)
     report = privacy.Privacy(serials).clean(report)
     write(file, report)

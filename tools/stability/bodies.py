@@ -13,7 +13,6 @@ of scene, with kernels that are compiled once.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from itertools import pairwise, product
 from math import sqrt
 from pathlib import Path
@@ -296,10 +295,8 @@ def judge(result: CellResult, touching: bool) -> CellResult:
     return result._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
 
 
-def measure_all(
-    cases: Sequence[str] = CASES, masses: Sequence[float] = MASSES, stiffnesses: Sequence[float] = STIFFNESSES
-) -> list[CellResult]:
-    results, cells = [], [Cell(*values) for values in product(cases, masses, stiffnesses)]
+def measure_all() -> list[CellResult]:
+    results, cells = [], [Cell(*values) for values in product(CASES, MASSES, STIFFNESSES)]
     with progress("bodies", len(cells)) as update:
         for number, cell in enumerate(cells):
             results.append(measure(cell))

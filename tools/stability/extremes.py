@@ -37,28 +37,6 @@ SUMMING: Final = 1e-9
 """A force change of 0.04 N at 12 N, as at 50 kHz, is accurate to 1e-13; relative."""
 
 
-class ExtremeCase(NamedTuple):
-    """Extreme input.
-
-    name, given   the extreme parameter, and its value
-    scene         mapping of a scene file
-    samples       (n, 7)  poses as a device gives them
-    dts           (n,) s  time since the last tick
-    period        s       nominal length of a tick
-    refused       True if poses must be refused, False if none may be
-    expects       further condition on the records; returns the fault, "" for none
-    """
-
-    name: str
-    given: str
-    scene: dict[str, Any]
-    samples: Array
-    dts: Array
-    refused: bool = False
-    expects: Callable[[Array], str] = lambda records: ""
-    period: float = 0.001
-
-
 class ExtremeResult(NamedTuple):
     """Result: ticks, largest force (N), modes, names of guard bits, and the fault ("" for none)."""
 
@@ -106,26 +84,55 @@ WALLS: Final = (
 )
 
 
+COUNT: Final = np.arange(TICKS)
+UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
+
+
 def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
     """Return the quaternions (n, 4) of the angles (n,) rad about an axis."""
     unit = np.asarray(axis, float) / np.linalg.norm(axis)
     return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
 
 
-def press(depth: float, radius: float = R, distance: float = 0.0, count: int = TICKS) -> Array:
-    """Return poses (n, 7) that press `depth` into z = 0, move `distance` along x and half of it along y, and leave."""
-    t = np.linspace(0.0, 1.0, count)
+def press(depth: float = 0.001, radius: float = R, distance: float = 0.0, q: Array = UPRIGHT) -> Array:
+    """Return poses (n, 7) that press `depth` into z = 0, move `distance` along x and half of it along y, and leave.
+
+    q  (4,) or (n, 4)
+    """
+    t = np.linspace(0.0, 1.0, TICKS)
     down = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
     along = distance * np.clip((t - 0.2) / 0.6, 0.0, 1.0)
-    samples = np.zeros((count, 7))
+    samples = np.zeros((TICKS, 7))
     samples[:, 0], samples[:, 1] = along, 0.5 * along
     samples[:, 2] = radius * 1.2 - down * (0.2 * radius + depth)
-    samples[:, 3] = 1.0
+    samples[:, 3:] = q
     return samples
 
 
-def even_steps(count: int, dt: float = 0.001) -> Array:
-    return np.full(count, dt)
+ON_PLANE: Final = scene()
+EVEN: Final = np.full(TICKS, 0.001)
+
+
+class ExtremeCase(NamedTuple):
+    """Extreme input.
+
+    name, given   the extreme parameter, and its value
+    samples       (n, 7)  poses as a device gives them
+    expects       further condition on the records; returns the fault, "" for none
+    scene         mapping of a scene file
+    dts           (n,) s  time since the last tick
+    period        s       nominal length of a tick
+    refused       True if poses must be refused, False if none may be
+    """
+
+    name: str
+    given: str
+    samples: Array
+    expects: Callable[[Array], str] = lambda records: ""
+    scene: dict[str, Any] = ON_PLANE
+    dts: Array = EVEN
+    period: float = 0.001
+    refused: bool = False
 
 
 # --- further conditions ----------------------------------------------------------------------------
@@ -165,78 +172,53 @@ def cases() -> Iterator[ExtremeCase]:
 
 
 def on_a_plane() -> Iterator[ExtremeCase]:
-    yield ExtremeCase(
-        "no rotation",
-        "a drag without any turn",
-        scene(),
-        press(0.001, distance=0.01),
-        even_steps(TICKS),
-        expects=slides,
-    )
+    drag = press(distance=0.01)
+    yield ExtremeCase("no rotation", "a drag without any turn", drag, slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
-        poses = press(0.001)
-        poses[:, 3:] = turns_about(angle * np.arange(TICKS), (1.0, 0.3, 0.1))
-        yield ExtremeCase(
-            "rotation in one tick", f"{words} about a slanting axis, every tick", scene(), poses, even_steps(TICKS)
-        )
-    poses = press(0.001)
-    poses[:, 3:] = turns_about(0.02 * np.arange(TICKS), (0.0, 0.0, 1.0))
-    yield ExtremeCase("gimbal of ZXZ", "theta = 0: pure spin", scene(), poses, even_steps(TICKS), expects=never_slides)
-    poses = press(0.001)
-    poses[:, 3:] = turns_about(pi * np.arange(TICKS), (1.0, 0.0, 0.0))
-    yield ExtremeCase("gimbal of ZXZ", "theta = pi every tick", scene(), poses, even_steps(TICKS))
+        poses = press(q=turns_about(angle * COUNT, (1.0, 0.3, 0.1)))
+        yield ExtremeCase("rotation in one tick", f"{words} about a slanting axis, every tick", poses)
+    poses = press(q=turns_about(0.02 * COUNT, (0.0, 0.0, 1.0)))
+    yield ExtremeCase("gimbal of ZXZ", "theta = 0: pure spin", poses, never_slides)
+    poses = press(q=turns_about(pi * COUNT, (1.0, 0.0, 0.0)))
+    yield ExtremeCase("gimbal of ZXZ", "theta = pi every tick", poses)
     for radius in (1e-5, 1e3):
-        model = scene(radius=radius)
         poses = press(0.1 * radius, radius, radius)
-        yield ExtremeCase(
-            "fingertip radius", f"r = {radius:g} m", model, poses, even_steps(TICKS), expects=touches_and_leaves
-        )
+        yield ExtremeCase("fingertip radius", f"r = {radius:g} m", poses, touches_and_leaves, scene(radius=radius))
     for stiffness in (1e-3, 1e6):
         model = scene(stiffness=stiffness)
-        poses = press(0.001, distance=0.01)
-        yield ExtremeCase(
-            "stiffness", f"K = {stiffness:g} N/m", model, poses, even_steps(TICKS), expects=touches_and_leaves
-        )
-    poses = press(0.001, distance=0.01)
-    yield ExtremeCase("friction", "mu = 0", scene(friction=(0.0, 0.0)), poses, even_steps(TICKS), expects=slides)
-    yield ExtremeCase(
-        "friction", "mu = 1000", scene(friction=(1e3, 1e3)), poses, even_steps(TICKS), expects=never_slides
-    )
+        yield ExtremeCase("stiffness", f"K = {stiffness:g} N/m", drag, touches_and_leaves, model)
+    yield ExtremeCase("friction", "mu = 0", drag, slides, scene(friction=(0.0, 0.0)))
+    yield ExtremeCase("friction", "mu = 1000", drag, never_slides, scene(friction=(1e3, 1e3)))
     for rate in (8000.0, 50.0):
-        yield ExtremeCase(
-            "period", f"T = 1/{rate:g} s", scene(), poses, even_steps(TICKS, 1.0 / rate), False, slides, 1.0 / rate
-        )
+        dts = np.full(TICKS, 1.0 / rate)
+        yield ExtremeCase("period", f"T = 1/{rate:g} s", drag, slides, dts=dts, period=1.0 / rate)
     missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
-    yield ExtremeCase("missed ticks", "1 to 99 at a time", scene(), poses, missed, expects=touches_and_leaves)
-    yield ExtremeCase("no time passes", "dt = 0", scene(), poses, even_steps(TICKS, 0.0), expects=touches_and_leaves)
+    yield ExtremeCase("missed ticks", "1 to 99 at a time", drag, touches_and_leaves, dts=missed)
+    yield ExtremeCase("no time passes", "dt = 0", drag, touches_and_leaves, dts=np.zeros(TICKS))
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
-    yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", scene(), poses, jumps, expects=touches_and_leaves)
+    yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", drag, touches_and_leaves, dts=jumps)
 
 
 def with_damaged_poses() -> Iterator[ExtremeCase]:
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
-        broken = press(0.001)
-        broken[100:300:7, 1] = value
-        yield ExtremeCase("broken position", words, scene(), broken, even_steps(TICKS), True, zero_refused)
+        poses = press()
+        poses[100:300:7, 1] = value
+        yield ExtremeCase("broken position", words, poses, zero_refused, refused=True)
     for norm in (0.0, 1e-3, nan, inf, 1e200):
-        broken = press(0.001)
-        broken[100:300:7, 3] = norm
-        yield ExtremeCase("quaternion", f"of norm {norm:g}", scene(), broken, even_steps(TICKS), True, zero_refused)
+        poses = press()
+        poses[100:300:7, 3] = norm
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, zero_refused, refused=True)
     for norm in (0.51, 1.99):
-        uneven = press(0.001)
-        uneven[::2, 3] = norm
-        yield ExtremeCase("quaternion", f"of norm {norm:g}", scene(), uneven, even_steps(TICKS), expects=never_slides)
-    tiny = press(0.001)
-    tiny[:, 4:] = 5e-324
-    yield ExtremeCase("subnormal numbers", "in the quaternion", scene(), tiny, even_steps(TICKS), expects=never_slides)
+        poses = press()
+        poses[::2, 3] = norm
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, never_slides)
+    subnormal = press(q=np.array([1.0, 5e-324, 5e-324, 5e-324]))
+    yield ExtremeCase("subnormal numbers", "in the quaternion", subnormal, never_slides)
     hops = np.random.default_rng(3).uniform(-1.0, 1.0, (TICKS, 3)) * 10.0 ** np.linspace(-3.0, 6.0, TICKS)[:, None]
-    poses = press(0.001)
+    poses = press()
     poses[:, :3] = hops
-    yield ExtremeCase("teleporting probe", "up to 1000 km a tick, through the plane", scene(), poses, even_steps(TICKS))
-    poses = press(1.0)
-    yield ExtremeCase(
-        "deep penetration", "1 m at 1e6 N/m", scene(stiffness=1e6), poses, even_steps(TICKS), expects=clamp_sample
-    )
+    yield ExtremeCase("teleporting probe", "up to 1000 km a tick, through the plane", poses)
+    yield ExtremeCase("deep penetration", "1 m at 1e6 N/m", press(1.0), clamp_sample, scene(stiffness=1e6))
 
 
 def on_other_objects() -> Iterator[ExtremeCase]:
@@ -245,30 +227,23 @@ def on_other_objects() -> Iterator[ExtremeCase]:
         ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
         poses = press(0.1 * min(radius, object_radius), radius, 0.1 * min(radius, object_radius))
         words = f"r = {radius:g} m on R = {object_radius:g} m"
-        yield ExtremeCase(
-            "curvature", words, scene(ball, radius=radius), poses, even_steps(TICKS), expects=touches_and_leaves
-        )
+        yield ExtremeCase("curvature", words, poses, touches_and_leaves, scene(ball, radius=radius))
     for sign in (1.0, -1.0):
-        poses = press(0.001)
-        poses[:, 3:] = turns_about(sign * pi / 2 * np.arange(TICKS), (0.0, 1.0, 0.0))
-        yield ExtremeCase(
-            "gimbal of ZYX", "pitch of pi/2 every tick", scene(BALL, method="euler_zyx"), poses, even_steps(TICKS)
-        )
+        poses = press(q=turns_about(sign * pi / 2 * COUNT, (0.0, 1.0, 0.0)))
+        model = scene(BALL, method="euler_zyx")
+        yield ExtremeCase("gimbal of ZYX", "pitch of pi/2 every tick", poses, scene=model)
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
-        poses = press(0.001, distance=0.004)
+        poses = press(distance=0.004, q=turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0)))
         poses[:, :2] += np.asarray(place) - 0.001
-        poses[:, 3:] = turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0))
         words = f"of a box, rolled over its {words}"
-        yield ExtremeCase("sharp object", words, scene(BLOCK), poses, even_steps(TICKS), expects=touches_and_leaves)
+        yield ExtremeCase("sharp object", words, poses, touches_and_leaves, scene(BLOCK))
 
     for count in (2, 3):
-        poses = press(0.001, distance=0.003)
+        poses = press(distance=0.003, q=turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0)))
         poses[:, : count - 1] += 0.009
         poses[:, count - 1 : 2] += 0.05
-        words = f"{count} walls at once, turning"
-        poses[:, 3:] = turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0))
-        yield ExtremeCase("several contacts", words, scene(*WALLS), poses, even_steps(TICKS))
+        yield ExtremeCase("several contacts", f"{count} walls at once, turning", poses, scene=scene(*WALLS))
 
 
 def clamp_sample(records: Array) -> str:
