@@ -75,7 +75,6 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_endpoint_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--endpoint` of a client of a daemon."""
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
@@ -84,7 +83,6 @@ def add_endpoint_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_key_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the keys of a client and of its server."""
     parser.add_argument("--keys", metavar="FILE", help="secret key of this client, if the server requires one")
     parser.add_argument("--server-key", metavar="FILE", help="public key of the server")
 

@@ -127,7 +127,6 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
 
 
 def list_refused_settings(platform: str, cpu: int | None) -> list[Setting]:
-    """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
     advice = "run on Linux, or set --realtime off"
     return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]

@@ -104,7 +104,6 @@ class Board:
 
     @property
     def silent_s(self) -> float:
-        """Time since the last message, s."""
         return time.monotonic() - self._arrived_s
 
     @property
@@ -176,7 +175,6 @@ def _json(board: Board) -> str:
 
 
 def line(board: Board) -> str:
-    """Return the board as one line of text."""
     parts = [time.strftime("%H:%M:%S")]
     if board.outage_text:
         parts.append(f"{board.outage_text};")

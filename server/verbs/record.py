@@ -111,7 +111,6 @@ class RecordingStats:
         return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{losses}{skipped}; {self.end_reason}"
 
     def gaps(self) -> str:
-        """Return a message to the user about the gaps."""
         return (
             f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
             f"{self.worst[0]}: a replay interpolates each; record on a machine with less load, or with "
@@ -247,7 +246,6 @@ class PoseWriter(Closeable):
             self._file.close()
 
     def flush(self) -> None:
-        """Write the buffered poses."""
         if not self._period and self._buffer:
             self._period = min(sample.dt for _, sample in self._buffer)
         for step, sample in self._buffer:

@@ -128,7 +128,6 @@ class SocketProcess:
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self._process.pid
 
     @property
