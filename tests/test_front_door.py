@@ -140,9 +140,6 @@ def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> N
     assert found.attempted and not found.failed
 
 
-# --- records ----------------------------------------------------------------------------------------
-
-
 def made_up(rows: int = 4) -> Records:
     return Records(np.arange(float(rows * RECORD_SIZE)).reshape(rows, RECORD_SIZE))
 
@@ -189,9 +186,6 @@ def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(HapticError, match="pip install pandas"):
         made_up().to_pandas()
-
-
-# --- tuning by dotted path --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -294,9 +288,6 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
     np.testing.assert_array_equal(np.array([step.record for step in steps]), engine.run(poses))
 
 
-# --- scenes and recordings --------------------------------------------------------------------------
-
-
 @pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
     scene = load_scene("sphere")
@@ -319,9 +310,6 @@ def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
     tables = describe(load_scene("paper-plane"))
     named = tables | {"finger": [{"name": "index", **tables.pop("fingertip")}]}
     np.testing.assert_array_equal(run_recording("tap", named), run_recording({"index": "tap"}, named)["index"])
-
-
-# --- a running daemon -------------------------------------------------------------------------------
 
 
 def test_a_client_receives_events_of_its_changes(client: partial[Client]) -> None:
@@ -349,9 +337,6 @@ def test_timestamps_use_the_documented_clocks(client: partial[Client], engine: E
         assert abs(sample.timestamp - time.time()) < 3600.0  # an hour distinguishes the clocks
         assert abs(state.timestamp - time.monotonic()) < 3600.0
         assert state.sequence > 0 and state.field_state["mode"] in list(softfinger.ContactMode)
-
-
-# --- shipped files ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("verb", list(FOLDER_OF))

@@ -144,9 +144,6 @@ def _check_required(applied: AppliedSettings) -> None:
         )
 
 
-# --- one function per setting ----------------------------------------------------------------------
-
-
 def _set_timer_slack(applied: AppliedSettings) -> Setting:
     before = _libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if before.result < 0 or (call := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
@@ -266,9 +263,6 @@ def _set_affinity(applied: AppliedSettings, cpu: int) -> Setting:
         return Setting("affinity", False, f"processor {cpu}: {_reason(error.errno)}", advice)
     applied._undo_thread.append(lambda: os.sched_setaffinity(0, before))
     return Setting("affinity", True, f"processor {cpu}", "")
-
-
-# --- asking the system -----------------------------------------------------------------------------
 
 
 class _Outcome(NamedTuple):

@@ -42,10 +42,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoTelemetry if nothing arrives, and RecordingError if a file cannot be written.
     """
-    for name in ("duration", "timeout"):
-        value = getattr(args, name)
-        if value is not None and not 0.0 < value < math.inf:
-            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record needs either a FILE or --poses FILE")
     stop, lock = Stop(), keys.keys_from_options(args)

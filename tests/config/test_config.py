@@ -101,9 +101,6 @@ def refusal(call: Callable[..., object], *args: Any) -> str | None:
     return None
 
 
-# --- accepted files -----------------------------------------------------------------------------
-
-
 def test_paper_scene_has_the_values_of_the_paper() -> None:
     paper = load_scene("paper-plane")
     (table,) = paper.object
@@ -173,8 +170,6 @@ def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> 
     tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits
     assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
 
-
-# --- contents of every error --------------------------------------------------------------------
 
 SCENE_FAULTS = [
     ("fingertip.radius_m", 0, ["fingertip.radius_m = 0:", "from 1e-05 to 1000 m", "tested between these"]),
@@ -524,9 +519,6 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
         assert span.reason in faults_of(Rig, above)[0]
 
 
-# --- files ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("content", "fragments"),
     [
@@ -578,9 +570,6 @@ def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
     assert "marked.toml: object: is missing" in text
 
 
-# --- overrides -----------------------------------------------------------------------------------
-
-
 def test_overrides_replace_values_and_name_their_flag() -> None:
     assert load_rig("replay", {"servo.rate_hz": 4000, "servo.realtime": "off"}).servo.rate_hz == 4000.0
     with pytest.raises(FaultyConfig) as caught:
@@ -617,9 +606,6 @@ def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
         load_rig(path, {"servo.rate_hz": 500.0, "device.driver": "replay"})
     (fault,) = caught.value.faults
     assert str(fault) == f"{path}: servo = 5: must be a table"
-
-
-# --- a driver's options --------------------------------------------------------------------------
 
 
 class Options(msgspec.Struct, frozen=True):
@@ -676,8 +662,6 @@ def test_more_shapes_slot_in_as_a_union() -> None:
     ]
 
 
-# --- anything at all -----------------------------------------------------------------------------
-
 KEYS = st.sampled_from(
     [
         *("fingertip", "radius_m", "rolling", "method", "coupling", "stiffness_n_per_m", "object", "name", "shape"),
@@ -730,9 +714,6 @@ def test_no_file_content_raises_anything_but_config_error(
     path.write_bytes(content)
     message = refusal(read_toml, path)
     assert message is None or "random.toml: " in message
-
-
-# --- verbs and reference page --------------------------------------------------------------------
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:

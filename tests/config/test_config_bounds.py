@@ -136,9 +136,6 @@ def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
     assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: mend these first" and len(lines) < 25
 
 
-# --- overrides -------------------------------------------------------------------------------------
-
-
 def at(config: Any, *way: str | int) -> Any:
     value = describe(config)
     for part in way:

@@ -115,8 +115,6 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr
 
 
-# --- bombs -----------------------------------------------------------------------------------------
-
 LARGE = 1 << 30
 
 
@@ -214,9 +212,6 @@ def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytes
             read(path)
     monkeypatch.setattr(results, "RESULTS_MAX", 5)
     assert len(read_results(path)) == 5
-
-
-# --- planted links ---------------------------------------------------------------------------------
 
 
 def write_sweep(path: Path) -> None:

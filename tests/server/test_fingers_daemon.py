@@ -229,9 +229,6 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
         record(wire, {"": tmp_path / "one.csv"})
 
 
-# --- two boards on two lines, and the daemon of the command line ------------------------------------
-
-
 @contextmanager
 def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
     boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]

@@ -1,6 +1,5 @@
 """`monitor` against a real publisher: in a terminal, through pipes, and without data."""
 
-import argparse
 import fcntl
 import itertools
 import json
@@ -23,9 +22,9 @@ from helpers.telemetry_records import put, synthetic
 from helpers.waits import repeated
 from rich.console import Console
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import CAUSE_NAMES
-from softfinger.server.verbs import monitor, options
+from softfinger.server.cli import main
+from softfinger.server.verbs import monitor
 from softfinger.server.wire.client import NoTelemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH
 from softfinger.server.wire.publisher import Publisher
@@ -305,9 +304,9 @@ def test_bars_are_empty_after_the_server_stopped():
     assert "no data for 2.0 s" in lines[0] and not any("█" in line for line in lines)
 
 
-@pytest.mark.parametrize(("option", "value"), [("duration", "0"), ("duration", "nan"), ("timeout", "-1")])
-def test_durations_that_are_not_positive_are_refused(option, value):
-    parser = argparse.ArgumentParser()
-    options.configure_monitor(parser)
-    with pytest.raises(ConfigError, match=f"--{option} = "):
-        monitor.run(parser.parse_args([f"--{option}", value]))
+@pytest.mark.parametrize("verb", ["monitor", "record"])
+@pytest.mark.parametrize("words", [("--duration", "0"), ("--duration", "nan"), ("--timeout", "-1")])
+def test_durations_that_are_not_positive_are_refused(verb, words, capsys):
+    with pytest.raises(SystemExit):
+        main([verb, *words])
+    assert f"argument {words[0]}: {words[1]}: the duration must be above 0 s" in capsys.readouterr().err
