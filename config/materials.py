@@ -98,13 +98,11 @@ def materials() -> Mapping[str, LibraryEntry]:
 
 @lru_cache(maxsize=1)
 def fingertips() -> Mapping[str, LibraryEntry]:
-    """Return all fingertips by name."""
     return _entries("fingertips.toml")
 
 
 @lru_cache(maxsize=1)
 def papers() -> Mapping[str, Paper]:
-    """Return all sources by name."""
     return MappingProxyType(msgspec.convert(_tables("papers.toml"), dict[str, Paper]))
 
 
@@ -130,7 +128,6 @@ def _tables(file: str) -> dict[str, Any]:
 
 
 def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `base` updated with `changes`, table by table."""
     result = dict(base)
     for key, value in changes.items():
         below = base.get(key)

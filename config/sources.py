@@ -27,12 +27,10 @@ _SIZE_MAX: Final = 1 << 20
 
 
 def list_shipped(struct_type: type[msgspec.Struct]) -> list[str]:
-    """Return the names of the shipped files of a kind."""
     return names_in(FOLDERS[struct_type])
 
 
 def names_in(folder: Path) -> list[str]:
-    """Return the names of the files in a folder of shipped files."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 

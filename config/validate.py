@@ -33,9 +33,6 @@ def examine(
     return value, report.faults
 
 
-# --- one value -----------------------------------------------------------------------------------
-
-
 def _value(info: inspect.Type, value: object, key: str, report: FaultCollector) -> Any:
     kind, extra = unwrap(info)
     match kind:
@@ -118,9 +115,6 @@ def _read_named(kind: inspect.DictType, value: object, key: str, report: FaultCo
         item_key = _value(kind.key_type, name, dotted, report)
         items[item_key] = _value(kind.value_type, item, dotted, report)
     return items if len(report.faults) == before else UNSET
-
-
-# --- tables --------------------------------------------------------------------------------------
 
 
 def _read_tagged(structs: list[inspect.StructType], value: object, key: str, report: FaultCollector) -> Any:

@@ -77,7 +77,6 @@ def missing(info: inspect.Type, dotted: str, name: str) -> str:
 
 
 def _is_table(info: inspect.Type) -> bool:
-    """Return whether all values of this type are tables, of one kind or of several."""
     kind, _ = unwrap(info)
     members = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
     return all(isinstance(unwrap(member)[0], inspect.StructType) for member in members)
@@ -133,7 +132,6 @@ def near(entered: object, allowed: Iterable[object]) -> str:
 
 
 def join_key(key: str, name: object) -> str:
-    """Return the dotted key of an entry of a table."""
     part = name if isinstance(name, str) and _BARE_KEY.fullmatch(name) else format_value(name)
     return f"{key}.{part}" if key else part
 

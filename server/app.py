@@ -260,7 +260,6 @@ class Daemon:
         self._send(kind, name, fields)
 
     def publish_page_exit(self, text: str) -> None:
-        """Publish the unexpected exit of the page process of this daemon."""
         self._event("fault", "page", message=text)
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
@@ -275,7 +274,6 @@ class Daemon:
             self._event("fault", fault_name(error), message=str(error))
 
     def _publish_state(self, before: DaemonState, now: DaemonState, cause: str) -> None:
-        """Publish and record a change of state."""
         self._send("state", now.value, {"before": before.value, "cause": cause})
 
     def _send_message(self, topic: str, tick: int, content: dict[str, Any]) -> None:

@@ -74,19 +74,33 @@ class Parser(argparse.ArgumentParser):
             raise
 
 
-def add_endpoint_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--endpoint` of a client of a daemon."""
+def add_daemon_options(parser: argparse.ArgumentParser, commands: bool = False) -> None:
+    """Add the options of a client: endpoint of the daemon, `--commands` if requested, and keys."""
     parser.add_argument(
         "--endpoint",
         default=DEFAULT_ENDPOINT,
         help="telemetry or commands endpoint of the daemon (default: %(default)s)",
     )
-
-
-def add_key_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the keys of a client and of its server."""
+    if commands:
+        parser.add_argument(
+            "--commands", metavar="URL", help="commands endpoint of the daemon (default: derived from --endpoint)"
+        )
     parser.add_argument("--keys", metavar="FILE", help="secret key of this client, if the server requires one")
     parser.add_argument("--server-key", metavar="FILE", help="public key of the server")
+
+
+def add_stream_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--duration` and `--timeout` of a client of the telemetry."""
+    parser.add_argument(
+        "--duration", type=duration, metavar="S", help="stop after S seconds (default: when the daemon ends, or Ctrl-C)"
+    )
+    parser.add_argument(
+        "--timeout",
+        type=duration,
+        metavar="S",
+        default=3.0,
+        help="stop if no telemetry arrives for S seconds (default: %(default)s)",
+    )
 
 
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:

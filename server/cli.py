@@ -89,7 +89,6 @@ VERBS: Final = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line and return the exit code."""
     if argv is None:
         set_up_process()
     open_streams()
@@ -172,7 +171,6 @@ def to_stderr() -> logging.Handler:
 
 
 def report_failure(message: str, code: int) -> int:
-    """Print the error that stops the program; return `code`."""
     with contextlib.suppress(OSError):  # standard error may be closed, too
         standard_error.write_line(f"softfinger: {message}", standard_error.LAST_WAIT_S)
     return code
@@ -248,7 +246,6 @@ def make_parser() -> Parser:
 
 
 def add_options(verb: str, parser: Parser) -> None:
-    """Add the options of a verb to its parser."""
     folder = VERBS[verb].module.rpartition(".")[0]
     getattr(importlib.import_module(f"{folder}.options"), f"configure_{verb}")(parser)
 
@@ -268,7 +265,6 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
 
 
 def completion(shell: str) -> str:
-    """Return the completion script for bash, zsh or tcsh."""
     import shtab
 
     from softfinger.server.verbs.shipped import offer_names

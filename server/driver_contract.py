@@ -103,7 +103,6 @@ this package share the compiled loop with those of commands."""
 
 
 def make_pulling_tuning() -> Tuning:
-    """Return the tuning of the scene `PULL`, with a guard that ramps in within 10 ms."""
     return make_tuning(load_scene(PULL), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
 
 
@@ -123,7 +122,6 @@ class DriverContract:
         assert {*bench.refusals} - {*bench.cannot} == {*REFUSALS} - {*bench.cannot}
 
     def test_info_is_usable(self, device: Device) -> None:
-        """Limits are finite and not negative, and the workspace has min <= max."""
         info = device.info
         assert info.name
         assert 1 <= info.sensed_dof <= 6
@@ -134,7 +132,6 @@ class DriverContract:
         assert all(low <= high for low, high in zip(info.workspace_min_m, info.workspace_max_m, strict=True))
 
     def test_addresses_stay(self, device: Device) -> None:
-        """`io` returns the same three addresses on each call."""
         assert device.io() == device.io()
         assert all(device.io())
 
@@ -146,7 +143,6 @@ class DriverContract:
         assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation
 
     def test_device_time_does_not_run_back(self, device: Device) -> None:
-        """Device time never decreases between reads."""
         servo = Servo(device)
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
@@ -165,7 +161,6 @@ class DriverContract:
         assert not after or after != before
 
     def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
-        """An armed device accepts a small force and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
@@ -201,13 +196,11 @@ class DriverContract:
             servo.close()
 
     def test_a_device_that_is_not_armed_displays_nothing(self, bench: Bench) -> None:
-        """A device that was never armed displays no force after `stop`, which raises nothing."""
         with bench.open() as device:
             device.stop()
             assert not any(bench.displayed())
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
-        """After repeated `stop`, a write does not apply the full force and reads still work."""
         servo = Servo(device)
         servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
         device.stop()
@@ -217,13 +210,11 @@ class DriverContract:
         assert servo.read()[0] in (OK, STALE, END, WITHHELD)
 
     def test_close_may_be_repeated(self, device: Device) -> None:
-        """`close` after `stop` and after `close` does nothing and raises nothing."""
         device.stop()
         device.close()
         device.close()
 
     def test_a_closed_device_can_be_opened_again(self, device: Device, bench: Bench) -> None:
-        """A closed device can be opened again and armed."""
         device.close()
         with bench.open() as reopened:
             servo = Servo(reopened)
@@ -251,7 +242,6 @@ class DriverContract:
 
     @pytest.mark.parametrize("ending", ["last_tick", "stop_word", "crash"])
     def test_no_force_is_left_after_a_servo(self, ending: str, bench: Bench) -> None:
-        """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
                 [device],
@@ -277,7 +267,6 @@ class DriverContract:
             servo.close()
 
     def test_opening_is_refused_by_name(self, bench: Bench) -> None:
-        """A device that is absent, busy or forbidden raises its error, and opens after the cause is removed."""
         for case in set(REFUSALS) - set(bench.cannot):
             bench.make(case)
             with pytest.raises(bench.refusals[case]) as caught:
@@ -307,7 +296,6 @@ class DriverContract:
                 assert Servo(reopened).read()[0] in (OK, STALE)
 
     def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
-        """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
                 servo = Loop([device], make_pulling_tuning(), RATE_HZ)

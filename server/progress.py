@@ -41,7 +41,6 @@ _quiet: Final = threading.Event()
 
 
 def set_enabled(enabled: bool) -> None:
-    """Turn the progress display on or off."""
     if enabled:
         _quiet.clear()
     else:

@@ -93,7 +93,6 @@ class States:
 
     @property
     def now(self) -> DaemonState:
-        """Current state."""
         return self._now
 
     def fire(self, trigger: Trigger, cause: str) -> bool:

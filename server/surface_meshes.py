@@ -113,7 +113,6 @@ def lathe(profile: Array) -> SurfaceMesh:
 
 
 def join_meshes(*parts: SurfaceMesh) -> SurfaceMesh:
-    """Return one mesh of several."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])]).astype(np.uint32)
     faces = [part.faces + start for part, start in zip(parts, first, strict=True)]
     return SurfaceMesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))

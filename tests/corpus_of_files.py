@@ -73,7 +73,6 @@ def downloaded(name: str, cache: Path = CACHE) -> Path:
 
 
 def meshes(folder: Path) -> Iterator[Outcome]:
-    """Yield the outcome of each mesh file below a folder."""
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower().removeprefix(".") in READERS and path.stat().st_size < SIZE_MAX:
             try:
@@ -159,7 +158,6 @@ def _short(outcome: Outcome) -> str:
 
 
 def main() -> None:
-    """Print the page."""
     folders = {PACKAGES[name].replace("==", " "): downloaded(name) for name in PACKAGES}
     every: dict[str, list[Outcome]] = {}
     for name, folder in (folders | {Path(each).name: Path(each) for each in sys.argv[1:]}).items():

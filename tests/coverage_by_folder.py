@@ -23,7 +23,6 @@ REASONS: Final = Path(__file__).with_name("coverage_reasons.toml")
 
 
 def reasons() -> dict[str, str]:
-    """Reason by file."""
     table: list[dict[str, Any]] = tomllib.loads(REASONS.read_text(encoding="utf-8"))["reason"]
     return {file: each["why"] for each in table for file in each["files"]}
 

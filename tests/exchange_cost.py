@@ -171,7 +171,6 @@ def _socket_read(handle, sample):
 
 @numba.cfunc(IO_SIGNATURE)
 def _stream_read(handle, sample):
-    """The same words. A read that does not fill the buffer has read everything."""
     word = int64_at(handle)
     return read_fd(word[0], word[1], BUFFER)
 
@@ -188,8 +187,6 @@ def _nothing(handle, values):
 
 
 def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> Any:
-    """Return the result of an exchange in which the driver waits for a current answer."""
-
     def once() -> None:
         with suppress(TimeoutError):
             end.recv(BUFFER)
@@ -231,7 +228,6 @@ def falcon(folder: Path) -> Iterator[Case]:
 
 @contextmanager
 def hid(_: Path) -> Iterator[Case]:
-    """A WoodenHaptics arm on a packet socket."""
     given = rig_options("woodenhaptics-2019", calibrate=False)
     fd, end = ends()
     answer, buffer = bytes(given.reports.input.bytes), np.zeros(BUFFER, np.uint8)

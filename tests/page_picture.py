@@ -38,7 +38,6 @@ def settled(screen: Screen, tick: int) -> None:
 
 
 def draw_page() -> Path:
-    """Draw the page with panel and plots."""
     file = FIGURES / "page.jpg"
     with served(RECORDING, "--tick", str(TICK)) as screen:
         settled(screen, TICK)
@@ -48,7 +47,6 @@ def draw_page() -> Path:
 
 
 def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
-    """Draw the object of a scene in the tick of its largest displacement."""
     file, path = FIGURES / f"elastic-{scene.rpartition('-')[2]}.jpg", folder / f"{scene}.mcap"
     several = len(recordings) > 1
     found = run_recording(recordings if several else recordings[""], scene)
@@ -69,7 +67,6 @@ def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
 
 
 def main() -> None:
-    """Redraw each page."""
     with tempfile.TemporaryDirectory() as folder:
         drawn = [draw_page(), *(draw_elastic(*item, Path(folder)) for item in ELASTIC.items())]
     for file in drawn:

@@ -15,5 +15,4 @@ NAMES = contract.names()
 
 @pytest.mark.parametrize("kind", LISTED)
 def test_no_name_disappears(kind: str) -> None:
-    """Each name of the list still exists. A name that a release adds joins the list with that release."""
     assert set(LISTED[kind]) - set(NAMES[kind]) == set()

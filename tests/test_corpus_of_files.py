@@ -31,7 +31,6 @@ def test_meshes_have_as_many_triangles_as_another_reader_finds(folder: Path) -> 
 
 
 def test_models_have_as_many_objects_as_geoms_that_collide(folder: Path) -> None:
-    """Or they are refused: by MuJoCo too, or for a reason of LIMITS."""
     outcomes = list(models(folder))
     assert all("\n" not in each.refusal for each in outcomes)
     assert [each for each in outcomes if not each.refusal and each.found != each.expected] == []

@@ -43,7 +43,6 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 
 def test_exit_codes_are_those_of_the_errors():
-    """docs/operate/running.md lists exactly the exit codes the program can return."""
     listed = {int(row[0]) for row in table(RUNNING, "Exit codes") if row[0] != "128 + n"}
     assert signals.exit_code(15) == 128 + 15
     tree = [errors.HapticError, protocol.ProtocolError, client.NoTelemetry]
@@ -62,7 +61,6 @@ def commands(text: str) -> list[list[str]]:
 
 
 def test_every_command_in_readme_and_docs_is_one():
-    """Each `softfinger VERB` names an existing verb, and each command on its own line can be parsed."""
     parser, found = make_parser(), 0
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         for words in commands(page.read_text()):
@@ -74,7 +72,6 @@ def test_every_command_in_readme_and_docs_is_one():
 
 @pytest.mark.real_time
 def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
-    """Commands for a daemon get a running one; those that run until Ctrl-C run for a second."""
     ran = []
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my-scene.toml").write_text(re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1])
@@ -97,13 +94,11 @@ def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
 
 
 def test_the_readme_is_two_screens():
-    """Longer texts belong in a page of docs/."""
     assert len(README.splitlines()) <= 100
 
 
 @pytest.mark.real_time
 def test_python_of_the_front_door_runs(tmp_path, endpoints, monkeypatch):
-    """The programs of docs/python.md, one after the other, against a daemon that runs."""
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "python.md").read_text()
     assert "with Client() as" in page
@@ -122,13 +117,11 @@ def anchors(page: Path) -> set[str]:
 
 
 def test_the_reference_names_every_attribute_of_a_step():
-    """docs/api.md lists exactly the attributes of the class."""
     rows = re.findall(r"^\| (`.*?`) \| ", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
     assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(STEP_FIELDS)
 
 
 def test_every_link_in_readme_and_docs_leads_somewhere():
-    """Relative links point at files that are there, and at headings in them."""
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]:
         for target, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", page.read_text()):
             there = page.parent / target if target else page
@@ -137,7 +130,6 @@ def test_every_link_in_readme_and_docs_leads_somewhere():
 
 
 def test_the_site_has_every_page_once():
-    """The navigation of mkdocs.yml names each page of docs/, and nothing that is not there."""
     _, navigation = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")
     named = re.findall(r"([\w./-]+\.md)$", navigation, re.MULTILINE)
     pages = [str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")]
@@ -156,7 +148,6 @@ def test_lists_are_lists_on_the_site_too():
 
 @pytest.mark.plain
 def test_the_worked_walk_is_true(tmp_path):
-    """Each function is in the file that it links to, and the forces are those of the first tick."""
     rows = table(HOW, "The worked walk")
     assert 10 <= len(rows) <= 15
     for _, link, _ in rows:
@@ -176,14 +167,12 @@ def test_the_worked_walk_is_true(tmp_path):
 
 
 def test_scene_in_the_readme_is_valid():
-    """The scene shown in the README can be loaded unchanged."""
     text = re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1]
     assert build(Scene, tomllib.loads(text), "README").object[0].name == "table"
 
 
 @pytest.mark.real_time
 def test_python_of_the_readme_runs():
-    """The two programs: one that renders, and five lines that print the sliding samples of a real publisher."""
     first, code = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     exec(first, names := {})
     assert names["touch"].cause == "touch"
@@ -208,7 +197,6 @@ def numbers(cell: str) -> list[float]:
 @pytest.mark.plain
 @pytest.mark.parametrize("row", table(CONVENTIONS, "Checked examples"), ids=lambda row: row[0])
 def test_signs_are_as_documented(row):
-    """Each documented motion gives the documented force and torque."""
     motion, force, torque = row
     engine = Engine(build(Scene, paper_mapping(), "conventions"))
     amount = float(match[1]) if (match := re.search(r"([\d.]+) (?:mm|rad)", motion)) else 0.0
@@ -226,7 +214,6 @@ def test_signs_are_as_documented(row):
 
 
 def test_modes_and_causes_are_as_documented():
-    """The tables of modes and causes list those of the code, in its order."""
     part = CONVENTIONS.split("## Contact modes and their causes\n", 1)[1]
     modes, causes = re.findall(r"(?:^\|.*\n)+", part, re.MULTILINE)
     assert re.findall(r"^\| (\w+) \| (\d)", modes, re.MULTILINE) == [(n, str(i)) for i, n in enumerate(MODE_NAMES)]

@@ -54,7 +54,6 @@ def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:
 
 
 def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
-    """Nothing before the gripper touches; then as much as it presses with, which actuator and object in series give."""
     text = said("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
     rows = re.findall(r"by ([0-9.]+) mm: the finger feels ([0-9.]+) N, the gripper presses with ([0-9.]+)", text)
     assert len(rows) == 3
@@ -67,7 +66,6 @@ def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
 
 
 def test_each_is_listed_short_and_tested() -> None:
-    """Every program is on the folder's page and run here, and fits a screen or two."""
     page, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
     for program in [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.ipynb")]:
         assert f"({program.name})" in page and f'"{program.name}"' in tests
@@ -87,7 +85,6 @@ def run_notebook(name: str, folder: Path = EXAMPLES) -> str:
 
 
 def test_press_and_plot(tmp_path: Path) -> None:
-    """The finger slips when the tangential spring reaches mu N: after 0.6 mm of a drag of 2 mm/s from 0.5 s on."""
     out = said("press_and_plot.py", "press.png", cwd=tmp_path)
     # The damper of the coupling adds 2 mN, which is one tick of the drag; the drag starts and slips at a whole tick.
     assert number(r"slips after ([\d.]+) s", out) == pytest.approx(0.8, abs=0.003)
@@ -95,14 +92,12 @@ def test_press_and_plot(tmp_path: Path) -> None:
 
 
 def test_friction_sweep() -> None:
-    """Coulomb's law to a tick of the drag, and to the digit that is printed."""
     out = run_notebook("friction_sweep.ipynb")
     assert number(r"difference ([\d.]+) um", out) <= 2.0
     assert number(r"(\d+) pictures", out) == 2
 
 
 def test_stiffness_staircase() -> None:
-    """The staircase finds the threshold that its observer was made with."""
     out = run_notebook("stiffness_staircase.ipynb")
     found, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
     # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
@@ -119,7 +114,6 @@ def printed(out: str, row: str) -> dict[str, float]:
 
 @pytest.mark.exhaustive
 def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
-    """Thresholds, slopes and intervals equal those of `softfinger figure`, to the steps of the two grids."""
     Experiment("curvature-by-rolling").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
     for group in fit_groups(*load(tmp_path)):
@@ -136,7 +130,6 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
-    """A power law's exponent to the digits printed; means and paths of a folder in which somebody felt something."""
     Experiment("friction-magnitude").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     rows = list(csv.DictReader((tmp_path / "trials.csv").read_text().splitlines()))
     forces = [2.0 + 0.01 * place for place in range(len(rows))]
@@ -158,14 +151,12 @@ def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
 
 @pytest.mark.real_time
 def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """Half the stiffness, half the force: the recording presses 1 mm deep."""
     out = said("change_a_parameter.py", *endpoints, cwd=tmp_path)
     assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
 
 
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """The example draws a picture from the received telemetry."""
     out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
     assert number(r"(\d+) ticks drawn", out) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
@@ -174,7 +165,6 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
-    """Pressing 1 mm into 1000 N/m through 3000 N/m gives 0.75 N, and both runs complete every tick."""
     out = said("my_driver_python.py", "1300", cwd=tmp_path)
     alone, beside = out.splitlines()
     assert alone.startswith("1300 ticks alone") and beside.startswith("1300 ticks beside a busy thread")
@@ -200,5 +190,4 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
 
 @pytest.mark.real_time
 def test_my_driver_numba(tmp_path: Path) -> None:
-    """The daemon runs on it to the last tick."""
     said("my_driver_numba.py", cwd=tmp_path)

@@ -53,7 +53,6 @@ def client(endpoints: tuple[str, str]) -> partial[Client]:
 
 
 def test_every_name_is_there_and_none_more() -> None:
-    """Every name in `__all__` exists and is documented; other names raise AttributeError with a suggestion."""
     assert set(softfinger.__all__) <= set(dir(softfinger))
     for door in (Engine, Client):
         methods = [(name, method) for name, method in inspect.getmembers(door, callable) if name[0] != "_"]
@@ -67,7 +66,6 @@ def test_every_name_is_there_and_none_more() -> None:
 
 
 def test_every_public_error_is_exported() -> None:
-    """Every HapticError defined in these modules is a name of the package."""
     for home in (
         "config.errors",
         "proxy.pose_checks",
@@ -85,7 +83,6 @@ def test_every_public_error_is_exported() -> None:
 
 @pytest.mark.plain
 def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
-    """A step's mode has a name, equals its number in records and messages, and is packed as that number."""
     touch = engine.step(PRESSED, UPRIGHT)
     assert touch.mode is softfinger.ContactMode.ROLLING and touch.mode == 1 == touch.record[AT.contact_mode]
     assert [mode.name.lower() for mode in softfinger.ContactMode] == list(MODE_NAMES)
@@ -93,7 +90,6 @@ def test_a_mode_is_a_name_and_a_number(engine: Engine) -> None:
 
 
 def test_repr_and_completion_of_an_engine(client: partial[Client]) -> None:
-    """`repr` of each object is one line, and completion offers its fields."""
     engine = Engine("paper-plane")
     engine.step(PRESSED, UPRIGHT)
     assert repr(engine) == "<Engine: objects table; 1000 Hz, after 1 ticks>"
@@ -115,7 +111,6 @@ def test_repr_and_completion_of_an_engine(client: partial[Client]) -> None:
 
 
 def test_the_door_is_light() -> None:
-    """`import softfinger` and `dir` import only modules of Python's standard library."""
     code = "import sys; had = {*sys.modules}; import softfinger; dir(softfinger); print(*{*sys.modules} - had)"
     done = run_program([sys.executable, "-c", code], check=True)
     assert {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names == {"softfinger"}
@@ -135,7 +130,6 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 
 def test_an_engine_imports_what_its_scene_needs():
-    """Importing the class loads no scene parser, and a plane loads no code for meshes, height maps and solids."""
     done = run_program([sys.executable, "-c", IMPORTS], check=True)
     assert done.stdout.splitlines() == ["[] True", "[]"]
 
@@ -146,15 +140,11 @@ def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> N
     assert found.attempted and not found.failed
 
 
-# --- records ----------------------------------------------------------------------------------------
-
-
 def made_up(rows: int = 4) -> Records:
     return Records(np.arange(float(rows * RECORD_SIZE)).reshape(rows, RECORD_SIZE))
 
 
 def test_fields_match_the_table() -> None:
-    """A field is equal by name, in NumPy's structured type and by column."""
     records = made_up()
     for field in FIELDS:
         there = np.asarray(records)[:, field.at : field.at + field.size].reshape(records[field.name].shape)
@@ -165,7 +155,6 @@ def test_fields_match_the_table() -> None:
 
 
 def test_selections_of_rows_keep_field_names() -> None:
-    """Several rows and a single row have field names; a column is a plain array."""
     records = made_up()
     some, one = records[records["tick"] > RECORD_SIZE], records[2]
     assert some["force"].shape == (3, 3)  # the first row's tick is 1
@@ -178,7 +167,6 @@ def test_selections_of_rows_keep_field_names() -> None:
 
 
 def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Integer fields become integer columns; without pandas the error names the command that installs it."""
     made: list[tuple[list[str], dict[str, type]]] = []
 
     class Frame:
@@ -200,9 +188,6 @@ def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatc
         made_up().to_pandas()
 
 
-# --- tuning by dotted path --------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def engine() -> Engine:
     return Engine("paper-plane")
@@ -215,7 +200,6 @@ def pressing(engine: Engine) -> float:
 
 @pytest.mark.plain
 def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
-    """By name and by index, in contact; results are bit-equal to a new engine with these values."""
     changes = {STIFFNESS: 500.0, "coupling.stiffness_n_per_m": 700.0}
     poses = np.tile([*PRESSED, *UPRIGHT], (50, 1))
     poses[:, 0] = np.linspace(0.0, 0.002, 50)
@@ -239,7 +223,6 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
     ],
 )
 def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -> None:
-    """An error names the invalid value, and none of the other values is applied."""
     engine.set(STIFFNESS, 1000.0)
     before = engine.config
     with pytest.raises(ConfigError, match=said) as refused:
@@ -249,7 +232,6 @@ def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -
 
 
 def test_set_compiles_nothing(engine: Engine) -> None:
-    """Changing a parameter adds no compiled overload."""
     pressing(engine)
     before = len(step_many.overloads)
     engine.set(STIFFNESS, 321.0)
@@ -285,7 +267,6 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
     ],
 )
 def test_an_invalid_pose_is_refused(position: object, orientation: object, said: str, engine: Engine) -> None:
-    """The error names the fault, and the next valid pose is accepted."""
     with pytest.raises(PoseError, match=said):
         engine.step(position, orientation)  # type: ignore[arg-type]
     assert pressing(engine) > 0.0
@@ -300,7 +281,6 @@ def test_an_invalid_rate_is_refused(rate_hz: float) -> None:
 
 @pytest.mark.plain
 def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
-    """Single steps and `run` agree for quaternions of any length, and a returned step is not modified later."""
     poses = np.random.default_rng(3).normal(size=(40, 7)) * 0.001 + [*PRESSED, 3.0, 0.0, 0.0, 0.0]
     engine.reset()
     steps = [engine.step(pose[:3], list(pose[3:])) for pose in poses]
@@ -308,12 +288,8 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
     np.testing.assert_array_equal(np.array([step.record for step in steps]), engine.run(poses))
 
 
-# --- scenes and recordings --------------------------------------------------------------------------
-
-
 @pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
-    """A scene built from a mapping equals that of the file, and all faults are reported."""
     scene = load_scene("sphere")
     assert load_scene(describe(scene)) == scene == load_scene(scene)
     assert Engine(describe(scene)).config == scene
@@ -324,7 +300,6 @@ def test_a_mapping_is_as_good_as_a_file() -> None:
 
 
 def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
-    """Records and the results file equal those of the verb `simulate` bit by bit."""
     out, own = tmp_path / "verb.csv", tmp_path / "own.csv"
     assert main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "500"]) == 0
     records = run_recording("tap", "paper-plane", rate_hz=500.0)
@@ -337,11 +312,7 @@ def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run_recording("tap", named), run_recording({"index": "tap"}, named)["index"])
 
 
-# --- a running daemon -------------------------------------------------------------------------------
-
-
 def test_a_client_receives_events_of_its_changes(client: partial[Client]) -> None:
-    """Telemetry reports a parameter changed by command; subscriptions close with the client."""
     with client() as daemon:
         assert isinstance(daemon, Control)
         events = daemon.subscribe("event", timeout_s=20.0)
@@ -357,7 +328,6 @@ def test_a_client_receives_events_of_its_changes(client: partial[Client]) -> Non
 
 
 def test_timestamps_use_the_documented_clocks(client: partial[Client], engine: Engine) -> None:
-    """docs/python.md: offline time is ticks times dt, messages have the epoch, get_state has CLOCK_MONOTONIC."""
     engine.reset()
     for records in (run_recording("tap"), engine.run(np.tile([*PRESSED, *UPRIGHT], (10, 1)))):
         np.testing.assert_allclose(records["timestamp"], records["tick"] * 0.001, rtol=0.0, atol=1e-12)  # rounding
@@ -369,12 +339,8 @@ def test_timestamps_use_the_documented_clocks(client: partial[Client], engine: E
         assert state.sequence > 0 and state.field_state["mode"] in list(softfinger.ContactMode)
 
 
-# --- shipped files ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("verb", list(FOLDER_OF))
 def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every file is listed with its name and a sentence; JSON adds the path."""
     assert main([verb]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert main([verb, "--json"]) == 0
@@ -401,7 +367,6 @@ def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.Capture
     ],
 )
 def test_engine_returns_parameters(path, value):
-    """`get` accepts the paths of `set` and returns a table as a dictionary."""
     assert Engine("paper-plane").get(path) == value
 
 
@@ -414,7 +379,6 @@ def test_engine_refuses_a_path_without_value(path):
 
 
 def test_notebooks_show_tables():
-    """Names are escaped; empty records give no table."""
     engine = Engine(load_scene("paper-plane", {"object.0.name": "a <b>"}))
     assert "a &lt;b&gt;" in engine._repr_html_() and "<b>" not in engine._repr_html_()
     records = Records(np.zeros((2, RECORD_SIZE)))
@@ -423,7 +387,6 @@ def test_notebooks_show_tables():
 
 
 def test_dir_lists_public_names_only():
-    """Only documented names are completed after `softfinger.`, no imported modules."""
     names = {name for name in dir(softfinger) if not name.startswith("__")}
     assert names == set(softfinger.__all__) - {"__version__"}
 
@@ -432,7 +395,6 @@ def test_dir_lists_public_names_only():
     "position", [["a", 0.0, 0.0], [[0.0], [0.0], [0.0]], [0.0, 0.0], None, [10**400, 0.0, 0.0], 1.0]
 )
 def test_a_position_without_three_numbers_is_refused(position):
-    """Lists and object arrays raise PoseError."""
     engine = Engine("paper-plane")
     for given in (position, np.array(position, dtype=object)):
         with pytest.raises(PoseError, match="3 numbers"):

@@ -29,13 +29,11 @@ TARGETS: Final = sorted(fuzzing.targets())
 
 
 def test_every_folder_of_the_corpus_is_a_target() -> None:
-    """No folder is left over when a target is renamed."""
     assert {path.parent.name for path in FOUND} <= set(TARGETS)
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_bytes_found_by_fuzzing_are_accepted_or_refused(path: Path, tmp_path: Path) -> None:
-    """Each of these bytes once caused another error, a crash, or an error without a message."""
     target = fuzzing.targets()[path.parent.name]
     assert not fuzzing.verdict(target, tmp_path / f"input{target.ending}", path.read_bytes())
 
@@ -43,7 +41,6 @@ def test_bytes_found_by_fuzzing_are_accepted_or_refused(path: Path, tmp_path: Pa
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", TARGETS)
 def test_random_bytes_are_accepted_or_refused(name: str) -> None:
-    """No other error, no warning, no crash, at most 10 s of the processor and 600 MB for each."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "helpers.fuzzing", name, f"{SECONDS}", f"{SEED}", folder]
         environment = os.environ | {"PYTHONPATH": str(HERE), "NUMBA_DISABLE_JIT": "1"}

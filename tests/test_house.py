@@ -29,7 +29,6 @@ def name(path: Path) -> str:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=name)
 def test_every_package_documents_its_content_and_exclusions(folder: Path) -> None:
-    """The docstring has a line for each, and neither is empty."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
     inside, _, outside = text.partition("\n\n")
     assert len(inside.split()) >= 5 and len(outside.split()) >= 4, f"{name(folder)}: {text!r}"
@@ -37,7 +36,6 @@ def test_every_package_documents_its_content_and_exclusions(folder: Path) -> Non
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_function_takes_more_than_a_reader_keeps_in_mind(package: str) -> None:
-    """At most eight parameters, without `self` and `cls`; a named tuple groups parameters that belong together."""
     long = []
     for path in sorted((ROOT / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -64,13 +62,11 @@ def test_tests_that_need_more_packages_import_names_that_exist() -> None:
 
 
 def parameters(given: ast.arguments) -> int:
-    """How many a caller may give one by one."""
     names = [argument.arg for argument in (*given.posonlyargs, *given.args)]
     return len(names) - (names[:1] in (["self"], ["cls"])) + len(given.kwonlyargs)
 
 
 def test_parameters_are_counted() -> None:
-    """Counts positional and keyword parameters, but neither `self` nor starred ones."""
     (made,) = ast.parse("def f(self, a, /, b, c=1, *rest, d, e=2, **more): ...").body
     assert isinstance(made, ast.FunctionDef) and parameters(made.args) == 5
 
@@ -88,7 +84,6 @@ def test_no_failing_test_waits_for_its_program() -> None:
 
 
 def test_the_map_is_true() -> None:
-    """Every file and folder that CONTRIBUTING names is there."""
     page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     named = re.findall(r"`((?:config|docs|examples|drivers|proxy|server|tests|tools)/[\w/.-]*)`", page)
     assert len(named) > 30
@@ -96,7 +91,6 @@ def test_the_map_is_true() -> None:
 
 
 def test_each_reason_for_less_coverage_is_of_a_file() -> None:
-    """tests/coverage_reasons.toml names files that there are, each once."""
     table = tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]
     files = [file for each in table for file in each["files"]]
     assert len(set(files)) == len(files)
@@ -104,7 +98,6 @@ def test_each_reason_for_less_coverage_is_of_a_file() -> None:
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    """The text that an entry replaces occurs exactly once, and its tests exist."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
         assert each.keys() == {"file", "old", "new", "mistake", "tests"} and each["tests"], each
         text = (ROOT / each["file"]).read_text("utf-8")
@@ -116,7 +109,6 @@ def test_each_planted_mistake_can_be_made() -> None:
 
 
 def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
-    """Each excused mistake can still be made, in a file that the sweep covers, and has a reason."""
     for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
         assert each.keys() == {"file", "line", "mistake", "reason"} and len(each["reason"].split()) >= 4, each
         assert any(each["file"] in part.files for part in PARTS.values()), each["file"]
@@ -159,7 +151,6 @@ def test_marks_of_helpers_are_named_in_the_files_that_use_them() -> None:
 
 
 def test_the_index_lists_every_page() -> None:
-    """docs/index.md leads to each page of docs/."""
     index = ROOT / "docs" / "index.md"
     linked = {(index.parent / target).resolve() for target in re.findall(r"\]\(([^)#:]+)\)", index.read_text("utf-8"))}
     pages = {path.resolve() for path in (ROOT / "docs").rglob("*.md")} - {index.resolve()}
@@ -167,7 +158,6 @@ def test_the_index_lists_every_page() -> None:
 
 
 def test_names_in_the_glossary_exist() -> None:
-    """Each file and each name of a field in the glossary exists."""
     rows = re.findall(r"^\| .* \| .* \| `([^`]+)`", (ROOT / "docs" / "glossary.md").read_text("utf-8"), re.MULTILINE)
     sources = "\n".join(path.read_text("utf-8") for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
     for place in rows:

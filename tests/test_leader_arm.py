@@ -151,7 +151,6 @@ def test_published_packets() -> None:
 
 @pytest.mark.parametrize("protocol", SERIES)
 def test_pose_and_force(protocol: str, urdf: Path) -> None:
-    """The pose is the URDF's at the servos' angles; of a force the motor of one joint displays its part, limited."""
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = Servo(device)
         assert (device.info.sensed_dof, device.info.actuated_dof) == (3, 1)
@@ -195,7 +194,6 @@ def _angle(a: float, b: float, c: float) -> float:
 
 @pytest.mark.parametrize("protocol", SERIES)
 def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
-    """Answers with a wrong checksum count as missing: the pose stays, and the next transaction has the new one."""
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = Servo(device)
         arm.damage[2] = 3
@@ -208,7 +206,6 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
-    """The servo with the force does not confirm its zero: the run ends, and the error explains it."""
     with emulated() as arm:
         device = leader.open_device(arm_options(arm, urdf, timeout_s=0.1), RATE_HZ)
         servo = Servo(device)
@@ -235,7 +232,6 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
 
 
 def test_the_rig_of_an_so101_is_complete() -> None:
-    """Its keys are the driver's; five joints lead to the tip."""
     registry.add("leader-arm", leader)
     rig = load_rig(FOLDER / "so101.toml")
     assert rig.device is not None
@@ -245,7 +241,6 @@ def test_the_rig_of_an_so101_is_complete() -> None:
 
 
 def test_refusals(urdf: Path, tmp_path: Path) -> None:
-    """A joint without a servo, a file that is not a URDF, a servo in another mode, and one that is not there."""
     with emulated() as arm:
         with pytest.raises(ConfigError, match=r"joints on the way to that link .*\['pitch', 'roll', 'yaw'\]"):
             leader.open_device(arm_options(arm, urdf, joint=[{"name": "yaw", "servo": 1}], force_joint=None), RATE_HZ)

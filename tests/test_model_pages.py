@@ -24,7 +24,6 @@ SVG_MAX = 40_000
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_starts_with_three_sentences_and_a_figure(page: Path) -> None:
-    """A title, a paragraph of three sentences, and a figure that a command draws, small and undated."""
     _, sentences, picture, *_ = page.read_text("utf-8").split("\n\n")
     assert len(re.findall(r"[.?!](?=\s|$)", sentences)) == 3, sentences
     match = re.fullmatch(r"!\[[^]]+\]\(\.\./figures/([\w-]+)\.svg\)", picture)
@@ -36,7 +35,6 @@ def test_a_page_starts_with_three_sentences_and_a_figure(page: Path) -> None:
 @pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each page; `make test` runs them")
 @pytest.mark.parametrize("page", [each for each in PAGES if each.stem != "conventions"], ids=lambda page: page.stem)
 def test_a_worked_example_prints_its_lines(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program prints the lines below it. The conventions have a table, whose rows tests/test_docs.py runs."""
     example = page.read_text("utf-8").split("\n## Worked example\n", 1)[1].split("\n## ", 1)[0]
     (program,) = re.findall(r"```python\n(.*?)```", example, re.DOTALL)
     (printed,) = re.findall(r"```text\n(.*?)```", example, re.DOTALL)
@@ -48,7 +46,6 @@ def test_a_worked_example_prints_its_lines(page: Path, tmp_path: Path, monkeypat
 
 @pytest.mark.exhaustive
 def test_every_figure_is_drawn(tmp_path: Path) -> None:
-    """The command of `make figures` draws all that the pages show."""
     pytest.importorskip("matplotlib", reason="an extra")
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}  # else it compiles a scene for each figure
     subprocess.run([sys.executable, "-m", figures.__name__, str(tmp_path)], env=environment, check=True, timeout=600)

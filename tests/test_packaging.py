@@ -93,14 +93,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def sources(package: str) -> Iterator[Path]:
-    """Every file of a package that is shipped."""
     for path in sorted((ROOT / package).rglob("*")):
         if path.is_file() and not {"__pycache__", "node_modules"} & set(path.parts):
             yield path.relative_to(ROOT)
 
 
 def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None:
-    """Each file of the five folders is in the wheel under softfinger/, tests and tools of the repository are not."""
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     shipped = {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
     moved = {"softfinger/config/package.py", "softfinger/config/py.typed"}
@@ -109,7 +107,6 @@ def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None
 
 @pytest.mark.exhaustive
 def test_the_types_of_the_installed_wheel_are_checked(installed: Path, tmp_path: Path) -> None:
-    """mypy --strict over the examples and a program of a user: `Engine` is not `Any` to him."""
     program = tmp_path / "program.py"
     program.write_text('import softfinger\nreveal_type(softfinger.Engine("paper-plane").step)\n')
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
@@ -125,12 +122,10 @@ def test_the_types_of_the_installed_wheel_are_checked(installed: Path, tmp_path:
 
 @pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings", "faults", "experiments"])
 def test_the_wheel_ships_data(wheel: Path, kind: str) -> None:
-    """Scenes, rigs, recordings, faults and experiments are in the wheel: `softfinger run` needs no checkout."""
     assert [name for name in zipfile.ZipFile(wheel).namelist() if name.startswith(f"softfinger/config/{kind}/")]
 
 
 def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
-    """The source archive contains all files that make setup, lint and test read, without duplicates through .dev."""
     (path,) = dist.glob("*.tar.gz")
     with tarfile.open(path) as archive:
         names = {member.name.partition("/")[2] for member in archive.getmembers()}
@@ -152,27 +147,23 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
 
 
 def test_the_installed_wheel_is_imported(installed: Path, tmp_path: Path) -> None:
-    """In the clean environment, softfinger is imported from the wheel only."""
     code = "import json, softfinger, softfinger.server as s; print(json.dumps([*softfinger.__path__, s.__file__]))"
     for path in json.loads(run(installed / "python", "-c", code, cwd=tmp_path).stdout):
         assert Path(path).is_relative_to(installed.parent), path
 
 
 def test_the_installed_wheel_prints_its_version(installed: Path, tmp_path: Path) -> None:
-    """`softfinger --version` prints the version of pyproject.toml."""
     assert VERSION in run(installed / "softfinger", "--version", cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize("where", ["wheel", "checkout"])
 def test_the_version_is_an_attribute(where: str, installed: Path, tmp_path: Path) -> None:
-    """`softfinger.__version__` from the wheel and from a checkout; nothing else is there, and nothing is imported."""
     python = installed / "python" if where == "wheel" else sys.executable
     code = "import softfinger, sys; print(softfinger.__version__, hasattr(softfinger, 'x'), 'numba' in sys.modules)"
     assert run(python, "-c", code, cwd=tmp_path).stdout.split() == [VERSION, "False", "False"]
 
 
 def test_the_package_page_has_authors_and_classifiers(wheel: Path) -> None:
-    """Author, addresses, keywords and classifiers are in the wheel; all classifiers are ones that indexes know."""
     from trove_classifiers import classifiers
 
     archive = zipfile.ZipFile(wheel)
@@ -197,7 +188,6 @@ def test_the_package_page_has_no_relative_links(wheel: Path) -> None:
 
 
 def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
-    """For a second on the shipped scene, in an empty folder; kernels of this checkout may be used."""
     rig = tmp_path / "rig.toml"
     device = '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n'
     rig.write_text(f'{device}[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n')
@@ -210,7 +200,6 @@ def test_the_installed_wheel_streams(installed: Path, tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_driver_of_another_package_passes_the_contract_of_the_wheel(installed: Path, tmp_path: Path) -> None:
-    """The example package passes its tests with the wheel, without files of this checkout."""
     source = tmp_path / "source"
     shutil.copytree(ROOT / "tests" / "outside_driver", source, ignore=shutil.ignore_patterns("__pycache__"))
     options = "--quiet --no-index --no-deps --no-build-isolation"
@@ -247,7 +236,6 @@ def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, instal
 
 @pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])
 def test_every_pinned_version_has_hashes_and_names_no_host(file: str) -> None:
-    """Constraints hold name==version with sha256 hashes only: no URL, path, option or index."""
     text = (ROOT / file).read_text()
     entries = re.split(r"\n(?=\S)", text.strip())
     assert len(entries) > 40
@@ -259,7 +247,6 @@ def test_every_pinned_version_has_hashes_and_names_no_host(file: str) -> None:
 
 
 def test_every_dependency_is_pinned() -> None:
-    """Each requirement needed to run and to test has a line in constraints.txt."""
     pinned = set(re.findall(r"^([a-z0-9-]+)==", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
     wanted = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["dev"]
     names = {re.match(r"[A-Za-z0-9_.-]+", line)[0].lower().replace("_", "-") for line in wanted}  # type: ignore[index]
@@ -279,8 +266,6 @@ IMPORTED_AS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "pylsl": "pylsl
 
 
 def test_every_import_is_declared() -> None:
-    """All imports of the program are requirements of its own or of an extra, not only of a library that it uses."""
-
     def plain(requirement: str) -> str:
         return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
 
@@ -301,7 +286,6 @@ def test_every_import_is_declared() -> None:
 
 
 def test_the_packages_are_named_the_same_everywhere() -> None:
-    """Wheel, source archive, Makefile, Dockerfile, .dockerignore, links and import order list the same folders."""
     build = PROJECT["tool"]["hatch"]["build"]["targets"]
     layers = next(c for c in PROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers")["layers"]
     makefile = (ROOT / "Makefile").read_text()
@@ -338,7 +322,6 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def test_kernels_import_only_numerics_and_each_other() -> None:
-    """A kernel file imports math, numpy, numba, llvmlite, typing, other kernels and the record table; no more."""
     allowed = (*KERNEL_IMPORTS, *KERNEL_OWN_IMPORTS)
     files = sorted((ROOT / "proxy" / "kernels").rglob("*.py"))
     assert files

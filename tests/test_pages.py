@@ -115,7 +115,6 @@ def terminals(folder: Path, interpreter: Path) -> Iterator[Terminals]:
     ],
 )
 def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """Its files are saved and its commands run, one after the other, from an empty folder; each ends as it should."""
     ran = 0
     interpreter = request.getfixturevalue("installed") / "python" if where == "wheel" else Path(sys.executable)
     with terminals(tmp_path, interpreter) as reader:
@@ -131,7 +130,6 @@ def test_a_page_works_as_printed(page: str, where: str, tmp_path: Path, request:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_files_to_save_are_used_and_valid(page: str) -> None:
-    """Every file that a page has its reader save is used by a command of it, and TOML is read as such."""
     text = (DOCS / page).read_text()
     for kind, title, body in fences(page):
         if title:

@@ -46,7 +46,6 @@ def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.name)
 def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
-    """It may read the repository; a job with more permissions declares them. Actions are pinned by major version."""
     workflow = read(path)
     assert workflow["permissions"] == {"contents": "read"}
     for job in workflow["jobs"].values():
@@ -56,7 +55,6 @@ def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
 
 
 def test_ci_runs_supported_pythons_and_existing_targets() -> None:
-    """Each Python of the classifiers, and `make` targets that exist: lint, the site of docs/, test and the wheel."""
     workflow = read(ROOT / ".github" / "workflows" / "ci.yml")
     pythons = [each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)]
     assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"] == pythons
@@ -68,7 +66,6 @@ def test_ci_runs_supported_pythons_and_existing_targets() -> None:
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:
-    """A release requires that all tests passed; the jobs that sign and publish have no stored secret."""
     path = ROOT / ".github" / "workflows" / "release.yml"
     jobs = read(path)["jobs"]
     assert jobs["ci"]["uses"] == "./.github/workflows/ci.yml"
@@ -81,7 +78,6 @@ def test_a_release_is_tested_attested_and_of_its_tag() -> None:
 
 @pytest.mark.parametrize("path", FORMS, ids=lambda path: path.name)
 def test_a_form_asks_with_commands_that_exist(path: Path) -> None:
-    """Its parts are those of issue forms, with unique ids; each `softfinger ...` in it is a valid command."""
     form = read(path)
     assert form["name"] and form["description"]
     ids = [part["id"] for part in form["body"]]
@@ -96,13 +92,11 @@ def test_a_form_asks_with_commands_that_exist(path: Path) -> None:
 
 
 def test_forms_ask_for_the_doctor() -> None:
-    """The forms ask for a report of the machine or of the device."""
     texts = {path.stem: path.read_text() for path in FORMS}
     assert "softfinger doctor --json" in texts["bug"] and "softfinger doctor --device-report" in texts["device"]
 
 
 def test_the_citation_is_of_this_version() -> None:
-    """Version, licence and address equal pyproject.toml; the keys are in the format."""
     cited = read(ROOT / "CITATION.cff")
     assert (cited["cff-version"], cited["version"]) == ("1.2.0", PROJECT["version"])
     assert cited["license"] == PROJECT["license"] and cited["repository-code"] == PROJECT["urls"]["Homepage"]
@@ -110,7 +104,6 @@ def test_the_citation_is_of_this_version() -> None:
 
 
 def test_compose_has_the_flags_of_the_docs() -> None:
-    """The compose file has each flag that docker.md lists for real time and a device; the replay has none of them."""
     composed = read(ROOT / "compose.yaml")
     replay, device = composed["services"]["replay"], composed["services"]["device"]
     for service in (replay, device):
@@ -130,7 +123,6 @@ def test_compose_has_the_flags_of_the_docs() -> None:
 
 
 def test_files_of_the_host_lead_somewhere() -> None:
-    """Links of SECURITY.md, and the forms that the pull request template and CONTRIBUTING rely on."""
     page = (ROOT / "SECURITY.md").read_text()
     for target in re.findall(r"\]\(([^)#:]+)", page):
         assert (ROOT / target).exists(), target

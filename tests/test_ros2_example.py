@@ -28,7 +28,6 @@ WAIT_S = 120.0
 
 
 def sample_of(record: Records) -> Sample:
-    """Return a contact message with the values that the node uses."""
     probe = {key: record[f"probe.{key}"].tolist() for key in ("position", "orientation")}
     wrench = {key: record[key].tolist() for key in ("force", "torque")}
     return Sample("contact", {"timestamp": float(record["timestamp"]), "probe": probe} | wrench)
@@ -50,7 +49,6 @@ def imported(types: dict[str, type]) -> ModuleType:
 
 @pytest.mark.parametrize("release", [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
 def test_ros_messages_equal_the_telemetry(release: Stores) -> None:
-    """Pose and wrench of a tick, serialised and read again by an implementation of ROS 2's formats."""
     store = get_typestore(release)
     record = Records(run()[1000:1001])[0].copy()
     record["probe.orientation"][:] = np.cos(0.5), 0.0, np.sin(0.5), 0.0
@@ -68,7 +66,6 @@ def test_ros_messages_equal_the_telemetry(release: Stores) -> None:
 @pytest.mark.real_time
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the libraries below rclpy
 def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The node runs as a process, on this machine only; Ctrl-C ends it."""
     rclpy = pytest.importorskip("rclpy", reason="rclpy is ROS 2's (docs/operate/bridges.md says how it was had)")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")

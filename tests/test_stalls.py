@@ -63,14 +63,12 @@ def _no_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_repeated_where_the_machine_stood_still(pytester: pytest.Pytester) -> None:
-    """The end of the run reports the repetition with its error."""
     result = run(pytester, 0.05)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*= repeated =*", "*::test_luck: overslept 50 ms; *"])
 
 
 def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> None:
-    """Three failures count as a failure in spite of stalls, and the end of the run reports each error."""
     result = run(pytester, 0.05, NO_LUCK)
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*= repeated =*", *["*::test_luck: overslept 50 ms; *"] * 3])
@@ -85,7 +83,6 @@ def test_no_result_where_the_host_took_the_processors(pytester: pytest.Pytester)
 
 
 def test_a_failed_test_is_put_off_while_other_parts_run(pytester: pytest.Pytester) -> None:
-    """By name, after three attempts with stalls or at once without; a passing test is not put off."""
     later = pytester.path / "later"
     for overslept_s, times in ((0.05, 3), (0.001, 1)):
         result = run(pytester, overslept_s, NO_LUCK, put_off=str(later))
@@ -97,19 +94,16 @@ def test_a_failed_test_is_put_off_while_other_parts_run(pytester: pytest.Pyteste
 
 
 def test_steal_time_is_counted() -> None:
-    """The time equals the kernel's count, which never decreases."""
     first = taken_s()
     assert 0.0 <= first <= taken_s()
 
 
 def test_a_test_without_stalls_fails(pytester: pytest.Pytester) -> None:
-    """A test that passes on the second try has failed; so has one that does not wait for the clock."""
     run(pytester, 0.001).assert_outcomes(failed=1)
     run(pytester, 0.05, SECOND_TIME_LUCKY.replace("@pytest.mark.real_time", "")).assert_outcomes(failed=1)
 
 
 def test_garbage_collection_is_off_during_a_real_time_test(pytester: pytest.Pytester) -> None:
-    """Only while a real-time test runs."""
     test = """
         import gc, pytest
 
@@ -124,7 +118,6 @@ def test_garbage_collection_is_off_during_a_real_time_test(pytester: pytest.Pyte
 
 
 def test_a_stall_of_one_processor_is_detected() -> None:
-    """A program that is stopped for 50 ms oversleeps by as much, on whichever processor it is."""
     sleepers = Sleepers()
     try:
         sleepers.longest_s()  # they are up
@@ -142,7 +135,6 @@ def test_a_stall_of_one_processor_is_detected() -> None:
 
 
 def test_a_machine_that_keeps_time_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wait ends with the first quiet interval: here the second half-second."""
     sleepers, overslept = Sleepers(), iter([0.0, 0.05, 0.001, 0.05])
     try:
         monkeypatch.setattr(sleepers, "longest_s", lambda: next(overslept))

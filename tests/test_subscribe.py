@@ -24,7 +24,6 @@ def python(_: Path) -> list[str]:
 
 
 def cpp(folder: Path) -> list[str]:
-    """Compile it with the command in its first lines."""
     compiler = shutil.which("g++")
     includes = b"#include <zmq.hpp>\n#include <msgpack.hpp>\n"
     look = [compiler or "false", "-std=c++17", "-DMSGPACK_NO_BOOST", "-E", "-x", "c++", "-", "-o", "/dev/null"]
@@ -56,7 +55,6 @@ def octave(_: Path) -> list[str]:
 @pytest.mark.real_time
 @pytest.mark.parametrize("make", [python, cpp, javascript, octave])
 def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    """Each line is a tick with mode and force as another subscriber got them; each but the first is a change."""
     command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
     apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the other programs read every tick
     published: dict[int, tuple[str, list[float]]] = {}
@@ -88,7 +86,6 @@ def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple
 
 
 def test_every_program_is_on_the_page() -> None:
-    """docs/operate/subscribe.md and the README of the folder link to each of them, and name those that are not run."""
     page = (PROGRAMS.parents[1] / "docs" / "operate" / "subscribe.md").read_text()
     own = (PROGRAMS / "README.md").read_text()
     for program in PROGRAMS.glob("subscribe*.*"):

@@ -27,7 +27,6 @@ def test_imports_of_vm_programs_exist(program: Path) -> None:
 
 
 def test_its_command_is_one_that_pytest_takes() -> None:
-    """With the guest's variables and this project's settings, the command finds tests and ends in order."""
     guest = {key: value for key, value in run.guest_environment().items() if key.startswith("PYTEST_")}
     assert guest
     command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))], systemd=False)
@@ -39,7 +38,6 @@ def test_its_command_is_one_that_pytest_takes() -> None:
     "words", [[], ["-k", "unplugged"], ["tests/vm/under_systemd.py"], ["tests/vm/on_hid.py::TestV2"]]
 )
 def test_every_vm_test_runs_on_its_machine(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tests of the service run where systemd is, those of drivers where it is not, and no machine is without tests."""
     monkeypatch.chdir(ROOT)
     named = [word for word in words if word.startswith("tests/")]
     for systemd in (False, True):

@@ -195,7 +195,6 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _form_faults(scene: Scene) -> Iterator[Complaint]:
-    """Check that rolling method, shapes and textures support an ellipsoidal fingertip."""
     if not is_usable(scene.fingertip, scene.finger):
         return
     fingertips: list[tuple[str, Form]] = [
@@ -285,7 +284,6 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
-    """Check that the material or the patch of the fingertip gives all numbers of torsion."""
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
     tips = _tips(scene)

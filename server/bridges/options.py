@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from softfinger.server.arguments import add_endpoint_option, add_key_options
+from softfinger.server.arguments import add_daemon_options
 
 FOXGLOVE_PORT: Final = 8765
 """Default port of Foxglove."""
@@ -20,13 +20,7 @@ def configure_bridge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recording", nargs="?", metavar="FILE", help="recording to show in Rerun; default: a running daemon"
     )
-    add_endpoint_option(parser)
-    parser.add_argument(
-        "--commands",
-        metavar="URL",
-        help="commands endpoint of the daemon, which describes the scene (default: derived from --endpoint)",
-    )
-    add_key_options(parser)
+    add_daemon_options(parser, commands=True)
     parser.add_argument(
         "--port", type=int, default=FOXGLOVE_PORT, help="local port for Foxglove (default: %(default)s)"
     )

@@ -128,7 +128,6 @@ class Forward:
                 yield upstream, partial(self.commanders.answer, upstream)
 
     def statistics(self) -> dict[str, Any]:
-        """Return the counts of forwarded messages so far."""
         counts: dict[str, Any] = {"seconds": time.monotonic() - self._start_s}
         if self.stream is not None:
             counts |= {"messages": self.stream.messages, "bytes": self.stream.size, "lost": self.stream.lost}
@@ -151,12 +150,10 @@ class Forward:
         return counts
 
     def close(self) -> None:
-        """Disconnect all; may be called repeatedly."""
         self._files.close()
 
 
 def describe(statistics: dict[str, Any]) -> str:
-    """Return the statistics as text."""
     parts = []
     if "messages" in statistics:
         parts.append(f"{statistics['messages']} messages, {statistics['lost']} ticks missing")

@@ -66,7 +66,6 @@ class Commanders:
         return upstream
 
     def answer(self, upstream: zmq.Socket[bytes]) -> None:
-        """Forward an answer to the client of the connection."""
         for client, socket in self._upstream.items():
             if socket is upstream:
                 with contextlib.suppress(zmq.Again):
@@ -79,7 +78,6 @@ class Commanders:
                 return
 
     def close(self) -> None:
-        """Close all connections to the server."""
         for socket in self._upstream.values():
             socket.close()
         self._upstream.clear()

@@ -47,7 +47,6 @@ class Stream:
         self._ticks: dict[bytes, int] = {}
 
     def take(self) -> None:
-        """Pass on the messages received."""
         for _ in range(AT_ONCE):
             try:
                 frames = self.socket.recv_multipart(zmq.NOBLOCK)

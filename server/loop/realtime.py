@@ -127,7 +127,6 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
 
 
 def list_refused_settings(platform: str, cpu: int | None) -> list[Setting]:
-    """Return the refused settings for a system other than Linux."""
     names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
     advice = "run on Linux, or set --realtime off"
     return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
@@ -143,9 +142,6 @@ def _check_required(applied: AppliedSettings) -> None:
         raise RealtimeError(
             "real time was required and this machine refused it; --realtime auto runs without:\n" + "\n".join(lines)
         )
-
-
-# --- one function per setting ----------------------------------------------------------------------
 
 
 def _set_timer_slack(applied: AppliedSettings) -> Setting:
@@ -267,9 +263,6 @@ def _set_affinity(applied: AppliedSettings, cpu: int) -> Setting:
         return Setting("affinity", False, f"processor {cpu}: {_reason(error.errno)}", advice)
     applied._undo_thread.append(lambda: os.sched_setaffinity(0, before))
     return Setting("affinity", True, f"processor {cpu}", "")
-
-
-# --- asking the system -----------------------------------------------------------------------------
 
 
 class _Outcome(NamedTuple):

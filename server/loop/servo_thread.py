@@ -143,7 +143,6 @@ class Servo:
         return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
 
     def start(self) -> None:
-        """Start the thread and return at once."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -244,7 +243,6 @@ class Servo:
                 raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
 
     def check_running(self) -> None:
-        """Raise SafetyStop unless the loop is ticking."""
         if not self._armed or self._ended is not None:
             raise SafetyStop("the servo does not run: nothing can be replaced")
 
@@ -265,7 +263,6 @@ class Servo:
 
     @property
     def shared(self) -> Shared:
-        """Memory that the loop that runs or ran last shares with Python."""
         return self._loop.shared
 
     @property
@@ -306,7 +303,6 @@ class Servo:
 
     @property
     def ticks(self) -> int:
-        """Ticks done so far."""
         return int(self.shared.progress[0])
 
     def last_tick_and_time(self) -> tuple[int, float]:
@@ -318,7 +314,6 @@ class Servo:
 
     @property
     def missed(self) -> int:
-        """Deadlines missed so far."""
         return int(self.shared.progress[1])
 
     @property
@@ -332,7 +327,6 @@ class Servo:
         return bool(self.shared.progress[2])
 
     def is_compiled_for(self, tuning: Tuning) -> bool:
-        """Return whether the loop was compiled for this structure of tuning."""
         return has_same_structure(tuning, self._loop.tuning)
 
     def tune(self, tuning: Tuning) -> None:

@@ -91,7 +91,6 @@ def _write_zero_directly(device: Device) -> None:
 
 
 def close(device: Device) -> None:
-    """Close a device; errors as for `stop`."""
     _call_checked(device, device.close, "be closed")
 
 
@@ -107,7 +106,6 @@ def stop_all(devices: Sequence[Device]) -> None:
 
 
 def close_all(devices: Sequence[Device]) -> None:
-    """Close all devices, as `stop_all` does."""
     _raise_first("be closed", open_devices.call_all(close, devices))
 
 

@@ -43,5 +43,4 @@ class Brake:
         self._words = memoryview(self._memory).cast("q")
 
     def count(self, requests: int) -> None:
-        """Add to the count of requests, or subtract from it."""
         self._words[STOPS_RECEIVED] += requests

@@ -104,7 +104,6 @@ class PeerSocket:
 
     @property
     def has_message(self) -> bool:
-        """Whether a message can be received."""
         return bool(cast(int, self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
     def renew(self) -> None:

@@ -128,7 +128,6 @@ def _experiment(file: str, path: Path) -> FileReport:
 
 
 def _reports(config: Scene | Rig) -> dict[str, Any]:
-    """Return the report on each mesh by the name of its object."""
     meshes = [mesh for mesh in config.object if isinstance(mesh, Mesh)] if isinstance(config, Scene) else []
     return {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
 

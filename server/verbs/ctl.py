@@ -26,7 +26,6 @@ from softfinger.server.wire.protocol import HEALTH, ProtocolError
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send the command and print its result; return 0."""
     if args.method not in METHODS:
         hint = near(args.method, METHODS)
         raise ConfigError(f"no method {format_value(args.method)}{hint}: there are {', '.join(METHODS)}")

@@ -74,7 +74,6 @@ def _list(is_json: bool) -> None:
 
 
 def _short(entry: LibraryEntry) -> str:
-    """Return the main values of an entry, for the list."""
     values = entry.values
     if "friction" in values:
         friction = values["friction"]

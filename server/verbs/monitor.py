@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
 from softfinger.server.gateway.addresses import find_addresses
@@ -45,10 +44,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
     """
-    for name in ("duration", "timeout"):
-        value = getattr(args, name)
-        if value is not None and not (0.0 < value < math.inf):
-            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     try:
         if args.json:
             _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
@@ -104,7 +99,6 @@ class Board:
 
     @property
     def silent_s(self) -> float:
-        """Time since the last message, s."""
         return time.monotonic() - self._arrived_s
 
     @property
@@ -176,7 +170,6 @@ def _json(board: Board) -> str:
 
 
 def line(board: Board) -> str:
-    """Return the board as one line of text."""
     parts = [time.strftime("%H:%M:%S")]
     if board.outage_text:
         parts.append(f"{board.outage_text};")

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.server.arguments import add_endpoint_option, add_key_options, duration
+from softfinger.server.arguments import add_daemon_options, add_stream_options, duration
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.viewer.roles import Role
 
@@ -82,18 +82,10 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
     parser.description = "Show contact mode, forces, lateness and events of a running server."
-    add_endpoint_option(parser)
-    add_key_options(parser)
+    add_daemon_options(parser)
     parser.add_argument("--once", action="store_true", help="print one summary and exit")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
-    parser.add_argument("--duration", type=float, metavar="S", help="exit after S seconds (default: run until Ctrl-C)")
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        metavar="S",
-        default=3.0,
-        help="fail if no telemetry arrives within S seconds (default: %(default)s)",
-    )
+    add_stream_options(parser)
 
 
 def configure_view(parser: argparse.ArgumentParser) -> None:
@@ -110,9 +102,7 @@ def configure_view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tick", type=int, default=0, metavar="N", help="first tick of the recording to show (default: %(default)s)"
     )
-    add_endpoint_option(parser)
-    parser.add_argument("--commands", help="commands endpoint (default: derived from --endpoint)")
-    add_key_options(parser)
+    add_daemon_options(parser, commands=True)
     parser.add_argument(
         "--role",
         choices=[role.value for role in Role],
@@ -154,23 +144,8 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=".csv for poses, .mcap for all telemetry; NAME=FILE for each of several fingers",
     )
-    add_endpoint_option(parser)
-    parser.add_argument(
-        "--commands",
-        metavar="URL",
-        help="commands endpoint of the daemon, which describes the scene (default: derived from --endpoint)",
-    )
-    add_key_options(parser)
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="stop after S seconds (default: when the daemon ends)"
-    )
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        metavar="S",
-        default=3.0,
-        help="stop if no telemetry arrives for S seconds (default: %(default)s)",
-    )
+    add_daemon_options(parser, commands=True)
+    add_stream_options(parser)
 
 
 def configure_ctl(parser: argparse.ArgumentParser) -> None:
@@ -197,8 +172,7 @@ def configure_ctl(parser: argparse.ArgumentParser) -> None:
         metavar="key=value",
         help="parameters of the method; values in TOML or JSON, otherwise text",
     )
-    add_endpoint_option(parser)
-    add_key_options(parser)
+    add_daemon_options(parser)
     parser.add_argument(
         "--timeout", type=duration, metavar="S", help="time limit for the answer (default: depends on the method)"
     )

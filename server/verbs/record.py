@@ -42,10 +42,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoTelemetry if nothing arrives, and RecordingError if a file cannot be written.
     """
-    for name in ("duration", "timeout"):
-        value = getattr(args, name)
-        if value is not None and not 0.0 < value < math.inf:
-            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record needs either a FILE or --poses FILE")
     stop, lock = Stop(), keys.keys_from_options(args)
@@ -111,7 +107,6 @@ class RecordingStats:
         return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{losses}{skipped}; {self.end_reason}"
 
     def gaps(self) -> str:
-        """Return a message to the user about the gaps."""
         return (
             f"{self.lost} ticks in {self.gap_count} gaps did not arrive, the longest {self.worst[1]} after tick "
             f"{self.worst[0]}: a replay interpolates each; record on a machine with less load, or with "
@@ -247,7 +242,6 @@ class PoseWriter(Closeable):
             self._file.close()
 
     def flush(self) -> None:
-        """Write the buffered poses."""
         if not self._period and self._buffer:
             self._period = min(sample.dt for _, sample in self._buffer)
         for step, sample in self._buffer:

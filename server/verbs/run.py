@@ -111,12 +111,10 @@ def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
 
 
 def format_faults(faults: Faults, rate_hz: float) -> str:
-    """Return the injected faults and their first ticks as text."""
     return ", ".join(f"{fault.kind} from tick {fault.window(rate_hz)[0]} on" for fault in faults.fault)
 
 
 def report_settings(settings: list[Setting]) -> None:
-    """Log the real-time settings that the system granted, and those refused with advice."""
     for setting in settings:
         if setting.ok:
             log.info("real time: %s %s", setting.name, setting.detail)

@@ -53,7 +53,6 @@ class TableRows(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the schema; return 0."""
     if args.markdown:
         print("\n\n".join(markdown(kind) for kind in ([args.kind] if args.kind else SCHEMAS)))
         return 0
@@ -190,7 +189,6 @@ def _describe_allowed(row: Row) -> str:
 
 
 def grid(head: list[str], lines: list[list[str]]) -> str:
-    """Format a Markdown table."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *lines])
 
 

@@ -92,7 +92,6 @@ class Summary:
             self.curves.append(records[:, COLUMNS])
 
     def __str__(self) -> str:
-        """Format modes, mode changes and largest force of the run as one line."""
         modes = ", ".join(
             f"{name} {count / self.ticks:.1%}" for name, count in zip(MODE_NAMES, self._modes, strict=True)
         )

@@ -52,7 +52,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def prune() -> None:
-    """Remove the compiled kernels of other versions of this program."""
     if CACHE_DIR is not None and CACHE_DIR.parent.is_dir():
         for path in CACHE_DIR.parent.iterdir():
             if path.is_dir() and path != CACHE_DIR and re.fullmatch("[0-9a-f]{16}", path.name):

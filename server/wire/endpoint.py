@@ -32,7 +32,6 @@ class BoundSocket(NamedTuple):
 
     @property
     def fd(self) -> int:
-        """File descriptor of the socket."""
         return self.listener.fileno()
 
 

@@ -134,11 +134,9 @@ _ENCODER: Final = msgspec.msgpack.Encoder()
 
 
 def encode_answer(command_id: str, result: Any) -> bytes:
-    """Encode the answer to an executed request."""
     return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
 def encode_refusal(reason: Declined, command_id: str = "") -> bytes:
-    """Encode the answer to a rejected request."""
     refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
     return _ENCODER.encode(refusal)

@@ -111,8 +111,6 @@ class SocketProcess:
         self._thread = threading.Thread(target=self._run, name=f"{name} process", daemon=True)
         self._thread.start()
 
-    # --- messages to the process ------------------------------------------------------------------------
-
     def send(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:
         """Send a message to the process, from any thread; False if it is dropped."""
         with self._replacing:
@@ -128,7 +126,6 @@ class SocketProcess:
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self._process.pid
 
     @property
@@ -147,8 +144,6 @@ class SocketProcess:
 
     def _ending(self) -> bool:
         return self._until_s is not None
-
-    # --- the thread -------------------------------------------------------------------------------------
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel, FileIO]:
         with ExitStack() as undo:

@@ -282,7 +282,6 @@ _OPEN: Final = (EVENT, SCHEMA_TOPIC)
 
 
 def nest(flat: dict[str, Any]) -> dict[str, Any]:
-    """Convert dotted names to nested maps."""
     top: dict[str, Any] = {}
     for name, value in flat.items():
         parent, _, child = name.rpartition(".")
@@ -303,7 +302,6 @@ def finger_of(topic: str) -> str | None:
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """Encode a message map with msgpack."""
     return _ENCODER.encode(message)
 
 

@@ -165,7 +165,6 @@ class Publisher(Closeable):
 
     @property
     def native_id(self) -> int | None:
-        """Native id of the thread that passes ticks on."""
         return self._relay.native_id
 
     @property
@@ -175,7 +174,6 @@ class Publisher(Closeable):
 
     @property
     def figures(self) -> Figures:
-        """Counters of peers."""
         figures = self._link.figures
         if self._commands is None:
             return figures
@@ -188,7 +186,6 @@ class Publisher(Closeable):
 
     @property
     def restarts(self) -> int:
-        """Number of restarts of the processes."""
         return sum(link.restarts for link in self._links)
 
     def attach(self, source: RecordSource) -> None:

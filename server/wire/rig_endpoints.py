@@ -100,7 +100,6 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
 
 
 def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
-    """Return the secret key and the folder of public keys of each table."""
     if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
         return {}
     from softfinger.server.socket_process.allowed import key_folders  # imports libzmq, which takes time

@@ -13,5 +13,4 @@ _START_S: Final = time.time() - time.monotonic()
 
 
 def now_s() -> float:
-    """Return seconds since the epoch."""
     return _START_S + time.monotonic()

@@ -64,7 +64,6 @@ def scene() -> dict[str, Any]:
 
 
 def rig() -> dict[str, Any]:
-    """Return a small valid rig with every table."""
     return {
         "device": {"driver": "replay", "recording": "x"},
         "servo": {"rate_hz": 1000},
@@ -88,7 +87,6 @@ def put(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
 
 
 def faults_of(struct_type: type[msgspec.Struct], mapping: object) -> list[str]:
-    """Return all faults of an invalid mapping."""
     with pytest.raises(FaultyConfig) as caught:
         build(struct_type, mapping, "f.toml")
     return [str(fault) for fault in caught.value.faults]
@@ -103,11 +101,7 @@ def refusal(call: Callable[..., object], *args: Any) -> str | None:
     return None
 
 
-# --- accepted files -----------------------------------------------------------------------------
-
-
 def test_paper_scene_has_the_values_of_the_paper() -> None:
-    """The shipped `paper-plane` has the values that the acceptance figures assume."""
     paper = load_scene("paper-plane")
     (table,) = paper.object
     assert paper.fingertip.radius_m == 0.01
@@ -128,7 +122,6 @@ def test_raised_plane_differs_from_the_paper_only_in_position() -> None:
 
 
 def test_absent_tables_are_none() -> None:
-    """A frictionless scene has neither rolling nor friction nor torsion."""
     ice = load_scene("frictionless-plane")
     assert ice.rolling is None
     assert ice.object[0].material.friction is None
@@ -136,7 +129,6 @@ def test_absent_tables_are_none() -> None:
 
 
 def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() -> None:
-    """The rig `replay` loops its recording; all other values are the schema's defaults."""
     replay = load_rig("replay")
     assert replay.device.driver == "replay"
     assert replay.device.options == {"recording": "press-roll-spin-drag", "loop": True}
@@ -145,7 +137,6 @@ def test_default_rig_replays_the_shipped_recording_and_has_the_default_limits() 
 
 @pytest.mark.parametrize("kind", [Scene, Rig])
 def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | Rig]) -> None:
-    """Describing and rebuilding a shipped file gives an equal struct."""
     names = list_shipped(kind)
     assert names
     for name in names:
@@ -155,7 +146,6 @@ def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | R
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*/*.toml")), ids=lambda path: path.stem)
 def test_shipped_values_say_their_reason(path: Path) -> None:
-    """Every number in a shipped file has a comment that starts with the unit of its key."""
     for line in path.read_text("utf-8").splitlines():
         match = re.match(r'(\w+) = ((?:"[^"]*"|[^#"])*?)\s*(#.*)?$', line)
         if match is None or match[2].startswith('"'):
@@ -166,7 +156,6 @@ def test_shipped_values_say_their_reason(path: Path) -> None:
 
 
 def test_orientation_is_normalised_once() -> None:
-    """A quaternion is normalised on load; a normalised one is not changed by another load."""
     built = build(Scene, put(scene(), "object[0].orientation_wxyz", [3, 0, 0, 4]), "f.toml")
     turned = built.object[0].orientation_wxyz
     assert turned == pytest.approx((0.6, 0, 0, 0.8), abs=1e-15)  # one division and one rounding
@@ -176,14 +165,11 @@ def test_orientation_is_normalised_once() -> None:
 @given(st.lists(st.floats(-1000, 1000), min_size=4, max_size=4).filter(any))
 @settings(max_examples=200, deadline=None)
 def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> None:
-    """Tiny, large and subnormal quaternions are normalised."""
     built = build(Scene, put(scene(), "object[0].orientation_wxyz", quaternion), "f.toml")
     norm = math.hypot(*built.object[0].orientation_wxyz)
     tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits
     assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
 
-
-# --- contents of every error --------------------------------------------------------------------
 
 SCENE_FAULTS = [
     ("fingertip.radius_m", 0, ["fingertip.radius_m = 0:", "from 1e-05 to 1000 m", "tested between these"]),
@@ -269,7 +255,6 @@ RIG_FAULTS = [
 
 @pytest.mark.parametrize(("key", "value", "fragments"), SCENE_FAULTS, ids=itertools.count())
 def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    """One invalid value in a scene gives one fault that names file, key, value and range."""
     (fault,) = faults_of(Scene, put(scene(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -277,7 +262,6 @@ def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragme
 
 @pytest.mark.parametrize(("key", "value", "fragments"), RIG_FAULTS, ids=itertools.count())
 def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    """One invalid value in a rig gives one fault that names file, key, value and range."""
     (fault,) = faults_of(Rig, put(rig(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -288,7 +272,6 @@ def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragment
     ["tcp://127.0.0.1:5555", "tcp://localhost:*", "tcp://[::1]:0", "tcp://127.1.2.3:65535", "ipc:///run/softfinger"],
 )
 def test_local_endpoints_are_accepted(endpoint: str) -> None:
-    """Loopback addresses, with a fixed or any port, and Unix sockets are accepted."""
     assert build(Rig, put(rig(), "telemetry.endpoint", endpoint), "f.toml").telemetry.endpoint == endpoint
 
 
@@ -306,7 +289,6 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
 def test_command_endpoint_follows_from_the_telemetry_endpoint(
     telemetry: str, given: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The endpoint of commands is derived from that of the telemetry, unless it is given or off."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": given}} if given else {})
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
@@ -326,7 +308,6 @@ def test_commands_of_public_telemetry_are_on_the_next_port(telemetry: str, expec
 
 
 def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The folder is named after the user; a path too long for a socket is a fault that names the key to set."""
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
     assert commands_address_for("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
@@ -344,7 +325,6 @@ def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
 
 
 def test_object_names_must_differ() -> None:
-    """The second object of a name is at fault; the message names the first."""
     twins = scene()
     twins["object"] *= 2
     assert faults_of(Scene, twins) == [
@@ -354,7 +334,6 @@ def test_object_names_must_differ() -> None:
 
 @pytest.mark.parametrize("name", ["1", "01.top"])
 def test_an_object_name_must_not_start_with_a_digit(name: str) -> None:
-    """`object.1` always refers to the second object."""
     given = scene()
     given["object"][0]["name"] = name
     (fault,) = faults_of(Scene, given)
@@ -401,7 +380,6 @@ def test_a_scene_has_fingertip_or_fingers() -> None:
 
 
 def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
-    """A finger's tables replace those of the scene; k_tau defaults to the stiffness of its coupling."""
     built = build(Scene, pinched(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
     thumb, index = built.fingers
     assert (thumb.coupling, thumb.probe, thumb.device) == (built.coupling, built.probe, "thumb")
@@ -422,7 +400,6 @@ def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> l
 
 
 def test_each_finger_is_moved_by_its_device() -> None:
-    """Fingers and devices are paired by name, in any order; a single finger may also have [device]."""
     both = [("thumb", "[devices.thumb]"), ("index", "[devices.index]")]
     assert paired(FINGERS, ["index", "other", "thumb"]) == both
     assert paired([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
@@ -439,14 +416,12 @@ def test_each_finger_is_moved_by_its_device() -> None:
     ],
 )
 def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, said: list[str]) -> None:
-    """The error names the keys of scene and rig, and a change to either file."""
     with pytest.raises(ConfigError) as caught:
         paired(fingers, devices)
     assert [part for part in said if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
 
 
 def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
-    """Both together are a fault that names its section; overrides of `device` apply to every device."""
     one, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
     assert [
         "cannot be combined with [devices]" in said for said in faults_of(Rig, rig() | {"devices": {"thumb": one}})
@@ -470,12 +445,10 @@ def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
 
 
 def test_suggestions_include_all_names_with_the_given_prefix() -> None:
-    """`crc8` shares more letters with `crc16` than the two names that start with it."""
     assert near("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
 
 
 def test_all_faults_are_reported_at_once() -> None:
-    """Faults of type, range and relation between tables are reported in one error."""
     bad = scene()
     put(bad, "fingertip.radius_m", -1)
     put(bad, "rolling.torque_stiffness_n_per_m", 5000)
@@ -501,7 +474,6 @@ def test_all_faults_are_reported_at_once() -> None:
 
 
 def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
-    """Keys of the likely kind, values that no kind accepts, unknown keys and missing required keys are reported."""
     bad = scene()
     bad["object"] = [
         {"name": "a", "shape": "spher", "radius_m": -2, "colour": 3, "material": {"stiffness_n_per_m": -5}},
@@ -520,7 +492,6 @@ def test_faults_behind_an_unknown_kind_are_reported_too() -> None:
 
 
 def test_an_object_of_unknown_shape_is_still_checked() -> None:
-    """Name, motion and material are checked, and keys required by all kinds are reported."""
     material = {"stiffness_n_per_m": 500.0}
     bad = scene() | {
         "object": [
@@ -540,16 +511,12 @@ def test_an_object_of_unknown_shape_is_still_checked() -> None:
 
 
 def test_ceilings_cannot_be_raised_by_a_file() -> None:
-    """A value just above each ceiling of the guard is a fault; the ceiling itself is accepted."""
     for key in set(schema.Guard.__struct_fields__) - {"arm", "workspace"}:
         span = getattr(limits, key.upper())
         built = build(Rig, put(rig(), f"guard.{key}", span.high), "f.toml")
         assert getattr(built.guard, key) == span.high
         above = put(rig(), f"guard.{key}", math.nextafter(span.high, math.inf))
         assert span.reason in faults_of(Rig, above)[0]
-
-
-# --- files ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -566,7 +533,6 @@ def test_ceilings_cannot_be_raised_by_a_file() -> None:
     ids=["syntax", "twice", "latin-1", "huge", "deep", "large", "empty"],
 )
 def test_unreadable_files_name_the_position(tmp_path: Path, content: bytes, fragments: list[str]) -> None:
-    """Syntax, encoding and size faults name the file, and the line if there is one."""
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError) as caught:
@@ -576,7 +542,6 @@ def test_unreadable_files_name_the_position(tmp_path: Path, content: bytes, frag
 
 
 def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
-    """A misspelt path suggests a file in the same folder; a folder is an error."""
     (tmp_path / "bench.toml").write_text("")
     with pytest.raises(ConfigError, match=r"bnech\.toml: no such file \(did you mean 'bench\.toml'\?\)"):
         load_rig(str(tmp_path / "bnech.toml"))
@@ -587,7 +552,6 @@ def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
 
 
 def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
-    """An unknown name lists the shipped files and suggests the closest."""
     with pytest.raises(
         ConfigError, match=r"no scene is called 'paper-plan' \(did you mean 'paper-plane'\?\)"
     ) as caught:
@@ -596,7 +560,6 @@ def test_misspelt_shipped_name_lists_the_shipped_ones() -> None:
 
 
 def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
-    """A file with a byte order mark is read; TOML's nan and inf are faults."""
     path = tmp_path / "marked.toml"
     path.write_bytes(b"\xef\xbb\xbf[fingertip]\nradius_m = nan\n[coupling]\nstiffness_n_per_m = +inf\n")
     with pytest.raises(FaultyConfig) as caught:
@@ -607,11 +570,7 @@ def test_byte_order_mark_and_nan_in_a_file(tmp_path: Path) -> None:
     assert "marked.toml: object: is missing" in text
 
 
-# --- overrides -----------------------------------------------------------------------------------
-
-
 def test_overrides_replace_values_and_name_their_flag() -> None:
-    """The value of a flag is checked like that of a file, and its fault names the flag."""
     assert load_rig("replay", {"servo.rate_hz": 4000, "servo.realtime": "off"}).servo.rate_hz == 4000.0
     with pytest.raises(FaultyConfig) as caught:
         load_rig("replay", {"servo.rate_hz": 9e9, "servo.realtime": "on"}, {"servo.rate_hz": "command line --rate"})
@@ -621,7 +580,6 @@ def test_overrides_replace_values_and_name_their_flag() -> None:
 
 
 def test_a_fault_names_the_most_specific_source() -> None:
-    """The source with the longest matching key is named."""
     sources = {"servo": "command line --servo", "servo.rate_hz": "command line --rate"}
     with pytest.raises(FaultyConfig) as caught:
         load_rig("replay", {"servo.rate_hz": 9e9}, sources)
@@ -629,7 +587,6 @@ def test_a_fault_names_the_most_specific_source() -> None:
 
 
 def test_dotted_entry_names_match_the_longest_name() -> None:
-    """Names may contain dots; an override path matches the longest name."""
     balls = [{"name": name, "shape": "sphere", "radius_m": 0.02, "material": "rubber"} for name in ("a", "a.b")]
     mapping = {"fingertip": {"radius_m": 0.01}, "object": balls}
     config = load_scene(mapping, {"object.a.b.radius_m": 0.03, "object.a.radius_m": 0.04})
@@ -637,23 +594,18 @@ def test_dotted_entry_names_match_the_longest_name() -> None:
 
 
 def test_another_driver_drops_the_options_of_the_first() -> None:
-    """If `device.driver` equals the file's driver, its options are retained; another driver starts without options."""
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
     other = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
     assert other == schema.DeviceConfig(driver="simulated", options={"gain": 2})
 
 
 def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
-    """An override creates a missing table; a value in place of a table is a fault."""
     path = tmp_path / "rig.toml"
     path.write_text("servo = 5\n")
     with pytest.raises(FaultyConfig) as caught:
         load_rig(path, {"servo.rate_hz": 500.0, "device.driver": "replay"})
     (fault,) = caught.value.faults
     assert str(fault) == f"{path}: servo = 5: must be a table"
-
-
-# --- a driver's options --------------------------------------------------------------------------
 
 
 class Options(msgspec.Struct, frozen=True):
@@ -669,7 +621,6 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def test_build_serves_the_options_of_outside_drivers() -> None:
-    """Lists, open ranges, unions and the struct's `__post_init__` give faults with a key."""
     assert build(Options, {"port": "a", "gains": [1, 2.5], "side": True}, "x") == Options("a", [1.0, 2.5], True)
     faults = faults_of(Options, {"port": 1, "gains": [0, -1], "side": 1.5, "gain": 3})
     assert faults == [
@@ -699,7 +650,6 @@ class World(msgspec.Struct, frozen=True):
 
 
 def test_more_shapes_slot_in_as_a_union() -> None:
-    """Each shape of a union accepts only its keys, and an unknown shape lists all shapes."""
     built = build(World, {"item": [{"shape": "ball", "radius_m": 1}, {"shape": "wall"}]}, "x")
     assert built.item == [Ball(1.0), Wall()]
     faults = faults_of(World, {"item": [{"shape": "wall", "radius_m": 1}, {"shape": "bal"}, {"shape": "ball"}, {}, 1]})
@@ -711,8 +661,6 @@ def test_more_shapes_slot_in_as_a_union() -> None:
         "f.toml: item[4] = 1: must be a table",
     ]
 
-
-# --- anything at all -----------------------------------------------------------------------------
 
 KEYS = st.sampled_from(
     [
@@ -741,7 +689,6 @@ ANYTHING = st.recursive(
 @given(ANYTHING)
 @examples(40, 300)
 def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
-    """Any mapping builds a scene or a rig, or raises ConfigError."""
     for kind in (Scene, Rig):
         message = refusal(build, kind, mapping, "anything")
         assert message is None or "anything: " in message
@@ -753,7 +700,6 @@ PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) 
 @given(st.sampled_from(PLACES), ANYTHING)
 @examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
-    """Any value at one key of a valid scene or rig is accepted or raises ConfigError."""
     kind, make, (key, _, _) = place
     message = refusal(build, kind, put(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
@@ -764,18 +710,13 @@ def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: ob
 def test_no_file_content_raises_anything_but_config_error(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:
-    """Random bytes and text give tables or a ConfigError that names the file."""
     path = tmp_path_factory.getbasetemp() / "random.toml"
     path.write_bytes(content)
     message = refusal(read_toml, path)
     assert message is None or "random.toml: " in message
 
 
-# --- verbs and reference page --------------------------------------------------------------------
-
-
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
-    """`schema` prints JSON schemas of scene, rig and telemetry with ranges and units."""
     done = called("schema")
     assert done.returncode == 0
     printed = json.loads(done.stdout)
@@ -789,7 +730,6 @@ def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
 
 
 def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
-    """No meaning in the reference tables is empty, and every default passes its check."""
     for kind in (Scene, Rig):
         for table in schema_verb.tables(kind):
             assert table.meaning
@@ -801,7 +741,6 @@ def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
 
 
 def test_the_documentation_shows_the_actual_error() -> None:
-    """The example of an error in docs/operate/scenes.md equals the program's message."""
     page = (ROOT / "docs" / "operate" / "scenes.md").read_text("utf-8")
     bad = {"device": {"driver": "replay"}, "servo": {"rate_hertz": 500}, "guard": {"torque_max_nm": 3.0}}
     with pytest.raises(ConfigError) as caught:

@@ -77,7 +77,6 @@ def test_the_longest_key_is_read() -> None:
     ],
 )
 def test_dots_that_are_in_no_key_are_read(text: str) -> None:
-    """Comments, strings and numbers may have any number of dots."""
     assert parse_toml(text, "t") == tomllib.loads(text)
 
 
@@ -86,7 +85,6 @@ def test_dots_that_are_in_no_key_are_read(text: str) -> None:
     "text", [repeated('"""\\'), repeated("'\"#"), repeated("a-") + ".", repeated('\\"'), repeated("' .")]
 )
 def test_text_of_broken_strings_takes_no_time(text: str) -> None:
-    """The search for keys passes through any text once."""
     with pytest.raises(ConfigError):
         parse_toml(text, "t")
 
@@ -104,7 +102,6 @@ def test_text_of_broken_strings_takes_no_time(text: str) -> None:
     ids=["lists", "tables", "brackets", "braces", "digits"],
 )
 def test_nesting_without_end_is_refused(tmp_path: Path, text: str) -> None:
-    """Deeper than Python can follow is an error and no traceback, in a scene and in a driver's options."""
     path = tmp_path / "deep.toml"
     for before, load in (("", load_scene), ('[device]\ndriver = "replay"\n', load_rig)):
         path.write_text(before + text)
@@ -113,7 +110,6 @@ def test_nesting_without_end_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_the_deepest_table_is_read() -> None:
-    """One level less than refused."""
     text = "a = " + "[" * (DEPTH_MAX - 1) + "]" * (DEPTH_MAX - 1)
     assert parse_toml(text, "t") == tomllib.loads(text)
     with pytest.raises(ConfigError, match="deep"):
@@ -121,7 +117,6 @@ def test_the_deepest_table_is_read() -> None:
 
 
 def test_keys_without_number_are_counted(tmp_path: Path) -> None:
-    """A hundred thousand unknown keys are named as far as anybody reads, and counted."""
     path = tmp_path / "wide.toml"
     path.write_text("".join(f"k{number} = 1\n" for number in range(80_000)))
     with pytest.raises(FaultyConfig, match=r"79992 more keys") as caught:
@@ -130,7 +125,6 @@ def test_keys_without_number_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
-    """Eighty copies of a mistake give an error of one screen, with the complete list as an attribute."""
     path = tmp_path / "pasted.toml"
     path.write_text("".join(f'[[object]]\nname = "o{number}"\nshape = "plane"\noops = 1\n' for number in range(80)))
     with pytest.raises(FaultyConfig) as caught:
@@ -140,9 +134,6 @@ def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
     assert len(faults) >= 80 and first == f"{len(faults)} faults:"
     assert lines[:-1] == [f"  {fault}" for fault in faults[: len(lines) - 1]]
     assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: mend these first" and len(lines) < 25
-
-
-# --- overrides -------------------------------------------------------------------------------------
 
 
 def at(config: Any, *way: str | int) -> Any:
@@ -183,13 +174,11 @@ def test_an_override_reaches_into_lists(key: str) -> None:
     ],
 )
 def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
-    """Overrides are never ignored: the error names the override and its source."""
     with pytest.raises(ConfigError, match=message):
         load_scene("corner", overrides)
 
 
 def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None:
-    """The same of rigs."""
     path = tmp_path / "rig.toml"
     path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
     with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is not a table"):
@@ -197,7 +186,6 @@ def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None
 
 
 def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
-    """A rig with a missing or invalid recording is refused."""
     path = tmp_path / "rig.toml"
     (tmp_path / "bad.csv").write_text("t,x\n")
     for recording, message in (("missing.csv", "neither a file"), (str(tmp_path / "bad.csv"), "line 1")):

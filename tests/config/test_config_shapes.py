@@ -43,20 +43,17 @@ def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
 
 
 def thing_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
-    """The object of that shape after loading."""
     (thing,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
     return thing
 
 
 def refused(raw: dict[str, Any]) -> list[str]:
-    """Every fault of a scene that must have some."""
     with pytest.raises(FaultyConfig) as caught:
         build(schema.Scene, raw, "f.toml")
     return [str(fault) for fault in caught.value.faults]
 
 
 def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:
-    """Every fault of an object that must have some."""
     return refused(mapping(shape, fingertip, **keys))
 
 
@@ -67,19 +64,16 @@ def signed_distance(thing: Any, x: tuple[float, float, float]) -> float:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_key_shape_selects_the_struct(shape: str) -> None:
-    """The key `shape` selects the struct, and a scene survives being written out and read again."""
     scene = build(schema.Scene, mapping(shape), "f.toml")
     assert scene.object[0].shape == shape == type(scene.object[0]).__name__.lower()
     assert build(schema.Scene, describe(scene), "again") == scene
 
 
 def test_all_shapes_are_tested_here() -> None:
-    """A shape added to the schema has to be added to this file's table."""
     assert {kind.shape for kind in schema.Object.__args__} == set(SHAPES) | FROM_FILES
 
 
 def test_an_unknown_shape_lists_the_known_ones() -> None:
-    """A misspelt shape is answered with all names and the nearest one."""
     item = {"name": "x", "shape": "elipsoid", "material": {"stiffness_n_per_m": 500.0}}
     (fault,) = refused({**mapping("sphere"), "object": [item]})
     assert all(repr(name) in fault for name in SHAPES)
@@ -95,7 +89,6 @@ def sized(shape: str, size: float) -> dict[str, Any]:
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name not in UNSIZED])
 def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None:
-    """Lengths of 1e-5 m and of 1e3 m are accepted; values just outside are refused with the range."""
     low, high, _ = limits.LENGTH_M
     for size in (low, high):
         assert thing_of(shape, low, **sized(shape, size)).shape == shape
@@ -109,14 +102,12 @@ def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None
     ("shape", "key"), [(s, k) for s, keys in SHAPES.items() for k in keys if (s, k) != ("cylinder", "length_m")]
 )
 def test_dimensions_are_required(shape: str, key: str) -> None:
-    """A shape without one of its dimensions is refused, and the message gives an example of it."""
     (fault,) = faults_of(shape, **{key: None})
     assert f"object[0].{key} is missing" in fault
     assert f"such as {key} = " in fault
 
 
 def test_a_cylinder_without_length_has_no_ends() -> None:
-    """Only the cylinder may omit its length; the capsule requires it."""
     assert thing_of("cylinder", length_m=None).length_m is None
     assert any("object[0].length_m is missing" in fault for fault in faults_of("capsule", length_m=None))
 
@@ -135,7 +126,6 @@ TIGHT: list[tuple[str, float, dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("shape", "radius", "keys", "at"), TIGHT)
 def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], at: str) -> None:
-    """At the size where fingertip and hollow coincide the scene is refused, a thousandth below it is taken."""
     (fault,) = faults_of(shape, radius * 1.0001, **keys)
     assert f"object[0].{at} = " in fault
     assert "fingertip" in fault
@@ -145,7 +135,6 @@ def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], a
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name not in {"plane", "torus"}])
 def test_outside_any_fingertip_fits(shape: str) -> None:
-    """From outside a convex shape is touched by a fingertip of any size."""
     assert thing_of(shape, limits.LENGTH_M.high).shape == shape
 
 
@@ -162,13 +151,11 @@ def test_outside_any_fingertip_fits(shape: str) -> None:
     ],
 )
 def test_faults_of_a_mesh_are_reported(keys: dict[str, Any], text: str) -> None:
-    """Each fault gives the key, the value and the allowed values."""
     (fault,) = faults_of("mesh", **keys)
     assert text in fault
 
 
 def test_a_mesh_file_is_relative_to_its_scene(tmp_path: Path) -> None:
-    """A name without a root is in the scene's folder, wherever the process runs."""
     (tmp_path / "scene.toml").write_text(
         '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "parts/a.STL"\n'
         "scale = 0.001\n[object.material]\nstiffness_n_per_m = 1000.0\n"
@@ -179,14 +166,12 @@ def test_a_mesh_file_is_relative_to_its_scene(tmp_path: Path) -> None:
 
 
 def test_a_ring_has_a_hole() -> None:
-    """A tube as thick as its ring is wide is refused, and the message gives the ring's radius."""
     faults = faults_of("torus", minor_radius_m=0.06)
     assert len(faults) == 1
     assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in faults[0]
 
 
 def test_faults_of_pose_and_shape_are_reported_together() -> None:
-    """A shape's own checks do not hide those that apply to every object."""
     faults = faults_of("torus", minor_radius_m=0.07, orientation_wxyz=[0, 0, 0, 0])
     assert {fault.split(" = ")[0] for fault in faults} == {
         "f.toml: object[0].minor_radius_m",
@@ -211,7 +196,6 @@ def test_faults_of_pose_and_shape_are_reported_together() -> None:
     ],
 )
 def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) -> None:
-    """Hollow shapes with flat walls become several walls, all others one body; all leaves are floats."""
     bodies = shape_bodies(thing_of(keys[0], **keys[1]))
     assert [type(shape) for shape, _, _ in bodies] == kinds
     for shape, position, orientation in bodies:
@@ -246,7 +230,6 @@ def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) 
 def test_distances_of_bodies_equal_the_dimensions_in_the_file(
     shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
 ) -> None:
-    """Distances read off the dimensions: lengths and sizes in a file are full, and halved once."""
     # 1e-16: rounding of lengths below a third of a metre.
     assert signed_distance(thing_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
 
@@ -267,7 +250,6 @@ def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
 
 
 def test_the_reference_has_the_dimensions_of_every_shape() -> None:
-    """The generated tables list each dimension with its unit and the shapes that have it."""
     tables = schema_verb.markdown("scene").split("### `[[object]]`\n", 1)[1].split("\n### ", 1)[0]
     for shape, keys in SHAPES.items():
         (own,) = re.findall(rf'^\| `"{shape}"` \| .* \| (.*) \|$', tables, re.MULTILINE)

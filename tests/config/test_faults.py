@@ -28,13 +28,11 @@ def faults(**given: Any) -> Faults:
 
 
 def test_a_file_is_shipped_for_every_kind() -> None:
-    """Each shipped file can be read, and together they have every kind that there is."""
     found = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
     assert found == KINDS
 
 
 def test_the_page_lists_every_kind() -> None:
-    """The table of the page has a row for every kind, and no other."""
     rows = re.findall(r"^\| (`.+`) \| .* \| .* \|$|^\| (`.+?`) \|", PAGE.read_text("utf-8"), re.MULTILINE)
     assert {name for row in rows for name in re.findall(r"`(\w+)`", "".join(row))} - {"kind"} == KINDS
 
@@ -54,14 +52,12 @@ def test_the_page_lists_every_kind() -> None:
     ],
 )
 def test_a_fault_is_reported_with_its_key(given: dict[str, Any], words: str) -> None:
-    """The error has the key, the value and the allowed values: one line per mistake."""
     with pytest.raises(ConfigError, match=words) as error:
         faults(**given)
     assert "\n" not in str(error.value)
 
 
 def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
-    """The error for an unknown name lists the shipped names and the most similar one."""
     with pytest.raises(ConfigError, match=r"no file of faults is called 'teleprt'.*did you mean 'teleport'"):
         load_faults("teleprt")
 
@@ -77,7 +73,6 @@ def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
     ],
 )
 def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int, int]) -> None:
-    """By tick, or by the time that so many ticks take at 2 kHz."""
     (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
     assert (row[FIRST_TICK], row[END_TICK], row[PERIOD_TICKS]) == (*window, 2)
 
@@ -91,7 +86,6 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
 def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
-    """Random tables give either faults whose kernel rows are numbers in range, or an error that names the file."""
     said = ""
     try:
         made = build(Faults, {"fault": tables}, "my-faults.toml")

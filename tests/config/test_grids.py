@@ -126,7 +126,6 @@ def test_grey_pictures_keep_their_levels(tmp_path: Path, kind: type) -> None:
 def test_a_damaged_picture_is_an_error_or_a_picture(
     tmp_path_factory: pytest.TempPathFactory, at: int, byte: int, end: bool
 ) -> None:
-    """Cut off or with another byte anywhere: no other exception."""
     data = bytearray(png((np.arange(600) % 251).astype(np.uint8).reshape(20, 30)))
     at = min(at, len(data) - 1)
     data[at] = byte
@@ -142,7 +141,6 @@ def test_archive_of_several_arrays_is_refused(tmp_path: Path) -> None:
 
 
 def test_claims_of_a_header_make_no_room(tmp_path: Path) -> None:
-    """Files of a few bytes whose headers claim terabytes, and an archive that unpacks to more than the largest grid."""
     header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 40, 1)}
     with (tmp_path / "vast.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)

@@ -42,14 +42,12 @@ def scene_file(folder: Path, heights: Any = HEIGHTS, text: str = SCENE) -> Path:
 
 
 def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
-    """Return the error for a scene with an unusable height map."""
     with pytest.raises(ConfigError) as caught:
         build_scene(load_scene(scene_file(folder, heights, text)))
     return str(caught.value)
 
 
 def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
-    """Wherever the program was started; and a scene survives being written out and read again."""
     scene = load_scene(scene_file(tmp_path))
     (thing,) = scene.object
     assert isinstance(thing, schema.Heightmap) and Path(thing.file) == tmp_path / "hill.npy"
@@ -57,7 +55,6 @@ def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
 
 
 def test_check_prints_size_and_heights(tmp_path: Path) -> None:
-    """In pixels and in metres; the numbers of the file times level_m."""
     rows = dict(examine_file(str(scene_file(tmp_path))).summary)
     assert rows["  map"] == "40 x 30 pixels, 0.08 x 0.06 m, heights 0 to 0.00535 m"
     bowl = np.square(np.arange(-20, 21) * 0.002) / 0.05  # z = x^2 / (2 R) with R = 50 mm, level_m = 0.5
@@ -82,14 +79,12 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
     ],
 )
 def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, said: str) -> None:
-    """One line: the object, its key, the file and the fault."""
     message = refusal(tmp_path, heights)
     assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
 
 
 def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
-    """One that is not there, one of another kind, one cut off."""
     missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
     assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
     assert "must be one of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
@@ -115,7 +110,6 @@ def test_keys_have_ranges(tmp_path: Path, old: str, new: str, said: str) -> None
 
 
 def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path) -> None:
-    """An ellipsoidal fingertip, and the rolling method that needs a closed form."""
     ellipsoid = SCENE.replace("radius_m = 0.01", "radii_m = [0.01, 0.01, 0.02]")
     with pytest.raises(FaultyConfig, match="heightmap"):
         load_scene(scene_file(tmp_path, HEIGHTS, ellipsoid))
@@ -128,7 +122,6 @@ def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path)
 
 
 def test_pictures_show_the_map(tmp_path: Path) -> None:
-    """Its triangles go through the pixels and face upwards; of a large map some; without the file there is none."""
     thing: Any = load_scene(scene_file(tmp_path)).object[0]
     (vertices, faces), of = picture_of(thing)
     np.testing.assert_allclose(vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)

@@ -89,7 +89,6 @@ def make_socket(path: Path) -> None:
 def test_only_regular_files_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, make: Callable[[Path], object]
 ) -> None:
-    """A pipe, a device without end, a socket and a folder are each one error that names the file."""
     monkeypatch.chdir(tmp_path)  # a socket's path has to be short
     read, ending, error = INPUTS[kind]
     path = Path(f"odd{ending}")
@@ -103,7 +102,6 @@ def test_only_regular_files_are_read(
     "words", [["check", "odd.toml"], ["run", "--scene", "odd.toml"], ["run", "--recording", "odd.csv"]]
 )
 def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -> None:
-    """From the command line: one line on stderr, and not a traceback."""
     os.mkfifo(tmp_path / words[-1])
     rig = tmp_path / "rig.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
@@ -116,8 +114,6 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     assert done.returncode in (2, 3), done.stderr
     assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr
 
-
-# --- bombs -----------------------------------------------------------------------------------------
 
 LARGE = 1 << 30
 
@@ -147,7 +143,6 @@ def lz4_zeros(known: bool) -> bytes:
 
 
 def npz_of_claims(path: Path) -> None:
-    """Return a small file with a header that claims more data than there is memory."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("timestamp.npy", "w") as member:
         np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (1 << 45,)})
 
@@ -208,7 +203,6 @@ def some_records(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("ending", poses.ENDINGS)
 def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
-    """Each format has the same limit, exact to the row, and its error states it."""
     path = tmp_path / f"long{ending}"
     write_results(path, some_records(5))
     monkeypatch.setattr(poses, "POSES_MAX", 4)
@@ -218,9 +212,6 @@ def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytes
             read(path)
     monkeypatch.setattr(results, "RESULTS_MAX", 5)
     assert len(read_results(path)) == 5
-
-
-# --- planted links ---------------------------------------------------------------------------------
 
 
 def write_sweep(path: Path) -> None:
@@ -245,7 +236,6 @@ OUTPUTS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_no_planted_name_is_written_through(tmp_path: Path, name: str) -> None:
-    """Links under all predictable names, and the files that they point to, are not changed."""
     victim = tmp_path / "victim"
     victim.write_text("precious")
     for planted in (f".{name}.part", f"{name}.part", f"{name}.lock", f"{name}.tmp"):
@@ -259,7 +249,6 @@ def test_no_planted_name_is_written_through(tmp_path: Path, name: str) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="makes links of another user")
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_a_link_of_another_user_is_not_written_through(tmp_path: Path, name: str) -> None:
-    """In a folder for all users, such as /tmp, a link of another user under the requested name is refused."""
     shared, victim = tmp_path / "shared", tmp_path / "victim"
     shared.mkdir()
     shared.chmod(0o1777)
@@ -273,7 +262,6 @@ def test_a_link_of_another_user_is_not_written_through(tmp_path: Path, name: str
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
-    """A complete file replaces a pipe of that name; output written as a stream is refused. Nothing waits."""
     os.mkfifo(tmp_path / name)
     if name in ("live.mcap", "sweep.mcap"):
         with pytest.raises(RecordingError, match=name):
@@ -284,7 +272,6 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    """A disk that fills up during a write neither changes the old file nor leaves a temporary one."""
     path = tmp_path / "o.csv"
     path.write_text("before")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -298,7 +285,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_reading_a_growing_file_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The size is checked and the bytes are counted: a file under /proc has size 0 with any content."""
     path = tmp_path / "file"
     path.write_bytes(bytes(100))
     assert files.read_input(path, 100) == bytes(100)

@@ -67,7 +67,6 @@ def model(kind: str, scale: int) -> str:
 
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
-    """Three times the mass, for every way to define it: every number equals that of a file with this mass."""
     (tmp_path / "one.xml").write_text(model(kind, 1))
     expected = mujoco.MjModel.from_xml_string(model(kind, 3))
     mass = {"a": float(expected.body("a").mass[0])}
@@ -82,7 +81,6 @@ def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("body", "mass"), [("stand", 1.0), ("nobody", 1.0), ("world", 1.0), ("a", 0.0), ("a", -1.0)])
 def test_a_mass_for_an_unknown_or_massless_body_is_refused(body: str, mass: float, tmp_path: Path) -> None:
-    """A body without a mass, none of the model, a mass that no body has: with the bodies that may be named."""
     (tmp_path / "one.xml").write_text(model("density", 1))
     world = {"model": str(tmp_path / "one.xml"), "material": {"stiffness_n_per_m": 500.0}}
     scene = {"fingertip": {"radius_m": 0.01}, "world": world}
@@ -91,7 +89,6 @@ def test_a_mass_for_an_unknown_or_massless_body_is_refused(body: str, mass: floa
 
 
 def test_a_model_of_several_files(tmp_path: Path) -> None:
-    """A mesh and an included file, with the scene in another folder, simulated with the other mass."""
     body = '<body name="ball" pos="0 0 1"><freejoint/><geom name="skin" type="mesh" mesh="ball"/></body>'
     (tmp_path / "part.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     mesh = write_stl(tmp_path / "ball.stl")
@@ -116,7 +113,6 @@ def write_stl(path: Path) -> str:
 
 
 def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:
-    """The daemon gets a scene with the overridden masses, and no files of a deleted folder."""
     changes = {"overrides": {"mass.box": 0.2}, "scene": "lift-a-box"}
     with pytest.raises(
         FaultyConfig, match=r"there is no object\.table"

@@ -21,7 +21,6 @@ ENTRIES = {**materials(), **fingertips()}
 
 
 def scene_of(material: Any) -> Scene:
-    """Return a scene with a plane of this material."""
     thing = {"name": "table", "shape": "plane", "material": material}
     return build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [thing]}, "f.toml")
 
@@ -32,7 +31,6 @@ def material_of(material: Any) -> Material:
 
 
 def refusal(material: Any) -> str:
-    """Return the message of the ConfigError for this material."""
     with pytest.raises(ConfigError) as refused:
         scene_of(material)
     return str(refused.value)
@@ -40,7 +38,6 @@ def refusal(material: Any) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_material_is_one_a_scene_may_have(name: str) -> None:
-    """A name is enough for valid stiffness, damping, friction and torsion."""
     material = material_of(name)
     assert material.name == name
     # Small desktop devices render up to 3000 N/m and have 1 to 2 N s/m of physical damping.
@@ -53,7 +50,6 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_torsion_follows_its_formula(name: str) -> None:
-    """Stiffness is 16/3 G a^3 with the moduli of pad and material in series, friction length 2/3 mu a."""
     soft = {"rubber": 600e3, "silicone": 200e3, "skin": 45e3, "foam": 30e3, "sponge": 10e3}
     modulus = 1.0 / (1.0 / 45e3 + (1.0 / soft[name] if name in soft else 0.0))
     material = material_of(name)
@@ -66,7 +62,6 @@ def test_torsion_follows_its_formula(name: str) -> None:
 
 
 def test_materials_are_ordered_by_softness_and_slipperiness() -> None:
-    """Stiffness and kinetic friction increase in the order known from experience."""
     stiffness = [
         material_of(n).stiffness_n_per_m
         for n in ["sponge", "foam", "skin", "silicone", "rubber", "abs", "wood", "glass"]
@@ -77,7 +72,6 @@ def test_materials_are_ordered_by_softness_and_slipperiness() -> None:
 
 
 def test_names_of_materials_and_fingertips_are_distinct() -> None:
-    """Each paper in the list is cited by an entry."""
     assert not set(NAMES) & set(TIPS) and len(NAMES) >= 18 and len(TIPS) >= 5
     told = [[*entry.papers, *(each.paper for each in entry.measured)] for entry in ENTRIES.values()]
     in_ranges = {name for name in papers() for entry in ENTRIES.values() if name in entry.holds}
@@ -98,7 +92,6 @@ def test_every_entry_has_sources_and_a_range(entry: LibraryEntry) -> None:
 
 
 def test_sources_have_valid_dois() -> None:
-    """A DOI starts with `10.` and a registrant number; every source states how far it was read."""
     for paper in papers().values():
         assert paper.read and paper.text
         registrant, slash, rest = paper.doi.partition("/")
@@ -127,7 +120,6 @@ def tip_of(fingertip: Any) -> Fingertip:
 
 @pytest.mark.parametrize("name", TIPS)
 def test_every_fingertip_is_one_a_scene_may_have(name: str) -> None:
-    """The name gives a radius and a patch, both as the whole value and as the key `pad`."""
     tip = tip_of(name)
     assert tip == tip_of({"pad": name})
     assert tip.patch is not None and tip.radius_m is not None and 0.005 <= tip.radius_m <= 0.015
@@ -142,7 +134,6 @@ def test_the_human_pads_have_one_patch_at_1_n() -> None:
 
 
 def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
-    """For (1 - s^k)^(1/k) it is B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k), which is 8/15 for 1 - s^2."""
     patch = tip_of("human-index-paraboloid").patch
     assert patch is not None and patch.pressure_exponent is not None
     k = patch.pressure_exponent
@@ -154,7 +145,6 @@ def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
 
 
 def test_fingertip_keys_override_the_library() -> None:
-    """Keys next to `pad` override the library; radii_m replaces radius_m."""
     patch = tip_of("human-index").patch
     assert tip_of({"pad": "human-index", "radius_m": 0.008}).radius_m == 0.008
     oval = tip_of({"pad": "human-index", "radii_m": [0.008, 0.007, 0.012]})
@@ -165,7 +155,6 @@ def test_fingertip_keys_override_the_library() -> None:
 
 
 def test_each_finger_may_refer_to_a_pad() -> None:
-    """The key `name` names the finger, `pad` the library's entry."""
     fingers = [{"name": "thumb", "pad": "human-index-plateau"}, {"name": "index", "pad": "rubber-tip"}]
     thing = {"name": "table", "shape": "plane", "material": "wood"}
     scene = build(Scene, {"finger": fingers, "object": [thing]}, "f.toml")
@@ -182,7 +171,6 @@ def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
 
 
 def test_a_described_scene_does_not_ask_the_library() -> None:
-    """A removed part stays removed, and resolved values apply even if the name is no longer in the library."""
     mapping = describe(scene_of({"name": "rubber", "torsion": None}))
     assert build(Scene, mapping, "again").object[0].material.torsion is None
     mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}
@@ -195,7 +183,6 @@ def test_a_described_scene_does_not_ask_the_library() -> None:
 
 
 def test_an_override_reaches_into_a_named_table() -> None:
-    """An override changes one value of a named table of a mapping or a scene; another name replaces all values."""
     thing = {"name": "table", "shape": "plane", "material": "rubber"}
     file = {"fingertip": "human-index", "object": [thing]}
     own = {"object.table.material.friction.kinetic": 0.2, "fingertip.radius_m": 0.008}
@@ -209,7 +196,6 @@ def test_an_override_reaches_into_a_named_table() -> None:
 
 
 def test_single_keys_can_be_changed() -> None:
-    """Keys next to the name override the library, down to one friction coefficient."""
     rubber = material_of("rubber")
     assert rubber.friction is not None
     changed = material_of({"name": "rubber", "stiffness_n_per_m": 900, "friction": {"kinetic": 0.2}})
@@ -220,7 +206,6 @@ def test_single_keys_can_be_changed() -> None:
 
 
 def test_a_changed_key_is_checked_like_any_other() -> None:
-    """Overridden values are checked against the library's values and their ranges."""
     assert "at most static = 0.5" in refusal({"name": "wood", "friction": {"kinetic": 0.9}})
     said = refusal({"name": "wood", "stiffness_n_per_m": 2 * limits.STIFFNESS_N_PER_M.high})
     assert "object[0].material.stiffness_n_per_m = 2000000.0" in said
@@ -244,12 +229,10 @@ def test_a_material_without_a_name_has_only_the_given_values() -> None:
     ],
 )
 def test_an_unknown_material_is_refused(material: Any, said: str) -> None:
-    """An unknown name is answered with the closest one and the list of all."""
     assert said in refusal(material)
 
 
 def test_a_wrong_name_does_not_hide_other_faults() -> None:
-    """An unknown material is reported together with the other faults of the file."""
     thing = {"name": "table", "shape": "plane", "material": "ruber"}
     with pytest.raises(ConfigError) as refused:
         build(Scene, {"fingertip": {"radius_m": -1}, "object": [thing]}, "f.toml")
@@ -259,6 +242,5 @@ def test_a_wrong_name_does_not_hide_other_faults() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_named_material_survives_a_round_trip(name: str) -> None:
-    """Describing and rebuilding a scene with a named material gives an equal scene."""
     scene = scene_of({"name": name, "stiffness_n_per_m": 700})
     assert build(Scene, describe(scene), "again") == scene

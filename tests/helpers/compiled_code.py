@@ -35,7 +35,6 @@ class Compiled(NamedTuple):
 
     @property
     def arithmetic(self) -> int:
-        """Count the arithmetic instructions and the calls of functions."""
         return sum(count for name, count in self.operations.items() if name in NUMBERS) + sum(self.calls.values())
 
 
@@ -49,7 +48,6 @@ def functions(ir: str) -> dict[str, str]:
 
 
 def called_in(body: str) -> Counter[str]:
-    """Count the functions called in a body."""
     return Counter(re.findall(r'call [^@\n]*@"?([^"(\s]+)"?\(', body))
 
 
@@ -62,7 +60,6 @@ def tick(scene, values, start, state_values, position, orientation, dt, out):
 
 
 def compile_step(scene: model.Scene) -> Compiled:
-    """Compile the step of a scene with a dispatcher that has no cache."""
     start, some = start_state(scene), np.zeros(1)
     upright = start.fingers[0].probe.orientation
     arguments = (scene, flatten(scene), start, flatten(start), model.ZERO, upright, 0.001, some)

@@ -24,7 +24,6 @@ ASLANT = {"position_m": [0.0, 0.0, 0.03], "orientation_wxyz": [np.cos(np.pi / 8)
 
 
 def rig_options(rig: str, **changes: Any) -> Options:
-    """Return the [device] table of a shipped rig with changed keys."""
     return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 

@@ -44,7 +44,6 @@ class Stub(CStub):
         return out[: self._library.stub_log(out.ctypes.data_as(ctypes.c_void_p), LOGGED)]
 
     def busy(self) -> bool:
-        """Return whether a thread is in an exchange."""
         return bool(self._library.stub_busy())
 
     def norm(self) -> float:
@@ -53,7 +52,6 @@ class Stub(CStub):
 
 @pytest.fixture(scope="session")
 def stub_library() -> Iterator[Path]:
-    """Compile the stub in a folder that any user may enter."""
     if COMPILER is None:
         pytest.skip(NO_COMPILER)
     with tempfile.TemporaryDirectory(prefix="drd-") as folder:

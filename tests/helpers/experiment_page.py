@@ -95,7 +95,6 @@ class Session:
         self.page, self.folder, self.process = page, folder, process
 
     def click(self, label: str) -> None:
-        """Wait for a button and press it."""
         self.page.get_by_role("button", name=label, exact=True).click()
 
     def middle(self, label: str) -> float:
@@ -108,7 +107,6 @@ class Session:
         return bool(eventually(lambda: all(self.page.get_by_text(text).count() for text in texts)))
 
     def write(self, label: str, text: str) -> None:
-        """Write into a field."""
         self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[1]").fill(text)
 
 

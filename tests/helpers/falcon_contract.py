@@ -39,7 +39,6 @@ class TestContract(DriverContract):
 
 
 def test_position_is_where_the_knob_is(bench: Emulated) -> None:
-    """The sample is the position of the emulated knob in the world, within half an encoder count at each leg."""
     with bench.open() as device:
         servo = Servo(device)
         while device.counts()["replies"] < 30:  # on a slow bus, a few milliseconds of the knob take many ticks
@@ -54,7 +53,6 @@ def test_position_is_where_the_knob_is(bench: Emulated) -> None:
 
 
 def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
-    """The write reports the limit and retains the direction; a non-finite force becomes zero."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()
@@ -69,7 +67,6 @@ def test_a_force_past_the_motors_is_limited(bench: Emulated) -> None:
 
 
 def test_late_replies_cost_ticks(bench: Emulated) -> None:
-    """The driver repeats the last sample, sends at most two packets in 5 ms, and recovers."""
     with bench.open() as device:
         servo = Servo(device)
         servo.read()

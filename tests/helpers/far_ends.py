@@ -114,7 +114,6 @@ def swaying(t: float) -> tuple[float, float, float]:
 
 @contextmanager
 def serial_board(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """WoodenHaptics of the third generation on a pseudo terminal."""
     with board(swaying, **{"timeout_s": 2.0, **keys}) as (device, far, cable):
         far.sent = Timed()
 
@@ -140,7 +139,6 @@ def hid_arm(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def falcon(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """Falcon on the stub of libusb."""
     needs(COMPILER, NO_COMPILER)
     library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
     stub = usb_stub.UsbStub(library)
@@ -262,7 +260,6 @@ def folder() -> tempfile.TemporaryDirectory[str]:
 
 @cache
 def compiled(source: Path, name: str, *flags: str) -> Path:
-    """Return a stub compiled as a shared library."""
     return compile_stub(source, Path(folder().name) / name, *flags)
 
 

@@ -159,7 +159,6 @@ class FaultyDevice(Device):
         self.stop()
 
     def release(self) -> None:
-        """Release a read that hangs."""
         self._word[FREE] = 1
 
     @property

@@ -88,7 +88,6 @@ def pictures() -> list[bytes]:
 
 
 def arrays() -> list[bytes]:
-    """Heights as saved by numpy."""
     made = []
     for kind in (np.float64, np.float32, np.uint16):
         out = io.BytesIO()
@@ -98,7 +97,6 @@ def arrays() -> list[bytes]:
 
 
 def commands() -> list[bytes]:
-    """Requests of several methods."""
     asked: list[tuple[str, Any]] = [
         ("get_state", {}), ("set_params", {"values": {"object.table.material.stiffness_n_per_m": 900.0}}),
         ("set_scene", {"scene": "paper-plane", "overrides": {}}), ("mark", {"label": "a", "data": {"b": [1, None]}}),

@@ -44,7 +44,6 @@ _NUMBER: Final = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 def mutated(seeds: list[bytes], chance: random.Random) -> bytes:
-    """Return one of the seeds with a few mistakes."""
     data = bytearray(chance.choice(seeds))
     for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
         _spoil(data, chance, seeds)
@@ -203,7 +202,6 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
 
 
 def bounded() -> Iterator[None]:
-    """Additional memory that this process may allocate."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + GROWTH_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

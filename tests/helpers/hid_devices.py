@@ -39,7 +39,6 @@ RIGS = {
 
 
 def rig_options(rig: str, **changes: Any) -> Options:
-    """Return the [device] table of a shipped rig with changed keys."""
     return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 

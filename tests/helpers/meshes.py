@@ -144,7 +144,6 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
-    """Translate a mesh."""
     return Mesh(mesh.vertices + np.array(by), mesh.triangles)
 
 

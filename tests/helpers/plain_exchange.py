@@ -121,7 +121,6 @@ def _in_c_function(self: Any) -> Any:
 
 
 def install() -> None:
-    """Let drivers imported from now on exchange in plain Python."""
     types.ExternalFunction = _external
     from softfinger.proxy.kernels.jit import atomics, foreign, memory, pack
     from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction

@@ -67,7 +67,6 @@ def _with(**fields: Any) -> Callable[[Any], ast.AST]:
 
 
 def _rules(node: ast.AST) -> Iterator[Rule]:
-    """Return all mistakes possible at a node."""
     said = ast.unparse(node) if isinstance(node, ast.expr | ast.AugAssign) else ""
     match node:
         case ast.Compare():
@@ -122,7 +121,6 @@ def _skipped(node: ast.AST) -> set[int]:
 
 
 def _owners(tree: ast.Module) -> dict[int, str]:
-    """Return the qualified name of the function that contains each node."""
     owners: dict[int, str] = {}
 
     def visit(node: ast.AST, prefix: str, owner: str) -> None:
@@ -167,7 +165,6 @@ def _constant_rules(value: ast.expr | None) -> list[str]:
 
 
 def functions_of(root: Path, files: set[str]) -> Functions:
-    """Return all functions of the running process defined in these files."""
     found: dict[tuple[str, str], list[FunctionType]] = {}
     gc.unfreeze()  # conftest.py has frozen the imported objects, which `get_objects` omits
     for one in gc.get_objects():
@@ -186,7 +183,6 @@ def file_of(root: Path, code: CodeType) -> str:
 
 
 def plant(root: Path, mistake: Mistake, functions: Functions) -> None:
-    """Plant a mistake for the remaining life of this process."""
     tree = ast.parse((root / mistake.file).read_text("utf-8"))
     nodes = list(ast.walk(tree))
     node = nodes[mistake.node]

@@ -31,13 +31,11 @@ def run() -> np.ndarray:
 
 
 def about(**changes: Any) -> dict[str, Any]:
-    """Return the daemon's description as far as a replay needs it."""
     said = {"scene": describe(load_scene(SCENE)), "rig": describe(load_rig("replay")), "scene_name": SCENE}
     return said | {"rate_hz": 1000.0} | changes
 
 
 def recorded(path: Path, records: np.ndarray, events: list[dict[str, Any]] = (), **changes: Any) -> Path:
-    """Write a file with these ticks and events."""
     recording = RecordingFile(path.open("wb", buffering=0), ("",), about(**changes))
     recording.ticks(records)
     for event in events:
@@ -51,5 +49,4 @@ def event(kind: str, name: str, tick: int, **fields: Any) -> dict[str, Any]:
 
 
 def printed(text: str) -> Any:
-    """Return the JSON in the output of a verb."""
     return json.loads(next(line for line in text.splitlines() if line.startswith("{")))

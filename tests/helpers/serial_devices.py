@@ -18,7 +18,6 @@ PLACE = (0.01, 0.02, -0.015)
 
 
 def rig_options(**changes: Any) -> Options:
-    """Return the [device] table of the shipped rig with changed keys."""
     return build(Options, {**load_rig(RIG).device.options, **changes}, f"{RIG} [device]")
 
 
@@ -31,7 +30,6 @@ def opened(cable: Cable, **changes: Any) -> SerialDevice:
 def board(
     intention: Callable[[float], Vector] = lambda _: PLACE, early_end: bool = False, **changes: Any
 ) -> Iterator[tuple[SerialDevice, Board, Cable]]:
-    """Open a device with an emulated board."""
     with Cable(Board(intention, early_end)) as cable, opened(cable, **changes) as device:
         yield device, cable.board, cable
 
@@ -47,7 +45,6 @@ def settle(device: SerialDevice, cable: Cable) -> None:
 
 
 def at_rest(value: Callable[[], int], for_s: float = 0.1) -> bool:
-    """Return whether a value is constant for that time."""
     before = value()
     time.sleep(for_s)
     return value() == before

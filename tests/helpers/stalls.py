@@ -103,7 +103,6 @@ def taken_s() -> float:
 
 
 def skip(report: pytest.TestReport, why: str) -> None:
-    """Report a failed test as skipped."""
     path, line, _ = report.location
     report.outcome, report.longrepr = "skipped", (path, (line or 0) + 1, why)
 

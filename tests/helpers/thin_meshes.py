@@ -60,7 +60,6 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
 
 
 def bar(size: tuple[float, float, float]) -> Mesh:
-    """A box about the origin."""
     x, y, z = (0.5 * each for each in size)
     corners = np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -82,7 +81,6 @@ def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
 
 
 def needles(count: int = 9, length: float = 0.03, radius: float = 0.0008, spread: float = 0.02) -> Mesh:
-    """Upright cones with eight sides."""
     rng = np.random.default_rng(3)
     angle = 2.0 * np.pi * np.arange(8) / 8
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(8, -0.5 * length)])

@@ -29,7 +29,6 @@ def until(what: Callable[[], Any], seconds: float = WAIT_S, said: str = "") -> N
 
 
 def fresh(servo: Servo) -> list[float]:
-    """Return the next new sample of a device."""
     samples: list[list[float]] = []
 
     def comes() -> bool:
@@ -58,7 +57,6 @@ def ends_within(seconds: int) -> Iterator[None]:
 
 @contextmanager
 def repeated(act: Callable[[], Any], every_s: float = 0.02) -> Iterator[None]:
-    """Call a function at this interval in a thread while the block runs."""
     over = threading.Event()
 
     def repeat() -> None:

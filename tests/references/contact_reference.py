@@ -56,7 +56,6 @@ class ReferenceContact:
         self.clear()
 
     def clear(self) -> None:
-        """Back to free."""
         self.mode = FREE
         self.c = self.l = self.p = self.last_e = np.zeros(3)
         self.phi = self.rolled = self.slip_speed = self.e_pl = 0.0

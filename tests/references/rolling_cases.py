@@ -52,12 +52,10 @@ def has_closed_form(shape: Any) -> bool:
 
 
 def pairs() -> list[tuple[str, str]]:
-    """Every method with every shape it is there for."""
     return [(m, s) for m in METHODS for s in SHAPES if m != "rotation_vector" or has_closed_form(SHAPES[s])]
 
 
 def touching(shape: Any, rng: np.random.Generator, radius: float = RADIUS) -> tuple[model.Vec3, model.Vec3]:
-    """Centre and normal of a contact somewhere on the shape."""
     spread = 0.002 if getattr(shape, "side", 1.0) < 0 else 0.05
     x = tuple(float(v) for v in rng.normal(0, spread, 3))
     if isinstance(shape, model.Torus):
@@ -68,7 +66,6 @@ def touching(shape: Any, rng: np.random.Generator, radius: float = RADIUS) -> tu
 
 
 def rotation(rng: np.random.Generator, low: float = 0.0, high: float = np.pi) -> model.Vec3:
-    """A rotation vector of random direction and of a length between two angles."""
     w = rng.normal(size=3)
     return tuple(float(v) for v in w * rng.uniform(low, high) / np.linalg.norm(w))  # type: ignore[return-value]
 

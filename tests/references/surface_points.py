@@ -30,7 +30,6 @@ class Contact(NamedTuple):
 
 
 def contacts(shape: Any, rng: np.random.Generator) -> Iterator[Contact]:
-    """One contact on every kind of feature the shape has."""
     u, angle, along = unit(rng), rng.uniform(-np.pi, np.pi), rng.uniform(-AT_MOST, AT_MOST)
     around = np.array([np.cos(angle), np.sin(angle), 0.0])
     z = np.array([0.0, 0.0, 1.0])

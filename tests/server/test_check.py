@@ -29,7 +29,6 @@ def test_check_prints_modelled_and_omitted_effects() -> None:
 
 @pytest.mark.plain
 def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
-    """A turned ellipsoid, a normal force law and a moving object print one row each."""
     file = tmp_path / "turned.toml"
     file.write_text("""
         [fingertip]
@@ -51,7 +50,6 @@ def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
-    """All faulty files are reported, driver options are checked, and the exit code is 2."""
     files = {
         "scene": "[fingertip]\nradius_m = 0\n",
         "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
@@ -80,7 +78,6 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
-    """`check` prints conditions, trials and duration of an experiment, and each error of it and of its scene."""
     result = called("check", "curvature-by-rolling", "stiffness-discrimination")
     assert result.returncode == 0, result.stderr
     assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", result.stdout)
@@ -113,7 +110,6 @@ def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_as_json() -> None:
-    """`check --json` prints kind, errors and the full content with defaults."""
     result = called("check", "--json", "plane-at-60mm", "nothing-like-it")
     assert result.returncode == 2, result.stderr
     good, bad = json.loads(result.stdout)
@@ -124,7 +120,6 @@ def test_check_as_json() -> None:
 
 
 def test_explain_prints_measured_costs() -> None:
-    """`--explain` prints the cost of a tick and of the contact, and the damping a device needs, for scenes only."""
     result = called("check", "--explain", "frictionless-plane", "replay")
     assert result.returncode == 0, result.stderr
     for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
@@ -133,7 +128,6 @@ def test_explain_prints_measured_costs() -> None:
 
 @pytest.mark.plain
 def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
-    """A height field is shown as a map, and ten meshes count as touched geoms."""
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "cube.stl")
     geom = '<body pos="{k} 0 1"><freejoint/><geom name="geom {k}" type="mesh" mesh="cube"/></body>'
     (tmp_path / "cubes.xml").write_text(
@@ -152,7 +146,6 @@ def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_an_error_does_not_hide_errors_of_other_parts(tmp_path: Path) -> None:
-    """Object files, the world's model, devices and recordings are checked in the same pass as the keys."""
     files = {
         "scene": """
             fingertip = { radius_m = -1 }
@@ -187,7 +180,6 @@ def test_an_error_does_not_hide_errors_of_other_parts(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
-    """Both unusable files are reported, not only the first one."""
     objects = [
         f'[[object]]\nname = "{name}"\nshape = "mesh"\nfile = "{name}.stl"\nmaterial = "wood"\n'
         for name in ("one", "two")

@@ -43,7 +43,6 @@ print(early, os.environ["OPENBLAS_NUM_THREADS"], gc.isenabled(), gc.get_freeze_c
 
 
 def test_garbage_collection_is_on_when_a_verb_runs():
-    """Garbage collection is off during imports and on in a verb; numpy is imported after its thread count is set."""
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     outcome = run_program([sys.executable, "-c", BEGIN], env=environment)
     assert outcome.stdout.splitlines()[-1:] == ["False 1 True True"], outcome.stderr
@@ -56,7 +55,6 @@ def test_every_verb_has_help(verb):
 
 
 def test_unknown_verb_lists_the_verbs():
-    """An unknown verb is a usage error that lists the verbs."""
     outcome = called("fly")
     assert outcome.returncode == 2 and "simulate" in outcome.stderr
 
@@ -73,7 +71,6 @@ def test_unknown_verb_lists_the_verbs():
     ],
 )
 def test_a_similar_name_is_suggested(line, said):
-    """The error for a misspelt verb, kind or option suggests a similar name, if there is one."""
     outcome = called(*line.split())
     assert outcome.returncode == 2 and said in outcome.stderr and outcome.stdout == ""
 
@@ -88,7 +85,6 @@ def test_verbosity_flags_work_before_and_after_a_verb(line, flag):
 
 
 def test_quiet_leaves_warnings_and_results(tmp_path):
-    """With -q standard error has no log or progress lines; errors are still printed."""
     words = ["run", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--realtime", "off", "--duration", "0.1"]
     outcome = run(*words, "-q")
     assert outcome.returncode == 0 and outcome.stderr == ""
@@ -98,13 +94,11 @@ def test_quiet_leaves_warnings_and_results(tmp_path):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_completion_lists_every_verb(shell):
-    """The completion script has every verb and the options of `run`."""
     script = called("--print-completion", shell).stdout
     assert all(verb in script for verb in VERBS) and "--realtime" in script
 
 
 def test_completion_lists_shipped_names(tmp_path):
-    """bash completes names of scenes (with files in the working directory), materials, experiments and recordings."""
     (tmp_path / "spherical.toml").touch()
     script = called("--print-completion", "bash").stdout
     asked = {
@@ -132,14 +126,12 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kin
 
 
 def test_help_imports_no_compiler():
-    """The options of every verb and measurement are shown without numpy, numba and what else they run with."""
     outcome = run_program([sys.executable, "-c", HELP], check=True)
     words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
     assert outcome.stdout.splitlines() == [f"{each}--help set()" for each in words]
 
 
 def test_run_for_a_duration_logs_plain_lines():
-    """Without a terminal `run` logs its settings and a clean end as plain lines, and prints nothing on stdout."""
     result = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
     assert result.returncode == 0 and result.stdout == ""
     for piece in (
@@ -155,7 +147,6 @@ def test_run_for_a_duration_logs_plain_lines():
 
 
 def test_bad_config_reports_all_errors_at_once(tmp_path):
-    """All errors of a rig are reported together with file, key, value, range and suggestion; exit code 2."""
     rig = tmp_path / "bench.toml"
     rig.write_text(
         '[device]\ndriver = "replay"\nrecording = "tap"\n'
@@ -183,7 +174,6 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
     ],
 )  # fmt: skip
 def test_bad_words_give_one_clear_error(words, code, pieces):
-    """The error for a wrong value has the option, the value and the allowed ones, without a traceback."""
     outcome = called(*words)
     assert outcome.returncode == code, outcome.stderr
     assert all(piece in outcome.stderr for piece in pieces), outcome.stderr
@@ -191,7 +181,6 @@ def test_bad_words_give_one_clear_error(words, code, pieces):
 
 
 def test_an_endpoint_in_use_gives_exit_code_7():
-    """A second daemon on the same endpoint exits with code 7 and an error with the port."""
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         result = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
@@ -200,7 +189,6 @@ def test_an_endpoint_in_use_gives_exit_code_7():
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_simulate_writes_every_format(ending, tmp_path):
-    """Every results format is read back with the same ticks."""
     out = tmp_path / f"out{ending}"
     outcome = called(*SIMULATE, "--out", str(out))
     assert outcome.returncode == 0 and "3 touch" in outcome.stdout and "3 release" in outcome.stdout
@@ -221,7 +209,6 @@ print(code, int(peak.split()[1]) // 1024)
 @pytest.mark.exhaustive  # ten minutes of ticks, written three times
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_a_long_run_needs_bounded_memory(ending, tmp_path):
-    """600 000 ticks (450 MB of records) are written by a process of at most 250 MB."""
     t = np.arange(60_001) * 0.01
     poses = np.column_stack(
         [t, 0.01 * np.sin(t), 0.0 * t, 0.0095 + 0.001 * np.sin(7.0 * t), 1.0 + 0.0 * t, *[0.0 * t] * 3]
@@ -237,7 +224,6 @@ def test_a_long_run_needs_bounded_memory(ending, tmp_path):
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
-    """`info`, `export` and `replay` find a shipped recording by name; its exported poses give the same results."""
     outcome = called("info", "tap")
     assert outcome.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in outcome.stdout
     assert "x 0 to 0, y 0 to 0, z " in outcome.stdout and "unknown" not in outcome.stdout
@@ -257,7 +243,6 @@ def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
 
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
-    """Two runs give the same bytes; four times the rate gives four times the ticks."""
     for program, name in ((run, "a.csv"), (called, "b.csv")):
         assert program(*SIMULATE, "--out", str(tmp_path / name)).returncode == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
@@ -267,7 +252,6 @@ def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
 
 
 def test_output_into_a_closed_pipe_is_no_error():
-    """`softfinger schema` into a closed pipe exits with 0 and prints no error."""
     reader, writer = os.pipe()
     process = subprocess.Popen([*COMMAND, "schema", "telemetry"], stdout=writer, stderr=subprocess.PIPE, text=True)
     os.close(writer)
@@ -294,7 +278,6 @@ LONG = "x" * 300
     ],
 )
 def test_streams_and_names_that_cannot_be_used(line, code, said):
-    """A closed or full output, a closed pipe and a name that is too long give at most one error line."""
     words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
     outcome = run_program(words)
     assert outcome.returncode == code, outcome.stderr
@@ -303,7 +286,6 @@ def test_streams_and_names_that_cannot_be_used(line, code, said):
 
 
 def test_closed_streams_do_not_become_a_device(tmp_path):
-    """With closed standard streams, files that the program opens get descriptors above 2."""
     code = (
         "import os, sys\nfor fd in (0, 1, 2): os.close(fd)\nsys.stdout = sys.stderr = None\n"
         "from softfinger.server.cli import open_streams\nopen_streams()\n"
@@ -326,7 +308,6 @@ def test_a_low_limit_of_open_files_is_reported(words):
 
 @pytest.mark.plain
 def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
-    """The bench of the step prints JSON with the cost of each variant of the scene and of one feature, and a figure."""
     from softfinger.tools.bench import step
 
     monkeypatch.setattr(step, "ROUNDS", 2)
@@ -352,7 +333,6 @@ def assert_step(result):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", [pytest.param("step", marks=pytest.mark.exhaustive), "loop", "telemetry"])
 def test_bench_prints_json(kind, tmp_path):
-    """Each bench prints JSON with numbers of real runs and draws a figure."""
     words = {
         "step": ["--blocks", "3", "--features", "torsion linear"],  # already compiled for the variants
         "loop": ["--seconds", "0.3", "--realtime", "off"],
@@ -388,7 +368,6 @@ def test_plot_is_refused_before_the_work(plot, why):
 
 
 def test_run_is_drawn(tmp_path):
-    """`simulate --plot` writes an SVG with every curve and mode named; two runs give equal files."""
     drawn = []
     for name in ("one.svg", "two.svg"):
         outcome = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))

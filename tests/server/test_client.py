@@ -38,7 +38,6 @@ def joined(publisher, topics=("contact",), timeout_s=30.0):
 
 
 def test_iterator_gives_typed_samples_in_order(publisher):
-    """Each sample has the record's values as attributes and items, integers as int and vectors as tuples."""
     records = synthetic(300)
     with joined(publisher) as samples:
         publisher.publish(records)
@@ -58,7 +57,6 @@ def test_iterator_gives_typed_samples_in_order(publisher):
 
 
 def test_other_topics_and_plain_maps(publisher):
-    """Events and health arrive in the same iterator, and as_map returns the sent map."""
     with joined(publisher, ("contact", "health")) as samples:
         publisher.publish(synthetic(1001))
         publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
@@ -92,7 +90,6 @@ def test_sample_can_be_copied(publisher):
 
 
 def test_lost_counts_the_gap_before_a_sample(publisher):
-    """Without ticks 10 to 14 and 20, the next samples have `lost` 5 and 1, all others 0."""
     records = synthetic(30)
     kept = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
     with joined(publisher) as samples:
@@ -112,7 +109,6 @@ def test_lost_counts_published_ticks_only():
 
 
 def test_a_restarted_server_counts_no_losses(publisher):
-    """A tick that restarts at 0 counts no losses."""
     with joined(publisher) as samples:
         publisher.publish(synthetic(5, first_tick=1000))
         publisher.publish(synthetic(5))
@@ -120,7 +116,6 @@ def test_a_restarted_server_counts_no_losses(publisher):
 
 
 def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
-    """For a client that stops reading, received messages plus the sum of `lost` equal the published ones."""
     count = 60_000  # more than publisher, kernel and client buffer together
     with (
         Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher,
@@ -147,7 +142,6 @@ def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
 
 
 def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):
-    """If no message arrives within the time-out, iteration raises an error with the endpoint and a remedy."""
     with (
         subscribe(publisher.endpoint, timeout_s=0.05) as samples,
         pytest.raises(NoTelemetry, match=rf"no telemetry from {publisher.endpoint} within 0\.05 s: .*softfinger run"),
@@ -156,7 +150,6 @@ def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):
 
 
 def test_receive_returns_none_without_a_message(publisher):
-    """receive with a time-out of zero neither waits nor raises, also after a call with a long time-out."""
     with subscribe(publisher.endpoint) as samples:
         assert samples.receive(0.0) is None
     with joined(publisher) as samples:
@@ -173,8 +166,6 @@ class Rung(Exception):
 
 @pytest.mark.parametrize("wait_s", [None, 60.0])
 def test_a_signal_ends_the_wait(publisher, wait_s):
-    """An exception of a signal handler (as by Ctrl-C) propagates from a waiting receive; the next receive works."""
-
     def ring(number, frame):
         raise Rung
 
@@ -192,7 +183,6 @@ def test_a_signal_ends_the_wait(publisher, wait_s):
 
 
 def test_closed_subscription_ends_the_loop(publisher):
-    """Iteration after close ends without a socket error."""
     samples = subscribe(publisher.endpoint)
     samples.close()
     samples.close()
@@ -211,14 +201,12 @@ def test_a_deleted_subscription_closes_its_socket(publisher):
 
 @pytest.mark.parametrize("endpoint", ["", "5555", "tcp://", "tcp:/127.0.0.1:5555", "carrier://pigeon"])
 def test_malformed_endpoint_is_refused(endpoint):
-    """The ConfigError for an invalid endpoint has an example."""
     with pytest.raises(ConfigError, match=r"cannot connect to endpoint .*tcp://127\.0\.0\.1:5555"):
         subscribe(endpoint)
 
 
 @pytest.mark.parametrize("topics", [(), ("contact", "contacts")])
 def test_unknown_topics_are_refused(topics):
-    """The error for an unknown topic lists the topics."""
     with pytest.raises(ConfigError, match="choose from contact, event, health"):
         subscribe(topics=topics)
 
@@ -261,7 +249,6 @@ def without(key):
     ],
 )
 def test_an_invalid_message_raises_and_the_next_is_read(frames, says):
-    """An invalid message raises ProtocolError with the reason, and the next message is read."""
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
         port = peer.bind_to_random_port("tcp://127.0.0.1")
@@ -276,7 +263,6 @@ def test_an_invalid_message_raises_and_the_next_is_read(frames, says):
 
 
 def test_integers_and_unknown_keys_are_accepted():
-    """Integers for floats and unknown keys of a later server are accepted."""
     message = GOOD | {"dt": 1, "force": [0, 0, 2], "colour": {"red": [1, 2]}}
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
@@ -298,7 +284,6 @@ def filled(publisher, window):
 
 
 def test_window_has_all_ticks_until_it_is_full(publisher):
-    """Before it is full, the window has all ticks, each field with its shape and type."""
     records = synthetic(40)
     with Window(publisher.endpoint, 100) as window:
         assert len(window) == 0
@@ -317,7 +302,6 @@ def test_window_has_all_ticks_until_it_is_full(publisher):
 
 
 def test_window_has_the_last_ticks_in_order(publisher):
-    """After each batch the window has exactly the last 64 ticks in order."""
     records = synthetic(1000)
     with Window(publisher.endpoint, 64) as window:
         filled(publisher, window)
@@ -335,7 +319,6 @@ def test_window_has_the_last_ticks_in_order(publisher):
 
 
 def test_window_counts_losses_and_resets_with_the_server(publisher):
-    """Gaps add up in `lost`; a tick that restarts at 0 empties the window."""
     records = synthetic(50)
     with Window(publisher.endpoint, 100) as window:
         filled(publisher, window)
@@ -351,7 +334,6 @@ def test_window_counts_losses_and_resets_with_the_server(publisher):
 
 
 def test_window_refuses_unknown_fields_and_lengths_below_one(publisher):
-    """The KeyError of an unknown field lists the fields; a length below one is a ConfigError."""
     with Window(publisher.endpoint, 1) as window, pytest.raises(KeyError, match=r"choose from timestamp, tick"):
         window["colour"]
     with pytest.raises(ConfigError, match="0 samples"):

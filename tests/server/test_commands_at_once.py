@@ -118,7 +118,6 @@ def requests_of_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
-    """The device gets zero before the answer to any method; `stop` overtakes as many requests as may be queued."""
     asked = requests_of_all(tmp_path)
     assert set(asked) == METHODS.keys() - AT_ONCE
     with running(monkeypatch, tmp_path) as (daemon, device):
@@ -154,8 +153,6 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 @pytest.mark.real_time
 @pytest.mark.parametrize("client", ["blocking", "asyncio"])
 def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
-    """A hung commands process is replaced, and the client sends again: the device gets zero, the client an answer."""
-
     async def disarm_in_task() -> Any:
         async with AsyncControl(endpoint, REPLACED_S) as control:
             await control.get_state()
@@ -181,7 +178,6 @@ def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
 
 @pytest.mark.real_time
 def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
-    """The device gets zero and the client an answer while the telemetry process is stopped."""
     with running(monkeypatch, tmp_path) as (daemon, device), Control(str(daemon.commands_endpoint), WAIT_S) as control:
         assert eventually(lambda: forced(device))
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGSTOP)
@@ -206,7 +202,6 @@ def share_without(device: FaultyDevice) -> float:
 
 @pytest.mark.real_time
 def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
-    """While the GIL is blocked for 1 s, a missing heartbeat or an earlier `disarm` gives the device zero."""
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
@@ -251,8 +246,6 @@ def test_a_new_process_of_commands_starts_with_equal_counts():
 
 @pytest.mark.plain
 def test_which_requests_take_the_force_off():
-    """Only the method decides, in a map with any other keys; no other bytes switch the force off."""
-
     def request(**keys: Any) -> bytes:
         return bytes(msgpack.packb(keys))
 

@@ -70,7 +70,6 @@ def saved_forces(path: Path) -> np.ndarray:
 
 @pytest.mark.exhaustive
 def test_two_replays_and_simulate_are_bit_identical(tmp_path):
-    """Two daemons and the offline run command equal forces bit by bit, and zero at the end."""
     files = [tmp_path / name for name in ("a.npz", "b.npz")]
     words = ["--recording", "tap", "--once", "--realtime", "off"]
     with (
@@ -90,7 +89,6 @@ def test_two_replays_and_simulate_are_bit_identical(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)])
 def test_signal_stops_in_order_with_zero_force(number, tmp_path):
-    """Either signal ends the daemon with exit code 0, and the last wrench written is zero."""
     forces = tmp_path / "forces.npz"
     with daemon("--forces", str(forces)) as (process, endpoint):
         with subscribed(endpoint, "contact") as socket:
@@ -104,7 +102,6 @@ def test_signal_stops_in_order_with_zero_force(number, tmp_path):
 
 
 def test_plain_client_gets_every_tick_all_modes_and_every_transition():
-    """With pyzmq and msgpack only, a client receives each tick, and an event for each mode change of `simulate`."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     expected = [int(row[AT.tick]) for row in records if row[AT.contact_cause]]
@@ -130,7 +127,6 @@ def test_plain_client_gets_every_tick_all_modes_and_every_transition():
 
 
 def test_stopped_is_sent_after_a_late_close():
-    """The last event is sent even if the thread of records ended long before the daemon is closed."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with (
         Daemon(rig, load_scene("paper-plane"), 2000) as running,
@@ -153,7 +149,6 @@ class Failure(Exception):
 
 
 def test_a_failing_sink_is_dropped_and_the_others_get_every_record():
-    """A second sink gets all records in order. One that raises is dropped with an event, and the run continues."""
     ticks, fragile = [], []
 
     def breaks(records, drops):
@@ -180,7 +175,6 @@ def test_a_failing_sink_is_dropped_and_the_others_get_every_record():
 
 
 def test_a_failing_vital_sink_ends_the_run():
-    """The run ends with the sink's error, and another sink gets every tick up to the end."""
     ticks = []
 
     def breaks(records, drops):
@@ -201,7 +195,6 @@ def test_a_failing_vital_sink_ends_the_run():
 
 
 def test_close_does_not_wait_for_a_slow_sink(monkeypatch, caplog):
-    """Closing does not wait for a slow sink, and its records stay readable until it finishes."""
     monkeypatch.setattr(base, "JOIN_S", 0.01)
     began, let_go, ticks = threading.Event(), threading.Event(), []
 
@@ -236,7 +229,6 @@ def faulty_rig(realtime="off", **options):
     [("lost", DeviceLost), ("timeout", DeviceTimeout), ("protocol", DeviceLost), ("write_lost", DeviceLost)],
 )
 def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
-    """Each kind of device failure raises a specific error, after the device got zero."""
     with Daemon(faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
         running.start()
         with pytest.raises(error, match="faulty"):
@@ -245,7 +237,6 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
 
 
 def test_stalled_servo_is_stopped_and_zeroed(faulty):
-    """If the device's exchange hangs, the supervisor writes zero to the device and raises SafetyStop."""
     with Daemon(faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="no tick for"):
@@ -288,7 +279,6 @@ def test_a_signal_to_any_thread_does_not_end_it():
 # test_fingers_daemon.py tests a successful stop with two devices.
 @pytest.mark.parametrize("stop_fails", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog):
-    """While a read hangs, the device gets zero and the daemon ends without it, even if the driver's stop fails."""
     rig = faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
     running = Daemon(rig, load_scene("paper-plane"))
     try:
@@ -306,7 +296,6 @@ def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog)
 
 
 def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
-    """If stop always fails, telemetry, servo and device are closed; one error warns that the device may still push."""
     running = Daemon(faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
     running.start()
     with (
@@ -322,7 +311,6 @@ def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
 
 
 def test_the_device_is_armed_after_all_services_run(faulty):
-    """Settings are reported and all services run before the device is armed."""
     seen = []
 
     def report(settings):
@@ -336,7 +324,6 @@ def test_the_device_is_armed_after_all_services_run(faulty):
 
 
 def test_repeated_stalls_end_the_run(faulty):
-    """Reads of 0.24 s, too short for the supervisor, end with a SafetyStop after the fault model's number."""
     hang_s = 0.24
     rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:
@@ -403,7 +390,6 @@ def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
 
 
 def test_real_time_off_does_not_change_the_supervisor(faulty):
-    """With `off` the supervisor's scheduler is neither changed nor reported."""
     told = []
     with Daemon(faulty_rig(), load_scene("paper-plane"), 300, told.extend) as running:
         running.start()
@@ -424,7 +410,6 @@ def test_failing_publisher_stops_the_servo(faulty):
 
 
 def test_failing_relay_stops_the_servo(faulty, monkeypatch):
-    """If the thread that distributes records fails, the servo stops with zero force."""
     monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # no source of records
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
@@ -456,7 +441,6 @@ def test_threads_and_descriptors_are_closed():
 
 
 def test_required_realtime_that_is_refused_does_not_start(tmp_path):
-    """Without the right to real time, `--realtime require` exits with its code and a remedy, at zero force."""
     forces = tmp_path / "forces.csv"
     code = (
         "import ctypes, resource, sys\n"

@@ -52,7 +52,6 @@ def until_faded_in(daemon: Daemon) -> None:
 
 
 def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No force jumps, no loads of the former scene are sent, those sent are recorded, and a replay is equal."""
     registered(monkeypatch)
     endpoint, path = f"ipc://{tmp_path}/telemetry", tmp_path / "a.mcap"
     rig = load_rig("replay", {

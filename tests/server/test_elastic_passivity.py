@@ -53,7 +53,6 @@ def column(records: Any, name: str, size: int = 1) -> Any:
 
 
 def test_a_closed_path_generates_the_energy_of_sampling_alone() -> None:
-    """A held force F_k generates half of (F_k+1 - F_k) . (p_k+1 - p_k) in a tick; the body adds less than 1e-9 J."""
     turn = np.concatenate([np.zeros(50), np.linspace(0.0, 2.0 * np.pi, 401)])
     track = poses(INSIDE[0] + 0.0005 * np.sin(turn), INSIDE[1], 0.001 + 0.0005 * (1.0 - np.cos(turn)))
     records = simulate(tuning(), track, RATE_HZ)[49:]
@@ -94,7 +93,6 @@ def pressed_then_released(tunings: list[Tuning], depth: Any) -> Any:
 
 
 def test_the_energy_of_a_modulus_that_rises_in_contact_is_dissipated_as_on_a_rigid_object() -> None:
-    """Pressed soft and released stiff, the body returns more than it received; the damper takes a part of it back."""
     n, depth = 200, 0.002
     way = depth * np.concatenate([np.full(50, -1.0 / n), np.arange(1, n + 1) / n])
     energies = []

@@ -104,7 +104,6 @@ class Forceless:
             self.since = frames + LATE_FRAMES + ceil(1000.0 * MAX_OFF_S)
 
     def end(self) -> None:
-        """Allow force again."""
         if self.since is not None:
             self.spans.append((self.since, len(self.cable.board.sent)))
         self.since = None
@@ -188,7 +187,6 @@ class Session:
         self.call("arm")
 
     def silence(self) -> None:
-        """Send nothing for longer than the heartbeat allows."""
         time.sleep(HEARTBEAT_S + 0.05)
         for interval in self.forceless:
             interval.begin()
@@ -280,7 +278,6 @@ class Session:
         cable.spoil = bytes
 
     def suspend(self) -> None:
-        """Suspend the daemon for longer than the guard carries a force over."""
         self.daemon.send_signal(signal.SIGSTOP)
         time.sleep(0.3)  # the boards receive everything written before
         firsts = [len(cable.board.sent) for cable in self.cables]
@@ -308,7 +305,6 @@ def actions(draw: random.Random) -> Iterator[str]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("run", range(RUNS))
 def test_no_frame_exceeds_the_limits(run: int, tmp_path: Path) -> None:
-    """For random commands, faults and signals norm and change per tick are limited, and zero after a stop."""
     seed = (int(os.environ.get("SOFTFINGER_FUZZ_SEED", "0")) or int.from_bytes(os.urandom(4))) + run
     with Session(tmp_path, seed) as session:
         for name in actions(session.draw):

@@ -32,7 +32,6 @@ TURN = 5
 
 
 def functions(file):
-    """Return the names of a file's functions."""
     tree = ast.parse((ROOT / file).read_text("utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
@@ -53,7 +52,6 @@ def faults_told():
 
 
 def test_each_row_has_an_existing_test():
-    """Each hazard names at least one test, and each test exists in its file."""
     for hazard in HAZARDS:
         assert hazard.tests, hazard.name
         for test in hazard.tests:
@@ -62,7 +60,6 @@ def test_each_row_has_an_existing_test():
 
 
 def test_each_published_fault_has_a_row():
-    """Rows cover every event of kind `fault` and every guard bit except the ordinary ones, and name no other event."""
     rows = {event for hazard in HAZARDS for event in hazard.events}
     faults = {f"fault {name}" for name in faults_told()}
     assert len(faults) >= 9
@@ -75,7 +72,6 @@ def test_each_published_fault_has_a_row():
 
 
 def test_measured_reactions_are_within_their_rows():
-    """In the results of `make faults-seen` no reaction took longer than its row plus handover and TURN."""
     content = json.loads(SEEN_IN.read_text("utf-8"))
     assert all(each["passed"] == each["of"] for each in content if "test" in each)
     by_name = {hazard.name: hazard for hazard in HAZARDS}
@@ -123,7 +119,6 @@ SET_BY = {
     (name, owner, constant) for name, constants in SET_BY.items() for owner, constant in constants
 ])  # fmt: skip
 def test_numbers_of_a_row_follow_its_constants(name, owner, constant, monkeypatch):
-    """Changing the constant changes the row."""
     row = {hazard.name: tuple(hazard) for hazard in HAZARDS}[name]
     value = getattr(owner, constant)
     monkeypatch.setattr(owner, constant, 1.5 * value if isinstance(value, float) else 2 * value)
@@ -140,7 +135,6 @@ BY_HAND = {"0 ticks", "0 ticks, 1 of a write"}
 
 
 def test_rows_contain_no_literal_numbers():
-    """No text that makes up a row contains a number, except reactions without a constant."""
     (rows,) = [
         node.value
         for node in ast.parse((ROOT / "tools/pages/hazards.py").read_text("utf-8")).body
@@ -159,17 +153,14 @@ def test_rows_contain_no_literal_numbers():
 
 
 def test_the_time_for_frozen_poses_follows_the_tests_rig():
-    """The rig of the injected faults waits FROZEN_S for a constant pose; the tests allow a fifth more."""
     (frozen,) = [hazard for hazard in HAZARDS if hazard.name == "a pose that does not change under a force"]
     assert frozen.within == round(1.2 * FROZEN_S / hazards.TICK_S)
 
 
 def test_hazards_have_unique_names_and_no_empty_fields():
-    """Names of hazards are unique, and no field except the events is empty."""
     assert len({hazard.name for hazard in HAZARDS}) == len(HAZARDS)
     assert all(all(hazard[:5]) for hazard in HAZARDS)
 
 
 def test_advice_is_for_events_of_the_guard():
-    """Every guard event that reports a fault has advice, and no other event has."""
     assert set(ADVICE) == {*GUARD_NAMES} - ORDINARY - {"ramping"}

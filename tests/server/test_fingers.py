@@ -66,7 +66,6 @@ def told(records: np.ndarray) -> np.ndarray:
 
 
 def test_two_replays_equal_simulate() -> None:
-    """Records equal those of simulate bit by bit until the shorter recording ends; then both devices get zero."""
     recordings = ("press-roll-spin-drag", "tap")
     devices = [Replay(ReplayOptions(recording=name, loop=False), 1000.0) for name in recordings]
     ended, records = run(*devices)
@@ -92,7 +91,6 @@ def test_two_replays_equal_simulate() -> None:
     ],
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
-    """After a failure of either device the last wrench of both is zero, and the error names the finger."""
     devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
     ended, _ = run(*devices, ticks=400)
     assert (ended.ending, ended.status, ended.finger) == (ending, status, place)
@@ -104,7 +102,6 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
 
 
 def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
-    """The servo's thread arms both devices, and reads neither before."""
     devices = two()
     run(*devices, ticks=20)
     threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
@@ -113,7 +110,6 @@ def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
 
 
 def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
-    """No tick is run, the first device is stopped, and the run ends with the error of the second."""
     first, second = two(refuses_to_arm=True)
     ended, records = run(first, second, ticks=100)
     assert ended.ending == s.CRASHED and "force button" in str(ended.error) and len(records) == 0
@@ -122,7 +118,6 @@ def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
 
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> None:
-    """Both devices get zero and a stop, and the run ends with the error."""
     devices = [FaultyDevice(Options(stop_fails=k == place)) for k in range(2)]
     ended, _ = run(*devices, ticks=200)
     assert ended.ending == s.CRASHED and "could not be stopped" in str(ended.error)
@@ -133,13 +128,11 @@ def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> 
 
 @pytest.fixture(scope="module")
 def undisturbed() -> np.ndarray:
-    """Return records of two fingers that always press."""
     return run(*two(), ticks=600)[1]
 
 
 @pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
 def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: np.ndarray) -> None:
-    """A refused pose, a withheld or an ignored wrench leaves the other finger's records equal bit by bit."""
     devices = two(fault=fault, at=300, count=20)
     ended, records = run(*devices, ticks=600)
     assert ended.ending == s.FINISHED
@@ -166,7 +159,6 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
 def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed: np.ndarray) -> None:
-    """A jump, or a pose that repeats under force, zeroes only that finger; the other finger's records are unchanged."""
     devices = two(fault=fault, at=300, count=100)
     ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
@@ -178,7 +170,6 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
 
 @pytest.mark.parametrize(("fault", "ending"), [("jumps", JUMPING), ("nan", NO_POSE)])
 def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int) -> None:
-    """After repeated jumps or half a second of NaN both devices get zero; the ending names the second finger."""
     devices = two(fault=fault, at=100, count=100_000)
     ended, _ = run(*devices, ticks=3000, speed_max=10.0)
     assert (ended.ending, ended.finger) == (ending, 1)
@@ -187,7 +178,6 @@ def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int)
 
 @pytest.mark.parametrize("both", [True, False])
 def test_time_is_nominal_if_all_devices_have_a_nominal_clock(both: bool) -> None:
-    """A stall lengthens a tick for both fingers alike, unless both devices have a nominal clock."""
     devices = [
         FaultyDevice(Options(own_clock=True, fault="stall", at=100, stall_us=5_500)),
         FaultyDevice(Options(own_clock=both)),
@@ -225,7 +215,6 @@ def test_motion_during_refused_poses_causes_no_force_peak() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every format has both fingers by name, equal bit by bit; the shorter recording ends the run."""
     (tmp_path / "scene.toml").write_text(SCENE)
     out = tmp_path / f"out{ending}"
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(out), "--plot", str(tmp_path / "p.png")]
@@ -283,7 +272,6 @@ print(*servo_loop.inspect_llvm().values())
 
 @pytest.mark.exhaustive  # test_kept_kernels.py examines the loop of one device, which is compiled anyway
 def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
-    """The compiled loop calls read and write of each device, but no allocator, reference count or interpreter."""
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip

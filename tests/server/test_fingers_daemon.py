@@ -55,7 +55,6 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
 
 
 def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) -> None:
-    """Both devices end closed, nothing is armed, and the error is that of opening."""
     driver.refuses = 1
     with pytest.raises(DeviceNotFound, match="plug it in"):
         Daemon(two_devices(FAULTY, FAULTY), two_fingers())
@@ -63,7 +62,6 @@ def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) 
 
 
 def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
-    """The supervisor zeroes the hanging device and the other one, which the servo no longer reaches."""
     rig = two_devices(FAULTY, FAULTY | {"fault": "hang", "at": 300})
     with Daemon(rig, two_fingers()) as running:
         try:
@@ -78,7 +76,6 @@ def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
 
 
 def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
-    """A pause (Ctrl-Z) zeroes both devices; afterwards both fade in."""
     with Daemon(two_devices(FAULTY, FAULTY), two_fingers()) as running:
         running.start()
         until(lambda: len(driver.devices) == 2 and driver.pressed)
@@ -94,7 +91,6 @@ def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
 
 
 def test_fingers_are_replaced_together(driver: Driver) -> None:
-    """The same devices stay open and armed; others open after both are closed; other names are refused."""
     rig, kept = two_devices(FAULTY, FAULTY), list[int]()
     sink = Sink("kept", lambda records, drops: kept.extend(records[:, AT.tick].astype(int)))
     with Daemon(rig, two_fingers(), sinks=[sink]) as running:
@@ -116,7 +112,6 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
 
 
 def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
-    """Both topics have every tick with the keys of `contact`; events and recordings are by finger."""
     rig = two_devices(
         {"driver": "replay", "recording": "tap", "loop": False},
         {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
@@ -181,7 +176,6 @@ def two_records(count: int, first: int = 0) -> np.ndarray:
 
 
 def test_clients_separate_the_fingers() -> None:
-    """Lost ticks are counted for each topic, a window has one finger, and the board of `monitor` has both."""
     with Publisher("tcp://127.0.0.1:*", fingers=NAMES, guard_names=("clamped",)) as publisher:
         board = monitor.Board(publisher.endpoint)
         with (
@@ -225,7 +219,6 @@ def test_clients_separate_the_fingers() -> None:
 
 
 def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
-    """One file for two fingers is refused with advice."""
     firsts = itertools.count(0, 10)
     with (
         Publisher("tcp://127.0.0.1:*", fingers=NAMES) as publisher,
@@ -236,12 +229,8 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
         record(wire, {"": tmp_path / "one.csv"})
 
 
-# --- two boards on two lines, and the daemon of the command line ------------------------------------
-
-
 @contextmanager
 def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
-    """Run the daemon against two boards with hands that press into the plane."""
     boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]
     with ExitStack() as lines:
         cables = [lines.enter_context(Cable(board)) for board in boards]
@@ -262,7 +251,6 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
 
 
 def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
-    """After SIGTERM the daemon exits with 0 and both boards have zero force."""
     with pressing(tmp_path) as (boards, _, process):
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=END_S)[1]
@@ -274,7 +262,6 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("place", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
 def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
-    """The run ends with an error that names the silent board's finger, and the other board gets zero."""
     with pressing(tmp_path) as (boards, cables, process):
         cables[place].hush()
         said = process.communicate(timeout=END_S)[1]
@@ -284,7 +271,6 @@ def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
 
 
 def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
-    """With `run --watcher` a killed daemon leaves no force: one process per device writes zero."""
     with pressing(tmp_path, "--watcher") as (boards, _, process):
         process.kill()
         said = process.communicate(timeout=END_S)[1]

@@ -122,7 +122,6 @@ def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
 
 
 def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
-    """A reader can only read, a commander only command, a stranger neither; a removed key is disconnected."""
     with serving(ring) as (daemon, context):
         telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
         assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
@@ -163,7 +162,6 @@ def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
 
 
 def test_a_restarted_publisher_requires_keys(ring: Ring) -> None:
-    """On the same ports daemon and reader reconnect, and a stranger is still rejected."""
     with serving(ring) as (daemon, context):
         own = Listener(context, daemon.publisher.endpoint)
         reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
@@ -178,7 +176,6 @@ def test_a_restarted_publisher_requires_keys(ring: Ring) -> None:
 
 
 def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
-    """After SIGKILL of the daemon, its publisher process exits."""
     words = [*COMMAND, "run", "--rig", str(ring.rig)]
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
@@ -204,13 +201,11 @@ BATCH = 50
 
 
 def ticking(publisher: Publisher) -> contextlib.AbstractContextManager[None]:
-    """Publish BATCH ticks at a time while the block runs."""
     firsts = itertools.count(0, BATCH)
     return repeated(lambda: publisher.publish(synthetic(BATCH, first_tick=next(firsts))))
 
 
 def test_forwarded_messages_equal_published_ones() -> None:
-    """Two subscribers get the frames of the server; the final report counts messages and missing ticks."""
     records = np.delete(synthetic(3000), [100, 101, 102, 2000], axis=0)
     with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
         with forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint):
@@ -252,15 +247,12 @@ def test_forwarded_messages_equal_published_ones() -> None:
 def test_invalid_forwarding_options_are_refused(
     ring: Ring, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 2 and one line."""
     monkeypatch.chdir(ring.folder)
     done = called("forward", *words)
     assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
-    """With CLIENTS_MAX clients, another one ends the connection of the client with the oldest last request, not of the
-    one that connected first."""
     with contextlib.ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stack.callback(context.destroy, 0)
@@ -291,7 +283,6 @@ def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() ->
 
 
 def test_a_key_that_floods_is_barred(ring: Ring) -> None:
-    """A key that subscribes to thousands of topics is disconnected and barred; another reader still gets messages."""
     other, _ = make_pair(ring.folder / "keys", "second")
     (ring.folder / "readers" / "second.key").write_bytes(other.read_bytes())
     locked = ["--keys", str(ring.folder / "keys" / "server.key_secret"), "--readers", str(ring.folder / "readers")]
@@ -332,7 +323,6 @@ print(json.dumps([info.name(), info.nominal_srate(), names, units, values, stamp
 
 
 def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
-    """A real LSL inlet finds the stream, its channels with name and unit, and a tick with the published values."""
     pytest.importorskip("pylsl", reason="pylsl is not installed: pip install 'softfinger[lsl]'", exc_type=ImportError)
     from softfinger.proxy.record import AT, FIELDS, columns
 

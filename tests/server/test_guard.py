@@ -33,7 +33,6 @@ def norm(v):
 @pytest.mark.scaled
 @examples(150, 3000)
 def test_output_is_always_finite_bounded_and_slow(wrenches):
-    """For any sequence of wrenches, including NaN and infinities, the output is within every limit."""
     before = g.INITIAL_GUARD_STATE
     for force, torque in wrenches:
         after, bits = compiled(LIMITS, before, force, torque, DT)
@@ -50,7 +49,6 @@ def test_output_is_always_finite_bounded_and_slow(wrenches):
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("axis", range(6))
 def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
-    """A non-finite component zeroes force and torque in that tick, and the ramp restarts."""
     wrench = [1.0] * 6
     wrench[axis] = bad
     after, bits = compiled(LIMITS, ENGAGED, tuple(wrench[:3]), tuple(wrench[3:]), DT)
@@ -58,7 +56,6 @@ def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
 
 
 def test_clamp_keeps_the_direction():
-    """A force above the limit is clamped to it, in the same direction."""
     after, bits = compiled(OPEN, ENGAGED, (30.0, 0.0, 40.0), (0.0, 0.0, 3.0), DT)
     assert bits == g.FORCE_CLAMPED | g.TORQUE_CLAMPED
     np.testing.assert_allclose(after.force, (7.2, 0.0, 9.6), rtol=1e-14)  # 12 N along (3, 0, 4) / 5
@@ -66,7 +63,6 @@ def test_clamp_keeps_the_direction():
 
 
 def test_clamp_goes_by_the_norm():
-    """Three components of 8 N, each below the limit of 12 N, have a norm of 13.9 N."""
     after, bits = compiled(OPEN, ENGAGED, (8.0, -8.0, 8.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED
     np.testing.assert_allclose(after.force, np.array([1.0, -1.0, 1.0]) * 12.0 / math.sqrt(3.0), rtol=1e-14)
@@ -74,21 +70,18 @@ def test_clamp_goes_by_the_norm():
 
 @pytest.mark.parametrize("excess", [1e-9, 1e-3])
 def test_a_force_just_above_the_limit_is_clamped(excess):
-    """The limit has no tolerance: an excess of one part in 1e9 is removed."""
     after, bits = compiled(OPEN, ENGAGED, (0.0, 7.2 * (1.0 + excess), 9.6 * (1.0 + excess)), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED
     np.testing.assert_allclose(after.force, (0.0, 7.2, 9.6), rtol=1e-14)
 
 
 def test_clamp_survives_forces_whose_square_overflows():
-    """A force of 1e300 N is clamped to the limit."""
     after, _ = compiled(OPEN, ENGAGED, (1e300, 1e300, 0.0), (0.0, 0.0, 0.0), DT)
     np.testing.assert_allclose(after.force, (12 / math.sqrt(2), 12 / math.sqrt(2), 0.0), rtol=1e-14)
 
 
 @pytest.mark.parametrize("tiny", [1e-301, 5e-324])
 def test_a_wrench_too_small_to_normalize_is_clamped_to_zero(tiny):
-    """Above a limit of 0 a tiny wrench becomes zero and is reported as clamped; within a limit it is unchanged."""
     none = OPEN._replace(force_max=0.0, torque_max=0.0)
     after, bits = compiled(none, ENGAGED, (tiny, 0.0, 0.0), (0.0, -tiny, 0.0), DT)
     assert (after.force, after.torque) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -98,14 +91,12 @@ def test_a_wrench_too_small_to_normalize_is_clamped_to_zero(tiny):
 
 
 def test_the_smallest_wrench_with_a_direction_is_clamped_along_it():
-    """1e-300 is the smallest number that can be divided by; the limit here is a tenth of it."""
     small = OPEN._replace(force_max=1e-301)
     after, bits = compiled(small, ENGAGED, (0.0, 1e-300, 0.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.FORCE_CLAMPED and after.force[1] == pytest.approx(1e-301, rel=1e-14, abs=0.0)
 
 
 def test_the_torque_alone_may_be_slew_limited():
-    """50 N m/s are 0.05 N m per tick: a step to 0.3 N m gives that in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (0.0, 0.0, 0.0), (0.0, 0.18, 0.24), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.torque, (0.0, 0.03, 0.04), rtol=1e-14)  # 0.05 N m along (0, 3, 4) / 5
@@ -120,7 +111,6 @@ def test_without_a_ramp_the_force_is_complete_at_once():
 
 
 def test_slew_limits_each_tick_along_the_way():
-    """A step to 10 N gives force_slew * dt in the first tick, along its direction."""
     after, bits = compiled(LIMITS, ENGAGED, (6.0, 0.0, 8.0), (0.0, 0.0, 0.0), DT)
     assert bits == g.SLEW_LIMITED
     np.testing.assert_allclose(after.force, (1.2, 0.0, 1.6), rtol=1e-14)  # 2 N along (3, 0, 4) / 5
@@ -128,7 +118,6 @@ def test_slew_limits_each_tick_along_the_way():
 
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_slew_limit_is_a_speed(period):
-    """The change per tick is the slew rate times the nominal period, for force and torque."""
     after, bits = compiled(
         LIMITS._replace(force_max=1e3, torque_max=1e3), ENGAGED, (1e3, 0, 0), (0, 1e3, 0), period, period
     )
@@ -139,7 +128,6 @@ def test_slew_limit_is_a_speed(period):
 
 @pytest.mark.parametrize("pause", [0.002, 0.005, 0.02, 0.1])
 def test_a_pause_widens_neither_slew_nor_ramp(pause):
-    """After missed ticks the force and the ramp change by no more than one tick allows."""
     force, torque = (10.0, 0.0, 0.0), (0.0, 0.2, 0.0)
     assert compiled(LIMITS, ENGAGED, force, torque, pause) == compiled(LIMITS, ENGAGED, force, torque, DT)
     ramping = g.GuardState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.2)
@@ -162,7 +150,6 @@ def test_force_within_all_limits_passes_unchanged():
 
 
 def test_ramp_grows_linearly_from_engaging():
-    """The force reaches half after half of ramp_s, and the full value after ramp_s."""
     before, forces = g.INITIAL_GUARD_STATE, []
     for _ in range(600):
         before, _ = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
@@ -182,7 +169,6 @@ def test_the_limits_do_not_grow_once_the_ramp_is_over():
 
 
 def test_the_moment_ramps_with_the_force():
-    """In each tick of the ramp force and torque have the same share of their final values."""
     before = g.INITIAL_GUARD_STATE
     for n in range(1, 500):
         before, bits = compiled(LIMITS, before, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
@@ -193,7 +179,6 @@ def test_the_moment_ramps_with_the_force():
 
 @pytest.mark.parametrize("asked", [6.0, 100.0, 400.0, 2e4, 1e300])
 def test_the_ramp_has_the_same_length_on_a_stiff_wall(asked):
-    """The output rises as slowly to 12 N from 100 N as from 20 kN; force and torque rise together."""
     before, free = g.INITIAL_GUARD_STATE, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
     whole = min(asked / free.force_max, 1.0)
     for n in range(1, 501):
@@ -205,14 +190,12 @@ def test_the_ramp_has_the_same_length_on_a_stiff_wall(asked):
 
 
 def test_disarmed_commands_zero():
-    """While disarmed the wrench is zero and the ramp is reset."""
     off = LIMITS._replace(armed=0.0)
     after, bits = compiled(off, ENGAGED, (1.0, 0.0, 0.0), (0.0, 0.0, 0.1), DT)
     assert (after, bits) == (g.INITIAL_GUARD_STATE, g.DISARMED)
 
 
 def test_every_bit_has_a_name():
-    """The names published for `servo.guard` cover exactly the bits the guard sets."""
     bits = (
         g.POSE_REFUSED,
         g.NOT_FINITE,
@@ -232,7 +215,6 @@ def test_every_bit_has_a_name():
 
 
 def test_plain_python_agrees_with_the_compiled_guard():
-    """The interpreted kernel gives the same bits as the compiled one."""
     rng = np.random.default_rng(3)
     before = g.INITIAL_GUARD_STATE
     for _ in range(200):

@@ -31,20 +31,17 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 
 @pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
-    """Unusable poses or forces in a row end the run after NO_FORCE_MAX_S, not earlier."""
     _, found, count, _ = after([tick] * 2000)
     assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
 
 
 def test_frequent_bad_poses_are_a_fault_and_occasional_ones_are_not():
-    """Two bad poses of three end the run; one of two, and 0.4 s of bad poses per second, do not."""
     assert after([NO_POSE, NO_POSE, GOOD] * 2000)[1] == h.NO_POSE
     assert after([NO_POSE, GOOD] * 5000)[1] == 0
     assert after(([NO_POSE] * 400 + [GOOD] * 600) * 20)[1] == 0
 
 
 def test_jumps_that_leave_nothing_to_render_are_a_fault():
-    """Five jumps in a row, or ten per second, end the run; four in a row, or nine per second, do not."""
     jump = (POSE_JUMPED, 0.0, T)
     assert after([jump] * 5)[1:3] == (h.JUMPING, 5)
     assert after(([jump] * 4 + [GOOD] * 1000) * 5)[1] == 0
@@ -53,7 +50,6 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
 
 
 def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
-    """Gaps with one tick between them end the run after the time in the fault model, between 1 and 1.3 s."""
     shortest, longest = stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
@@ -65,7 +61,6 @@ def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
 
 
 def test_repeated_stalls_are_a_fault():
-    """With reads of 0.24 s, the loop ends after the fifth, within 2 s."""
     _, fault, count, gone = after([(0, 0.0, 0.241)] * 20)
     assert fault == h.STARVED
     assert count == 5
@@ -73,7 +68,6 @@ def test_repeated_stalls_are_a_fault():
 
 
 def test_short_stalls_and_one_long_sleep_are_no_fault():
-    """20 ms lost five times a second, and one sleep of an hour, do not end the run."""
     assert after(([(0, 0.02, 0.021)] + [GOOD] * 180) * 300)[1] == 0
     health, fault, _, _ = after([(0, 3600.0, 3600.0)] + [GOOD] * 1000)
     assert (fault, health) == (0, h.HEALTHY)
@@ -81,7 +75,6 @@ def test_short_stalls_and_one_long_sleep_are_no_fault():
 
 @pytest.mark.parametrize(("late", "woken"), [(0.24, True), (0.0, False)])
 def test_the_cause_is_where_most_time_was_lost(late, woken):
-    """`late` separates time lost before the thread was woken from time lost in the device's exchange."""
     health, fault, _, _ = after([(0, late, 0.241)] * 20)
     assert fault == h.STARVED
     assert (health.late > 0.5 * health.lost) == woken

@@ -240,7 +240,6 @@ OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
 def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
-    """During and after attacks, memory is bounded, no tick is missing, and a subscriber is served again."""
     attacked(names, "tcp://127.0.0.1:*", SECONDS)
 
 
@@ -249,7 +248,6 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ..
     ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
 )
 def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str, tmp_path: Path) -> None:
-    """The same for each attack, longer, over either transport; most cause no losses for a subscriber."""
     found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
     # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
     # `ipc_listener_t::accept` has no EMFILE.
@@ -307,7 +305,6 @@ def cut_off(peer: socket.socket) -> None:
 
 
 def test_unfinished_handshakes_are_disconnected() -> None:
-    """A peer that does not finish its handshake is disconnected; one that has finished may subscribe later."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         patient = peers.enter_context(socket.create_connection(address))
@@ -323,7 +320,6 @@ def test_unfinished_handshakes_are_disconnected() -> None:
 
 
 def test_connections_are_limited_by_open_files() -> None:
-    """Further connections wait in the system's queue until earlier ones close."""
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         for _ in range(FILES_MAX):
@@ -364,7 +360,6 @@ def served(endpoint: str) -> bool:
 
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
-    """With 40 connections that never read and a suspended subscriber, memory is bounded and losses are counted."""
     with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
         words = [sys.executable, "-c", STOPPED, bound]
         never_read = [sys.executable, "-c", ATTACKS["subscribers who never read"], bound, "60"]
@@ -392,7 +387,6 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
 
 
 def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
-    """SIGTERM ends `softfinger run` with exit code 0 while one subscriber is suspended and another never reads."""
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         assert daemon.stderr is not None

@@ -142,7 +142,6 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
 )
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
-    """Zero within the stated ticks or within the guard's limits, the event, the ending, and every tick recorded."""
     case, at = CASES[name], MOMENTS[moment]
     seen, _, given = injected("replay", name, at, tmp_path)
     check_end(name, at, seen)
@@ -162,7 +161,6 @@ def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: st
 
 
 def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
-    """Wrenches are ignored twice, with one accepted between: the run continues."""
     held = HELD * 3 // 4
     faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
     with FAR_ENDS["replay"](tmp_path) as far:

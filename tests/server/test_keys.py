@@ -31,7 +31,6 @@ def mode(path: Path) -> int:
 
 @pytest.mark.parametrize("mask", [0o000, 0o777])
 def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> None:
-    """The secret has mode 600 for any umask; pyzmq reads one pair from both files."""
     before = os.umask(mask)
     try:
         public, secret = make_pair(tmp_path, "rig")
@@ -44,7 +43,6 @@ def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> 
 
 
 def test_no_key_is_overwritten(tmp_path: Path) -> None:
-    """Neither file is overwritten, even if the other is missing; links are not followed."""
     public, secret = make_pair(tmp_path, "rig")
     kept = public.read_bytes(), secret.read_bytes()
     for gone in (None, public):
@@ -62,7 +60,6 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_the_verb_makes_pairs(tmp_path: Path) -> None:
-    """A pair is made for each name, with JSON output, too; a second call exits with code 2."""
     words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
     done = run_program(words, check=True)
     made = json.loads(done.stdout)
@@ -76,7 +73,6 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
 
 
 def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
-    """Files that are readable by others, missing, public, mixed, of another kind, or pipes are refused."""
     public, secret = make_pair(tmp_path, "rig")
     _, other = make_pair(tmp_path, "other")
     public.chmod(0o600)
@@ -123,7 +119,6 @@ def test_keys_writable_by_other_users_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
 def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
-    """Files and folders of another user are refused: that user knows the secret and may replace files of the folder."""
     public, secret = make_pair(tmp_path, "rig")
     for path, read in ((public, read_public), (secret, read_pair), (tmp_path, lambda _: read_pair(secret))):
         os.chown(path, OTHER, OTHER)
@@ -136,7 +131,6 @@ def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
 
 
 def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
-    """Keys added or removed take effect; a revoked key stays out; a folder writable by others admits no key."""
     allowed = Allowed(tmp_path)
     public, _ = make_pair(tmp_path, "anna")
     key = read_public(public)
@@ -198,7 +192,6 @@ READERS = {"key": "k", "readers": "r"}
     ],
 )  # fmt: skip
 def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> None:
-    """Reading and commanding need separate keys; without them there is one fault with advice."""
     if fault:
         with pytest.raises(ConfigError) as caught:
             build(Rig, RIG | tables, "rig.toml")
@@ -208,7 +201,6 @@ def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> Non
 
 
 def test_key_paths_are_relative_to_the_rig_file(tmp_path: Path) -> None:
-    """A relative path starts at the rig's folder; an absolute path is unchanged."""
     (tmp_path / "rig.toml").write_text(
         '[device]\ndriver = "replay"\nrecording = "tap"\n[security]\nkey = "k"\nreaders = "/r"\n'
     )
@@ -217,7 +209,6 @@ def test_key_paths_are_relative_to_the_rig_file(tmp_path: Path) -> None:
 
 
 def test_a_client_needs_both_keys(tmp_path: Path) -> None:
-    """A client key without the server's key, or the reverse, is refused."""
     public, secret = make_pair(tmp_path, "rig")
     for words in (["--keys", str(secret)], ["--server-key", str(public)]):
         done = run_program([*COMMAND, "ctl", "heartbeat", *words])

@@ -112,7 +112,6 @@ def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kills", [len(VICTIMS), KILLS])
 def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> None:
-    """The end of a child is reported, the recording is complete, and the next run gets the same port and folder."""
     drawn = random.Random(7)
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0

@@ -75,7 +75,6 @@ def test_one_displaced_pose_is_not_too_fast():
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    """With automatic arming the force ramps up after SLOW_S below half of the limit; motion restarts the time."""
     guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -93,7 +92,6 @@ def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
 
 
 def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
-    """A slow handle gets no force until it was disarmed; disarming has no effect while the handle is fast."""
     guard, passed = limited(speed=2.0, slow_s=inf), INITIAL_OUTPUT
     off = guard._replace(armed=0.0)
     for _ in range(100):
@@ -111,7 +109,6 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
 
 @pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
-    """Ticks without a pose do not shorten the wait of a handle that was too fast."""
     guard, passed = limited(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -157,25 +154,21 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
 
 
 def test_heat_does_not_limit_a_strong_motor():
-    """If the continuous force is at least the guard's limit, heat does not reduce the force."""
     assert lim.heat_limited_force(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
     assert lim.heat_limited_force(lim.UNLIMITED, 1.5, 8.0) == 8.0
 
 
 def test_speeds_at_the_limits_are_allowed():
-    """Speeds equal to the limits are allowed."""
     limits = lim.UNLIMITED._replace(speed=2.0, slow_s=0.5)
     assert lim.remaining_wait(limits, 0.0, 2.0, True, T) == 0.0
     assert lim.remaining_wait(limits, 0.25, 1.0, True, T) == 0.25 - T
 
 
 def test_a_tick_of_zero_length_keeps_the_velocity():
-    """Without elapsed time the filtered velocity is unchanged."""
     assert lim.smooth_velocity((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
 
 
 def test_a_torque_fades_with_the_force():
-    """At 1.5 times the energy limit, the limits of force and torque are halved."""
     guard = limited(energy=0.2)
     passed = INITIAL_OUTPUT._replace(
         limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
@@ -207,13 +200,11 @@ def test_energy_given_in_a_contact_fades_the_force():
     ("spent", "share"), [(-1.0, 1.0), (0.0, 1.0), (1.0, 1.0), (1.25, 0.75), (2.0, 0.0), (3.0, 0.0)]
 )
 def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
-    """The full force up to the allowed energy, none from twice that on, linear between."""
     limits = lim.UNLIMITED._replace(energy=0.2)
     assert lim.energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
 
 
 def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
-    """Pressing in and releasing gives no energy; a surplus from friction is reset after the contact."""
     guard, passed = limited(energy=0.1), INITIAL_OUTPUT
     for moved in [-0.001] * 100 + [0.001] * 100:
         passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
@@ -227,7 +218,6 @@ def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
 
 
 def test_free_motion_under_an_effect_gives_no_energy():
-    """Work of an effect in free space does not count."""
     guard, passed = limited(energy=0.01), INITIAL_OUTPUT
     for _ in range(1000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
@@ -252,7 +242,6 @@ BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
     ],
 )
 def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
-    """The wall's force is stiffness times depth, towards the nearest point inside, up to its maximum; zero inside."""
     found, out = lim.wall_force(wall, at)
     np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
@@ -262,7 +251,6 @@ def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
 
 
 def test_the_wall_force_is_limited_by_the_guard():
-    """A wall of up to 40 N, added to a scene's force, is clamped to the guard's limit and its slew limit."""
     wall = BALL._replace(stiffness=2000.0, force_max=40.0)
     passed, bits = tick(limited(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
     assert passed.guard_state.force == pytest.approx((0.0, -2.0, 0.0))
@@ -271,7 +259,6 @@ def test_the_wall_force_is_limited_by_the_guard():
 
 @pytest.mark.parametrize("energy", [0.05, inf])
 def test_an_unstable_wall_fades(energy):
-    """A light hand bounces on a delayed stiff wall; with an energy limit it gets less than twice that energy."""
     stiff = apply_overrides(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     limits = lim.UNLIMITED._replace(energy=energy)
@@ -329,7 +316,6 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
 
 @pytest.mark.parametrize("late", [1, 2, 4])
 def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
-    """When the force starts to fade it is at most 2 late + 1 times the limit, and never more than twice that."""
     energy, stiff = 0.05, load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
     guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
@@ -361,7 +347,6 @@ any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 @pytest.mark.scaled
 @examples(60, 3000)
 def test_no_limit_is_exceeded(steps):
-    """The force is finite, within the limits of guard and heat, and zero while the handle was too fast."""
     wall = BALL._replace(force_max=40.0)
     guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
     passed, at = INITIAL_OUTPUT, NONE
@@ -383,7 +368,6 @@ def test_no_limit_is_exceeded(steps):
 
 
 def test_recorded_devices_are_not_limited():
-    """Recorded devices have none of these limits; with arming by button the speed limit waits for the arming."""
     rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     limits = guard_limits(rig, ARM).limits
     wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
@@ -395,7 +379,6 @@ def test_recorded_devices_are_not_limited():
 
 
 def test_the_workspace_moves_with_the_offset_of_its_device():
-    """The wall is relative to the device's frame: it moves with the offset of the device, and back."""
     rig = schema.Guard(workspace=schema.Workspace(radius_m=0.07, center_m=(0.0, 0.0, 0.01)))
     tuning = make_tuning(load_scene("paper-plane"), rig, [ARM])
     moved = with_offsets(tuning, ((0.5, 0.0, -0.25),))
@@ -405,13 +388,11 @@ def test_the_workspace_moves_with_the_offset_of_its_device():
 
 @pytest.mark.parametrize("asked", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
 def test_a_workspace_is_a_sphere_or_a_box(asked):
-    """Neither, or both, is refused with advice."""
     with pytest.raises(ConfigError, match="radius_m"):
         build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": asked}}, "rig.toml")
 
 
 def test_a_scene_that_is_replaced_does_not_cool_the_motors():
-    """The next loop starts with each finger's heat, energy and wait for a slow handle."""
     tuning = make_tuning(load_scene("pinch"), schema.Guard(), [ARM, ARM])
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
@@ -422,7 +403,6 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
 
 
 def test_a_shipped_recording_reaches_no_limit():
-    """The shipped recording on the shipped plane stays within an omega.6's limits of speed, energy and workspace."""
     tuning = make_tuning(load_scene("paper-plane"), load_rig("omega-6").guard, [ARM])
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     assert not (records[:, AT.servo_guard].astype(int) & (g.TOO_FAST | g.ENERGY_SPENT | g.WORKSPACE_EDGE)).any()
@@ -449,7 +429,6 @@ def fits(name):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if fits(name)])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
-    """With the limits of an omega.6, except its workspace: the box is lifted by more than it reaches."""
     scene = load_scene(name)
     for recordings in [RECORDED[name]] if name in RECORDED else [(each,) for each in ALONE]:
         poses = [resample(load_poses(each), 1000.0) for each in recordings]

@@ -84,7 +84,6 @@ def opened(program, name, *more):
 
 
 def test_readers_in_c_get_every_tick_and_count_gaps(program):
-    """One that slept for two ring lengths continues half a ring back; killed and suspended ones affect no other."""
     count = 2 * CAPACITY_TICKS
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
@@ -114,7 +113,6 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
 
 
 def test_describe_returns_the_ring_of_ticks():
-    """`describe` has the ring's name and columns; every tick of a run arrives, followed by the end."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     taken = []
     with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
@@ -135,7 +133,6 @@ def test_describe_returns_the_ring_of_ticks():
 
 
 def test_program_on_the_page_runs():
-    """The program in docs/protocol.md prints complete ticks and exits with 0 after the daemon's end."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -180,7 +177,6 @@ time.sleep(1000)
 
 
 def test_files_of_a_killed_daemon_are_removed():
-    """Readers of a killed daemon see the end; the next daemon removes its file, and not that of a running one."""
     living = make_memory(16, 4)
     with Program([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as process:
         name = process.stdout.readline().strip()
@@ -200,7 +196,6 @@ def test_files_of_a_killed_daemon_are_removed():
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")
 def test_files_of_another_user_are_not_removed():
-    """A daemon that runs as root does not remove an unlocked file of another user."""
     theirs, own = (memory.FOLDER / f"{memory.PREFIX}{secrets.token_hex(8)}" for _ in range(2))
     try:
         for path in (theirs, own):
@@ -213,7 +208,6 @@ def test_files_of_another_user_are_not_removed():
 
 
 def test_unreadable_rings_are_refused(tmp_path, monkeypatch):
-    """An unknown name, a path, an empty file and another layout are refused."""
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
     with pytest.raises(ConfigError, match="get it with"):
         Local("../etc/passwd")

@@ -1,6 +1,5 @@
 """`monitor` against a real publisher: in a terminal, through pipes, and without data."""
 
-import argparse
 import fcntl
 import itertools
 import json
@@ -23,9 +22,9 @@ from helpers.telemetry_records import put, synthetic
 from helpers.waits import repeated
 from rich.console import Console
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import CAUSE_NAMES
-from softfinger.server.verbs import monitor, options
+from softfinger.server.cli import main
+from softfinger.server.verbs import monitor
 from softfinger.server.wire.client import NoTelemetry, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH
 from softfinger.server.wire.publisher import Publisher
@@ -79,7 +78,6 @@ def piped(*arguments):
 
 
 def test_once_writes_one_line_with_everything(endpoint):
-    """Without a terminal, --once waits for a health message and prints one plain line, with --json one document."""
     result = called("monitor", "--endpoint", endpoint, "--once")
     assert result.returncode == 0, result.stderr
     assert result.stdout.count("\n") == 1
@@ -101,7 +99,6 @@ def test_once_writes_one_line_with_everything(endpoint):
 
 
 def test_json_writes_one_object_a_second(endpoint):
-    """--json --duration prints JSON objects, one per line, with the complete last messages."""
     result = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
     assert result.returncode == 0, result.stderr
     objects = [json.loads(line) for line in result.stdout.splitlines()]
@@ -117,7 +114,6 @@ def test_json_writes_one_object_a_second(endpoint):
 
 
 def test_not_a_number_becomes_null():
-    """A nan in a message does not make the JSON unreadable. `--once` shows ticks, also of a daemon that starts late."""
     records, stop = synthetic(1), threading.Event()
     put(records, "force", [np.nan, 0.0, np.inf])
 
@@ -138,7 +134,6 @@ def test_not_a_number_becomes_null():
 
 
 def test_a_closed_pipe_ends_the_monitor(endpoint):
-    """A closed pipe (head) ends the monitor with code 0 and no output on standard error."""
     with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
@@ -147,7 +142,6 @@ def test_a_closed_pipe_ends_the_monitor(endpoint):
 
 
 def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
-    """Without a server the monitor fails after --timeout; the error has the endpoint and a remedy."""
     nowhere = f"ipc://{tmp_path}/nobody"
     result = piped("--endpoint", nowhere, "--timeout", "0.2")
     assert result.returncode == NoTelemetry.exit_code
@@ -202,7 +196,6 @@ def in_terminal(arguments, rows=40, columns=100):
 
 
 def test_terminal_shows_the_dashboard(endpoint):
-    """A terminal shows mode in colour, bars, vectors, percentiles and events, redrawn in place."""
     code, written = in_terminal(["--endpoint", endpoint, "--duration", "2.6"])
     assert code == 0, written
     assert re.search(r"\x1b\[1;31msliding", written)
@@ -229,14 +222,12 @@ def test_terminal_shows_the_dashboard(endpoint):
 
 
 def test_a_small_terminal_causes_no_error(endpoint):
-    """A terminal of 10 x 30 characters causes no error."""
     code, written = in_terminal(["--endpoint", endpoint, "--duration", "0.8"], rows=10, columns=30)
     assert code == 0, written
     assert "Traceback" not in written
 
 
 def test_escape_sequences_are_shown_as_text():
-    """Escape sequences in an event are shown as text."""
     board = monitor.Board("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
     board.update(sample)
@@ -245,7 +236,6 @@ def test_escape_sequences_are_shown_as_text():
 
 
 def board_with(*records, preparing=""):
-    """Return a board that has received the messages of some ticks from a publisher."""
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         subscribe(publisher.endpoint, (CONTACT, EVENT, HEALTH)) as samples,
@@ -262,7 +252,6 @@ def board_with(*records, preparing=""):
 
 
 def drawn(board, width=80, height=24):
-    """Return the lines of the dashboard for a terminal of this size."""
     console = Console(width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False)
     with console.capture() as capture:
         console.print(monitor.render(board, width, height))
@@ -283,7 +272,6 @@ def pressed(count=1500):
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (200, 60)])
 def test_the_dashboard_fits_the_terminal(width, height):
-    """At usual sizes the last event is shown completely, no line is cut off, and no rounding error is shown."""
     lines = drawn(board_with(pressed()), width, height)
     text = "\n".join(lines)
     assert len(lines) < height and all(len(line) <= width for line in lines)
@@ -296,14 +284,12 @@ def test_the_dashboard_fits_the_terminal(width, height):
 
 
 def test_what_the_daemon_prepares_is_shown():
-    """The progress of a scene that the daemon compiles is a row of the dashboard and a part of the line."""
     board = board_with(pressed(), preparing="compiling kernel 12")
     assert any("preparing" in line and "compiling kernel 12" in line for line in drawn(board))
     assert "preparing: compiling kernel 12;" in monitor.line(board)
 
 
 def test_bars_are_empty_after_the_server_stopped():
-    """After the server's last event, and after silence, no bar shows a force; with new ticks bars return."""
     board = board_with(pressed())
     assert any("█" in line for line in drawn(board))
     stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}
@@ -318,10 +304,9 @@ def test_bars_are_empty_after_the_server_stopped():
     assert "no data for 2.0 s" in lines[0] and not any("█" in line for line in lines)
 
 
-@pytest.mark.parametrize(("option", "value"), [("duration", "0"), ("duration", "nan"), ("timeout", "-1")])
-def test_durations_that_are_not_positive_are_refused(option, value):
-    """The ConfigError of a duration or time-out that is not positive names the option."""
-    parser = argparse.ArgumentParser()
-    options.configure_monitor(parser)
-    with pytest.raises(ConfigError, match=f"--{option} = "):
-        monitor.run(parser.parse_args([f"--{option}", value]))
+@pytest.mark.parametrize("verb", ["monitor", "record"])
+@pytest.mark.parametrize("words", [("--duration", "0"), ("--duration", "nan"), ("--timeout", "-1")])
+def test_durations_that_are_not_positive_are_refused(verb, words, capsys):
+    with pytest.raises(SystemExit):
+        main([verb, *words])
+    assert f"argument {words[0]}: {words[1]}: the duration must be above 0 s" in capsys.readouterr().err

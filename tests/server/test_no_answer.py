@@ -37,7 +37,6 @@ ASKED = 5
 
 @pytest.fixture(params=["nobody", "publisher", "silent router"])
 def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """Return an address where no command is answered."""
     address = f"ipc://{tmp_path}/socket"
     kinds = {"publisher": zmq.XPUB, "silent router": zmq.ROUTER}
     if request.param not in kinds:
@@ -59,8 +58,6 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
 
 
 def test_a_command_that_may_compile_first_checks_for_a_daemon(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scene takes minutes to compile, but the lack of a daemon is reported after the time-out of a short request."""
-
     async def ask() -> None:
         async with AsyncControl(endpoint) as control:
             with pytest.raises(NoAnswer, match=rf"no answer to reset_world from .* within {WAIT_S:g} s"):
@@ -178,7 +175,6 @@ def first_request(peer: zmq.Socket[bytes], ask: Callable[[float], object]) -> by
 
 @pytest.mark.parametrize("client", [Control, AsyncControl])
 def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
-    """The daemon declines an expired request, but not one without expiry or from another boot of a machine."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as peer:
         peer.linger, peer.rcvtimeo = 0, 10_000
         peer.bind(f"ipc://{tmp_path}/socket")
@@ -228,7 +224,6 @@ def test_a_time_out_may_be_arbitrarily_long(wait_s: float, tmp_path: Path) -> No
 
 
 def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
-    """Each error is one sentence; numbers of NumPy are valid."""
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
         for what, says in (
             ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon accepts at most 262144"),
@@ -246,7 +241,6 @@ def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("program", ["client", "ctl"])
 def test_disarm_is_sent_before_the_daemon_is_searched_or_verified(program: str, tmp_path: Path) -> None:
-    """A daemon that answers nothing gets `disarm` as the first request; the answer is awaited as usual."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
         daemon.linger = 0
         port = daemon.bind_to_random_port("tcp://127.0.0.1")

@@ -39,7 +39,6 @@ STALLED = 30
 
 
 def take_memory(pid: int) -> None:
-    """Limit a process to its current memory."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
     most = pages * resource.getpagesize()
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
@@ -78,7 +77,6 @@ def zeroes_without_pause(board: Board, first: int) -> list[int]:
 
 
 def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
-    """Subscribers that do not read make it end; the board always has a force, and the recording every tick."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         first_frame = len(board.sent)
@@ -105,7 +103,6 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
-    """New browsers make it end; it restarts at the same address, and the board always has a force."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None
@@ -143,7 +140,6 @@ def line_with(words: str, lines: IO[str]) -> str:
 
 
 def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_path: Path) -> None:
-    """Publisher and page are restarted when descriptors are available; the run continues with its force."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None

@@ -59,7 +59,6 @@ def work_a_tick(records, turns=1.0):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("mode", ["observe", "control"])
 def test_energy_is_the_work_against_the_commanded_wrench(mode):
-    """Energy changes by minus force times motion and minus torque times rotation; only a deficit outlasts a touch."""
     scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=schema.Passivity(mode=mode))
     tuning = make_tuning(scene, load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), SLOW_HZ), SLOW_HZ)
@@ -79,13 +78,11 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
 
 
 def test_a_scene_without_the_table_has_no_observer():
-    """Energy is 0 and the force is unchanged bit for bit."""
     assert make_tuning(load_scene("paper-plane"), load_rig("replay").guard).passivity is None
     assert keep_passive(None, NO_ENERGY, holding(PUSH), by(1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
 
 
 def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
-    """The damper's force over a motion equal to the last one does exactly the missing work."""
     moved, owed = (0.0, 3e-5, 4e-5), 2e-7
     energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), holding(), by(*moved), float(ROLLING), NONE, T)
     assert energy.work == -owed
@@ -95,7 +92,6 @@ def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
 
 
 def test_damping_is_bounded_for_a_slow_hand():
-    """At or near rest the damping is at most the largest one, and no number overflows."""
     for step in (0.0, 1e-300, 1e-160, 1e-9):
         energy, force = keep_passive(
             Passivity(20.0), Energy(-1.0, 0.0), holding(), by(step, 0.0, 0.0), float(ROLLING), PUSH, T
@@ -105,7 +101,6 @@ def test_damping_is_bounded_for_a_slow_hand():
 
 
 def test_energy_of_a_sampled_torsional_spring():
-    """Turned to A and back in n steps a spring k generates k A^2 / n; at A it has stored k A^2 (1 - 1/n) / 2."""
     k, largest, n = 0.05, 0.3, 200
     axis = np.array([0.6, 0.0, 0.8])
     angles = largest / n * np.concatenate((np.arange(n + 1), np.arange(n)[::-1]))
@@ -169,7 +164,6 @@ def test_a_torque_that_is_not_displayed_does_no_work():
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
 def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
-    """The energy of a cycle falls with the step size, to a hundredth of the torque's share."""
     height = 0.009 if "radius_m" in fingertip else 0.011
     (_, coarse), (_, fine) = (cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
     assert coarse / fine == pytest.approx(2.0, rel=0.01)  # first order in the step
@@ -177,7 +171,6 @@ def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
 
 
 def test_energy_of_a_stiffness_that_rises_in_contact():
-    """Pressed at k and released at 2 k, the spring returns k d^2 / 2 more than it received; energy has that deficit."""
     scenes = [
         msgspec.structs.replace(
             load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": k}),
@@ -200,7 +193,6 @@ def test_energy_of_a_stiffness_that_rises_in_contact():
 
 
 def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
-    """In free space a positive energy is reset; a negative one remains and is still damped."""
     for before, after in ((0.5, 0.0), (-0.5, -0.5)):
         energy, _ = keep_passive(
             Passivity(20.0), Energy(before, 0.0), holding(), by(1e-5, 0.0, 0.0), float(FREE), PUSH, T
@@ -215,7 +207,6 @@ def test_a_tick_of_no_length_has_no_damping():
 
 
 def test_largest_damping_is_only_for_control():
-    """`observe` refuses a damping; `control` has a default."""
     guard = load_rig("replay").guard
     material = {"stiffness_n_per_m": 1000.0}
     table = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane", "material": material}]}
@@ -227,7 +218,6 @@ def test_largest_damping_is_only_for_control():
 
 
 def test_the_guard_limits_the_force_of_the_controller():
-    """The damper's force passes through the guard's force and slew limits like every other force."""
     scene = msgspec.structs.replace(
         load_scene("paper-plane"), passivity=schema.Passivity(mode="control", damping_max_ns_per_m=1000.0)
     )

@@ -146,7 +146,6 @@ def dialled(address: str) -> socket.socket:
 
 
 def greeted(address: str, kind: bytes) -> socket.socket:
-    """Return a ZMTP connection with a finished handshake."""
     made = dialled(address)
     made.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
     heard = b""
@@ -235,7 +234,6 @@ def high_water(pid: int) -> int:
 
 
 def serves(name: str, address: str) -> bool:
-    """Return whether a well-behaved peer is served."""
     if name.endswith("telemetry"):
         with Subscription(address, ("contact",)) as reader:
             return reader.receive(CUT_S) is not None
@@ -273,7 +271,6 @@ def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) ->
     ids=["2 s", "10 s"],
 )  # fmt: skip
 def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
-    """All attacks run simultaneously; each socket serves another peer during the attack."""
     with ThreadPoolExecutor() as threads, contextlib.ExitStack() as owners:
         for name in names:
             owners.enter_context(unharmed(peers, name))
@@ -286,7 +283,6 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
                          ids=["one frame", "fragments", "a byte too many"])  # fmt: skip
 def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Peers) -> None:
-    """For one frame and for fragments the close code is MESSAGE_TOO_BIG and no payload is stored."""
     with unharmed(peers, "page"), browser(peers.addresses["page"]) as large:
         large.recv(timeout=CUT_S)
         with contextlib.suppress(ConnectionClosed):  # at the first excessive fragment
@@ -298,7 +294,6 @@ def test_the_page_refuses_a_large_message_at_its_header(message: Any, peers: Pee
 
 
 def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
-    """One browser too many is closed with a reason. When another one closes, the next is accepted."""
     address = peers.addresses["page"]
     with contextlib.ExitStack() as opened:
         first = browser(address)
@@ -321,7 +316,6 @@ def refused_browser(address: str) -> int | None:
 
 
 def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
-    """Commands are answered while the process that forwards telemetry is stopped; killed, it is started again."""
     pid = peers.owners["gateway's telemetry"]
     os.kill(pid, signal.SIGSTOP)
     assert serves("forwarded commands", peers.addresses["forwarded commands"])
@@ -333,7 +327,6 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
 
 
 def test_subscribers_are_the_connections_that_subscribe() -> None:
-    """Up to four peers subscribe, unsubscribe and close at random; the count is correct throughout."""
     chance, asked = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
@@ -371,7 +364,6 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
 
 
 def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
-    """Topics beyond TOPICS_MAX are not stored; the peer is one subscriber."""
     asked = list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:

@@ -9,7 +9,6 @@ from helpers.programs import run_program
 
 
 def test_a_daemon_without_machine_code_is_refused_in_one_line() -> None:
-    """The error of `softfinger run` names the variable, and its exit code is that of real-time settings."""
     done = run_program(
         [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"],
         env=os.environ | {"NUMBA_DISABLE_JIT": "1"},

@@ -71,7 +71,6 @@ def fill(process: subprocess.Popen[str]) -> None:
 
 
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
-    """The board receives no force while all processes stop; then it ramps from zero, and no tick is missing."""
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         everyone = [*children(process.pid), process.pid]
@@ -99,7 +98,6 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
 
 
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
-    """The board receives forces and the recording every tick; an unread standard error delays nothing."""
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         publisher = process_of(process.pid, "telemetry")
@@ -173,7 +171,6 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
-    """The clock is set by an hour: every frame has a force, and recorded times remain sorted."""
     recording = tmp_path / "set.mcap"
     environment, put = clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
@@ -246,7 +243,6 @@ def has_network() -> bool:
 
 @pytest.mark.exhaustive
 def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
-    """The link is down for a thousand ticks: sinks in the daemon miss none, and a subscriber gets new ones later."""
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]

@@ -57,7 +57,6 @@ print("result")
 @pytest.mark.real_time  # a delayed reader may receive the progress line together with its removal
 @pytest.mark.parametrize("columns", [80, *(pytest.param(width, marks=pytest.mark.exhaustive) for width in (40, 132))])
 def test_log_and_progress_never_share_a_line(columns: int) -> None:
-    """Each screen line belongs to the log or to the progress, which is removed at the end."""
     screen, shown = Screen(columns), set()
     with on_terminal([sys.executable, "-c", LOGGING], 24, columns) as (process, pieces):
         for piece in pieces:
@@ -76,7 +75,6 @@ def test_log_and_progress_never_share_a_line(columns: int) -> None:
 
 
 def test_run_counts_in_a_separate_line() -> None:
-    """The count of a daemon on a terminal increases in one line below the log; after Ctrl-C the line is removed."""
     screen, counts, interrupted = Screen(80), list[int](), False
     with on_terminal(RUN) as (process, pieces):
         for piece in pieces:
@@ -98,7 +96,6 @@ def test_run_counts_in_a_separate_line() -> None:
 
 @pytest.mark.exhaustive  # it has to last longer than a moment, on two processors
 def test_stability_shows_its_share() -> None:
-    """The share of its cases that are done grows, in one line."""
     screen, shares = Screen(80), []
     words = ["stability", "--map", "all", "--compare", "--points", "40"]
     with on_terminal([sys.executable, "-m", "softfinger.server.cli", *words]) as (process, pieces):
@@ -115,7 +112,6 @@ def test_stability_shows_its_share() -> None:
 def test_long_waits_show_their_share(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each wait reports a share that grows, in lines without a terminal: here every millisecond."""
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
     records, table, study = tmp_path / "in.npz", tmp_path / "in.csv", Experiment("stiffness-discrimination")
@@ -138,8 +134,6 @@ def test_long_waits_show_their_share(
 
 
 def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The share of an operation is added to the current step of the outer one, also over several levels, and never
-    decreases."""
     shown = collect_shares(monkeypatch)
     with display.progress("outer", 2) as done:
         with display.progress("inner", 4) as inner_done:
@@ -159,7 +153,6 @@ def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pyte
 
 
 def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A driver with kinematics is compiled for seconds when its rig is checked first."""
     reported: list[str] = []
 
     @contextmanager
@@ -187,7 +180,6 @@ class Looking(Folder):
 
 
 def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
-    """While a kernel is compiled or loaded the text shows that instead of a share of the work."""
     while_compiled: list[str] = []
 
     class Look(event.Listener):  # type: ignore[misc]
@@ -215,7 +207,6 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
 
 
 def test_kernels_are_counted_towards_those_of_the_scene() -> None:
-    """A callee is compiled within its caller and counts by itself; beyond the estimate there is none."""
     counted, started = CompileProgress(), []
     counted.expect(2)
     counted.on_first = lambda: started.append(str(counted))
@@ -235,7 +226,6 @@ def test_kernels_are_counted_towards_those_of_the_scene() -> None:
 
 
 def test_the_first_compilation_names_the_command_that_compiles_ahead(caplog: pytest.LogCaptureFixture) -> None:
-    """It is logged once, when a kernel is compiled: not for a cached scene, and not afterwards."""
     with caplog.at_level("INFO"):
         with name_warmup("mine.toml"), COMPILE_PROGRESS.loading():
             pass

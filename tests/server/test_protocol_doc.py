@@ -75,7 +75,6 @@ def cells(line):
 
 
 def rows_below(text, heading):
-    """Return the rows of each table of a section by the header of the table."""
     tables, head = {}, None
     for line in text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0].splitlines():
         if not line.startswith("|"):
@@ -105,7 +104,6 @@ def doc_tables():
 
 
 def test_tables_list_the_keys_of_the_code():
-    """Each message has a table with its keys and their types."""
     assert doc_tables() == {title: {key.name: key.type for key in keys} for title, keys in CODE_TABLES.items()}
 
 
@@ -172,7 +170,6 @@ def real_messages():
 
 @pytest.mark.real_time
 def test_real_messages_have_the_documented_keys_and_types():
-    """Every message has exactly the keys of its tables, with values of the documented types."""
     tables = doc_tables()
     seen = set()
     for title, message in real_messages():
@@ -184,7 +181,6 @@ def test_real_messages_have_the_documented_keys_and_types():
 
 
 def test_numbers_in_the_text_equal_those_of_the_code():
-    """Checks the schema, the backlog and the bounds of peers."""
     assert f"`schema` is {SCHEMA}." in DOC
     assert f"`state`: {STATE_HZ:g} times a second" in DOC and f"{CAPACITY_TICKS} ticks behind" in DOC
     assert f"some {WAKE_INTERVAL_MS} ms of their tick" in DOC
@@ -197,7 +193,6 @@ def test_numbers_in_the_text_equal_those_of_the_code():
 
 
 def test_bounds_of_requests_equal_those_of_the_code():
-    """Checks sizes, counts and rates."""
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
     page = " ".join(DOC.split())  # independent of line breaks
     assert f"may ask {BURST} times in {BURST_S:g} s" in page and f"{WAITING_MAX} wait, and more are dropped" in page
@@ -209,7 +204,6 @@ def test_speeds_of_a_controlled_hand_equal_those_of_the_code():
 
 
 def test_schema_of_the_commands_has_every_method():
-    """The schema contains each method with the possible keys of its parameters."""
     listed = commands.schema()["methods"]
     assert list(listed) == list(commands.METHODS)
     drive = listed["drive"]["params"]["$defs"]["Drive"]
@@ -218,7 +212,6 @@ def test_schema_of_the_commands_has_every_method():
 
 
 def test_both_clients_have_every_method():
-    """The methods of the asyncio client are coroutines with the same signatures."""
     for name in commands.METHODS:
         one, other = getattr(Control, name), getattr(AsyncControl, name)
         assert inspect.signature(one) == inspect.signature(other) and inspect.iscoroutinefunction(other), name
@@ -226,7 +219,6 @@ def test_both_clients_have_every_method():
 
 @pytest.mark.real_time
 def test_command_program_on_the_page_runs():
-    """The documented command program changes a parameter of a daemon."""
     (program,) = [each for each in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in each]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -239,7 +231,6 @@ def test_command_program_on_the_page_runs():
 
 
 def test_wire_schema_holds_every_table():
-    """The printed schema has the same messages and keys."""
     schema = wire_schema()
     assert schema["schema"] == SCHEMA
     listed = {name.replace(" of kind", ""): [key["name"] for key in keys] for name, keys in schema["messages"].items()}
@@ -248,7 +239,6 @@ def test_wire_schema_holds_every_table():
 
 @pytest.mark.real_time
 def test_program_on_the_page_runs():
-    """The documented subscriber receives consecutive ticks from a publisher and ends."""
     program = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)[0]
     assert "tcp://127.0.0.1:5555" in program
     firsts = itertools.count(0, 50)

@@ -40,7 +40,6 @@ FINGERS = ("index", "thumb")
 
 @pytest.fixture
 def sockets():
-    """Return a function that creates plain subscribers."""
     with zmq.Context() as context:
         made = []
 
@@ -99,7 +98,6 @@ def odd(records):
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_messages_equal_those_of_the_encoder(sockets, every):
-    """For one finger and two every value and type is equal, for every set of patches and unusual numbers."""
     rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
     other = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
     with (
@@ -124,7 +122,6 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
 
 
 def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
-    """At 8 kHz every 40th tick is sent; a new name of any length applies from the next message on."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         socket = sockets(publisher.endpoint, b"state", b"event")
         join(publisher, socket)
@@ -140,7 +137,6 @@ def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
 
 
 def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
-    """It needs no further message, also for a topic that is subscribed later or again; events are not repeated."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         early = sockets(publisher.endpoint, b"event")
         join(publisher, early)
@@ -174,13 +170,11 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
 
 
 def test_the_schema_is_sent_before_any_other_message(sockets):
-    """The first subscriber of a publisher that has sent nothing gets it."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         assert sockets(publisher.endpoint, b"schema").recv_multipart()[0] == b"schema"
 
 
 def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
-    """An early subscriber gets each of 2000 ticks once and in order while others subscribe."""
     with Publisher("tcp://127.0.0.1:*") as publisher:
         socket = sockets(publisher.endpoint, b"contact", b"event")
         join(publisher, socket)
@@ -195,7 +189,6 @@ def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
 
 
 def test_plotjugglers_rules_hold_for_every_topic(sockets):
-    """Every message of every topic satisfies them, and the checker finds a violation of each rule."""
     with Publisher("tcp://127.0.0.1:*", fingers=FINGERS) as publisher:
         publisher.set_state_info(StateInfo(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
@@ -230,7 +223,6 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
 
 
 def test_the_client_of_hapticore_reads_state_and_commands(sockets):
-    """The state has exactly the keys and types of its record and the client's clock; heartbeats are answered."""
     before = time.monotonic()
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
@@ -275,7 +267,6 @@ with Daemon(rig, load_scene("paper-plane")) as daemon:
 
 
 def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
-    """While a thread of the daemon holds the interpreter lock for 0.9 s, ticks and states still arrive."""
     with Program([sys.executable, "-c", HELD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             socket = sockets(process.stdout.readline().strip(), b"contact", b"state")
@@ -300,7 +291,6 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
 
 
 def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
-    """Subscribers and clients reconnect, the restart is an event, and recording and shared memory have no gap."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
@@ -337,7 +327,6 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
 
 
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
-    """A publisher that has never run is not restarted."""
     monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -348,7 +337,6 @@ def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
 
 @entry
 def write_numbered(broadcast, row, count):
-    """Write rows in which every column is the row number."""
     for number in range(count):
         for i in range(row.shape[1]):
             row[0, i] = number
@@ -356,7 +344,6 @@ def write_numbered(broadcast, row, count):
 
 
 def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
-    """Each of two million rows is complete and newer than the previous one; read and lost rows add up to all."""
     count = 2_000_000
     broadcast = Broadcast(np.zeros((16, 24)), np.zeros(8, np.int64))
     places = [make_read_position(broadcast) for _ in range(2)]
@@ -381,7 +368,6 @@ def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
 
 
 def test_a_publisher_that_is_stuck_in_one_step_ends():
-    """The system kills it after STUCK_S of CPU time."""
     program = "from softfinger.server.socket_process.process import limit_step\nlimit_step()\nwhile True: pass"
     process = subprocess.run([sys.executable, "-c", program], check=False, timeout=120.0)
     assert process.returncode == -signal.SIGPROF

@@ -57,7 +57,6 @@ def test_the_plugin_imports_no_large_modules() -> None:
 
 @pytest.mark.exhaustive  # four daemons; `make test` has the fixture's passes and failures below
 def test_the_example_project_passes(tmp_path: Path) -> None:
-    """All of its tests pass in a separate folder without this project's configuration."""
     project = tmp_path / "project"
     shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
     done = pytest_in(project)
@@ -66,7 +65,6 @@ def test_the_example_project_passes(tmp_path: Path) -> None:
 
 
 def test_a_failed_daemon_fails_the_test_with_its_log(tmp_path: Path) -> None:
-    """Covers a daemon that never gets ready, one that dies, and one whose test fails."""
     (tmp_path / "test_bad.py").write_text(DIES)
     done = pytest_in(tmp_path)
     assert done.returncode == 1

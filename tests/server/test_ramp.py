@@ -34,7 +34,6 @@ def way_from(tree, ticks=TICKS):
 
 
 def gone(ramp_state, tree, ticks):
-    """Return the tree after so many ticks of the ramp."""
     for _ in range(ticks):
         if ramp_state.ticks_left[0] > 0:
             ramp.advance(ramp_state)
@@ -43,7 +42,6 @@ def gone(ramp_state, tree, ticks):
 
 @pytest.mark.plain
 def test_all_values_that_affect_the_force_are_ramped_together():
-    """In the middle of a ramp each value is in the middle; at the end all are equal to the new scene bit for bit."""
     old = build_scene(scene())
     new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
     ramp_state = way_from(old)
@@ -57,7 +55,6 @@ def test_all_values_that_affect_the_force_are_ramped_together():
 
 @pytest.mark.plain
 def test_positions_and_limits_change_immediately():
-    """An object's position and a guard's limits are not ramped, and changing them does not restart a ramp."""
     guard = load_rig("replay").guard
     old = make_tuning(scene(), guard)
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
@@ -86,7 +83,6 @@ def test_an_array_changes_immediately():
 
 @pytest.mark.plain
 def test_a_power_law_ramps_its_force_linearly_at_every_depth():
-    """While coefficient and exponent change, a force that is equal at both ends remains constant."""
     ends = [
         model.Material(model.PowerNormal(k * DEPTH_M / d**p, p, 0.0), None, None)
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
@@ -101,14 +97,11 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
 
 @entry
 def stiffness_of(like, values, index):
-    """Return stiffness and static friction of one of many objects."""
     body = object_at(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
 
 def test_many_objects_are_ramped():
-    """Stiffness and friction of one of nine objects change; the other objects and the input do not."""
-
     def tiles(softer):
         rubber = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.8, "kinetic": 0.1}}
         place = {"shape": "plane", "material": rubber}
@@ -131,7 +124,6 @@ def test_many_objects_are_ramped():
 
 @pytest.mark.plain
 def test_a_ramp_without_ticks_is_immediate():
-    """With a ramp of 0 s the next tick has the new value."""
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     ramp_state = way_from(old, 0)
     ramp.set_target(ramp_state, flatten(new))
@@ -140,7 +132,6 @@ def test_a_ramp_without_ticks_is_immediate():
 
 @pytest.mark.real_time
 def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
-    """No tick exceeds its share of the change, also during another change, and the final force is exact."""
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
     servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)

@@ -56,7 +56,6 @@ def smooth(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.floa
 
 
 def test_lowering_a_box_and_a_closed_cycle_generate_no_contact_energy(tmp_path: Path) -> None:
-    """The observed energy remains at that of the grip; over the cycle the hands have lost energy."""
     (tmp_path / "box.xml").write_text(BOX)
     scene = load_scene(SCENE | {"world": {"model": str(tmp_path / "box.xml"), "material": MATERIAL}})
     ticks = np.arange(1200)

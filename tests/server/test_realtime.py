@@ -145,7 +145,6 @@ raises_limits = pytest.mark.skipif(
 
 
 def test_off_changes_nothing() -> None:
-    """Mode off reports one line and does not change scheduler, slack, memory, processor and files."""
     report = child("off", cpu=0)
     assert [s["name"] for s in report["settings"]] == ["off"]
     assert report["by_name"]["off"]["ok"]
@@ -154,7 +153,6 @@ def test_off_changes_nothing() -> None:
 
 @privileged
 def test_everything_is_granted_to_root() -> None:
-    """Root gets every setting, only in the calling thread, and the kernel confirms each."""
     cpu = max(os.sched_getaffinity(0))
     report = child(priority=71, cpu=cpu)
     refused = {s["name"] for s in report["settings"] if not s["ok"]}
@@ -175,7 +173,6 @@ def test_everything_is_granted_to_root() -> None:
 @privileged
 @pytest.mark.parametrize("drop", [False, True])
 def test_undo_restores_everything(drop: bool) -> None:
-    """After two calls of undo, thread and process are in their initial state."""
     report = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
     assert report["by_name"]["sched_fifo"]["ok"]
     assert report["during"] != report["before"]
@@ -184,7 +181,6 @@ def test_undo_restores_everything(drop: bool) -> None:
 
 @privileged
 def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
-    """Small areas and the thread's stack cause no page fault; large or later ones are locked but not loaded."""
     report, free = child(), child("off")
     # 2 MB are 512 pages, fewer with huge pages, hence the comparison with an unlocked child.
     assert report["early_faults"] == 0 < free["early_faults"]
@@ -218,7 +214,6 @@ print(after < before / 4, code() > after)
 
 @privileged
 def test_the_compiler_is_not_locked_in_memory() -> None:
-    """Its code is released when memory is locked, and is loaded again when it is called."""
     process = run_program([sys.executable, "-c", COMPILER])
     assert process.stdout == "True True\n", process.stderr
 
@@ -236,7 +231,6 @@ with open(os.fsencode(sys.argv[1]) + bytes([47, 255]), "wb+") as file:
 
 
 def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
-    """File names need not be valid UTF-8."""
     words = [sys.executable, "-c", MAPPED, str(tmp_path)]
     process = run_program(words)
     assert "mlockall" in process.stdout, process.stderr
@@ -254,7 +248,6 @@ def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
 
 @raises_limits
 def test_limits_grant_without_root() -> None:
-    """A user with rtprio 50 gets priority 50; the refusal of 80 contains the limit."""
     limits = {"RLIMIT_RTPRIO": 50, "RLIMIT_MEMLOCK": -1}
     granted = child(priority=50, drop=True, limits=limits)
     assert granted["by_name"]["sched_fifo"]["ok"]
@@ -266,7 +259,6 @@ def test_limits_grant_without_root() -> None:
 
 
 def test_refusals_have_reason_and_remedy() -> None:
-    """Without privilege each refusal contains the system's reason and the remedies; the other settings are applied."""
     report = child(drop=True, limits=UNPRIVILEGED)
     by_name = report["by_name"]
     fifo, memory = by_name["sched_fifo"], by_name["mlockall"]
@@ -290,14 +282,12 @@ def test_refusals_have_reason_and_remedy() -> None:
 
 
 def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
-    """It is not reported as too large."""
     memory = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
     assert not memory["ok"]
     assert "EPERM" in memory["detail"]
 
 
 def test_require_refuses_to_start_and_restores_everything() -> None:
-    """Mode require raises one error that lists all refusals, and undoes the granted settings."""
     report = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
     for name in REQUIRED:
         assert f"\n  {name}: " in report["error"]
@@ -309,7 +299,6 @@ def test_require_refuses_to_start_and_restores_everything() -> None:
 
 @privileged
 def test_require_starts_without_optional_settings() -> None:
-    """Mode require starts without the latency device, which users may not open."""
     report = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
     assert "error" not in report
     assert [s["name"] for s in report["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
@@ -317,7 +306,6 @@ def test_require_starts_without_optional_settings() -> None:
 
 
 def test_a_missing_processor_is_refused() -> None:
-    """The advice lists the available processors."""
     setting = child(cpu=1023)["by_name"]["affinity"]
     assert not setting["ok"]
     assert "1023" in setting["detail"]
@@ -325,7 +313,6 @@ def test_a_missing_processor_is_refused() -> None:
 
 
 def test_other_systems_are_refused_by_name() -> None:
-    """On other systems every setting is refused with that reason."""
     settings = list_refused_settings("darwin", cpu=0)
     assert [s.name for s in settings] == ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"]
     assert not any(s.ok for s in settings)

@@ -62,7 +62,6 @@ def count_torn(values, copy, reads, flag):
 
 @pytest.mark.scaled
 def test_records_arrive_complete_and_in_order(cases):
-    """Another thread receives every record of a fast producer exactly once."""
     records = cases(300_000, 10_000_000)
     ring = make_ring(1024, WIDTH)
     push_numbered(ring, np.zeros(WIDTH), 0, 0)  # compiled before the thread starts
@@ -95,7 +94,6 @@ def test_without_the_ring_records_are_torn():
 
 
 def test_a_full_ring_drops_new_records_and_counts_them():
-    """A missing reader loses records but never blocks: the oldest remain, and drops are counted."""
     ring = make_ring(4, 1)
     pushed = [push(ring, np.array([float(n)])) for n in range(7)]
     out = np.empty((8, 1))
@@ -106,6 +104,5 @@ def test_a_full_ring_drops_new_records_and_counts_them():
 
 
 def test_capacity_is_a_power_of_two():
-    """The slot arithmetic requires it."""
     with pytest.raises(ValueError, match="capacity = 6"):
         make_ring(6, 1)

@@ -50,7 +50,6 @@ def read_on(slot, values, reads, flag):
 
 
 def test_no_read_is_torn_in_ten_million():
-    """Every accepted copy was published as a whole and is never older than the previous one."""
     slot, flag = make_slot(np.zeros(WIDTH)), np.ones(1, np.int64)
     publish_on(slot, np.zeros(WIDTH), flag)
     read_on(slot, np.zeros(WIDTH), 0, flag)
@@ -67,7 +66,6 @@ def test_no_read_is_torn_in_ten_million():
 
 
 def test_a_reader_keeps_its_copy_during_a_write():
-    """For an odd sequence, `refresh` returns the previous sequence immediately."""
     slot = make_slot(np.array([1.0]))
     values = np.zeros(1)
     seen = refresh(slot, -1, values)
@@ -88,7 +86,6 @@ def test_an_unchanged_value_is_not_copied():
 
 
 def compiled(kernel, *arguments):
-    """Return the optimized body of a newly compiled kernel."""
     dispatcher = numba.njit(**OPTIONS)(kernel.py_func)
     dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
     (ir,) = dispatcher.inspect_llvm().values()
@@ -131,7 +128,6 @@ def following(body):
 
 
 def test_compiled_code_has_the_order_of_the_lock():
-    """Reader: counter, copy, fence, counter. Writer: counter, fence, copy, counter with release."""
     slot, values = make_slot(np.zeros(WIDTH)), np.zeros(WIDTH)
     assert following(compiled(refresh, slot, 0, values)) == {
         "load acquire": {"copy", "fence acquire", "load relaxed"},

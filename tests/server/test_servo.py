@@ -69,7 +69,6 @@ def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     ],
 )
 def test_every_end_of_the_loop_writes_zero(fault, ending, status):
-    """However the loop ends, it had a force before, and the last wrench of the device is zero."""
     device, servo = make_servo(Options(fault=fault, at=300), 400)
     ended, _ = finish(servo)
     assert (ended.ending, ended.status, ended.error) == (ending, status, None)
@@ -79,7 +78,6 @@ def test_every_end_of_the_loop_writes_zero(fault, ending, status):
 
 
 def test_waiting_for_ticks_of_an_ended_loop_fails():
-    """The driver contract waits for ticks: if a device is lost before, the test fails instead of hanging."""
     _, servo = make_servo(Options(fault="lost", at=50), None)
     servo.start()
     with pytest.raises(AssertionError, match="the loop ended after 50 ticks of 100"):
@@ -99,8 +97,6 @@ def test_stop_word_ends_the_loop_with_zero():
 
 
 def test_exception_in_the_servo_thread_zeroes_the_device():
-    """If the preparation of the thread fails, the device is stopped and the error is returned."""
-
     def prepare():
         raise RuntimeError("refused")
 
@@ -112,7 +108,6 @@ def test_exception_in_the_servo_thread_zeroes_the_device():
 
 
 def test_arming_is_the_last_act_before_the_first_tick():
-    """The servo thread arms the device once, after all slow operations, and nothing is compiled afterwards."""
     at = []
 
     def prepare():
@@ -130,7 +125,6 @@ def test_arming_is_the_last_act_before_the_first_tick():
 
 
 def test_a_device_that_refuses_arming_ends_the_run_with_its_error():
-    """No tick is run, and the device is stopped."""
     device, servo = make_servo(Options(refuses_to_arm=True), 100)
     ended, records = finish(servo)
     assert ended.ending == s.CRASHED and isinstance(ended.error, DeviceError) and "force button" in str(ended.error)
@@ -138,7 +132,6 @@ def test_a_device_that_refuses_arming_ends_the_run_with_its_error():
 
 
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
-    """After a stop during compilation the device is never armed."""
     device, servo = make_servo(Options(), 100)
     servo.stop()
     ended, records = finish(servo)
@@ -148,7 +141,6 @@ def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
 
 @pytest.mark.parametrize("ticks", [50, None])
 def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
-    """The last wrench is zero, the loop ends, the settings are undone and the error is reported."""
     undone = []
     device, servo = make_servo(Options(stop_fails=True, fault="lost", at=100), ticks, lambda: lambda: undone.append(1))
     ended, _ = finish(servo)
@@ -160,7 +152,6 @@ def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
 
 @pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
 def test_an_unusable_pose_means_zero_force_immediately(fault):
-    """An invalid pose zeroes the force in its tick; then the force ramps up from zero."""
     device, servo = make_servo(Options(fault=fault, at=700), 900)
     _, records = finish(servo)
     wrenches = device.wrenches
@@ -172,13 +163,11 @@ def test_an_unusable_pose_means_zero_force_immediately(fault):
 
 
 def named(records):
-    """Return the names of the guard events that the daemon publishes for these records."""
     return [event["name"] for event in RecordEvents(GUARD_NAMES).observe(records) if event["kind"] == "guard"]
 
 
 @pytest.mark.parametrize("jump_m", [0.05, 1.0, 20.0])
 def test_a_pose_that_jumps_is_not_rendered(jump_m):
-    """The ticks of the jump and of the jump back have no force and are flagged; after each the force ramps up."""
     device, servo = make_servo(
         Options(fault="jump", at=700, count=200, jump_m=jump_m, own_clock=True), 1000, doubting=True
     )
@@ -193,7 +182,6 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
 
 
 def test_repeated_jumps_end_the_loop():
-    """The fifth jump ends the loop, like half a second of unusable poses; the error contains device and remedy."""
     device, servo = make_servo(Options(fault="jumps", at=700, count=100_000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (JUMPING, 705)
@@ -204,7 +192,6 @@ def test_repeated_jumps_end_the_loop():
 
 
 def test_a_frozen_pose_removes_the_force_until_it_changes():
-    """After frozen_s under a force it is zero and flagged; when the pose changes, it ramps up."""
     device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
@@ -226,7 +213,6 @@ def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
 
 @pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
 def test_a_force_withheld_by_the_driver_ramps_up_again(way):
-    """While the driver commands zero, records are flagged WITHHELD; then the force is the ramp's share."""
     _, servo = make_servo(Options(own_clock=True), 900)
     undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
     device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)
@@ -245,7 +231,6 @@ def test_a_force_withheld_by_the_driver_ramps_up_again(way):
 
 
 def test_the_slew_limit_continues_from_the_force_a_device_holds():
-    """The next accepted force differs from the held one by at most the slew limit, wherever the contact is."""
     device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]
@@ -259,7 +244,6 @@ def test_the_slew_limit_continues_from_the_force_a_device_holds():
 
 
 def test_a_device_that_never_accepts_a_force_ends_the_loop():
-    """It holds its previous force for a quarter of a second; then the run ends with a time-out of the write."""
     device, servo = make_servo(Options(fault="held", at=700, count=100_000, own_clock=True), 2000)
     ended, records = finish(servo)
     assert (ended.ending, ended.status) == (WRITE_FAILED, TIMEOUT)
@@ -270,7 +254,6 @@ def test_a_device_that_never_accepts_a_force_ends_the_loop():
 
 @pytest.mark.parametrize("way", ["read", "write"])
 def test_an_unknown_status_is_a_fault(way):
-    """A driver of another package that returns 5 ends the run."""
     _, servo = make_servo(Options(fault=f"unknown_{way}", at=700), 2000)
     ended, records = finish(servo)
     assert ended.status == PROTOCOL and len(records) == 700
@@ -278,7 +261,6 @@ def test_an_unknown_status_is_a_fault(way):
 
 @pytest.mark.parametrize("stall_us", [5_500, 60_000])
 def test_a_stall_is_no_licence_to_jump(stall_us):
-    """After a stall in which the hand moved, the force changes by at most the slew limit per tick."""
     _, servo = make_servo(Options(fault="stall_and_jump", at=700, stall_us=stall_us), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]
@@ -289,7 +271,6 @@ def test_a_stall_is_no_licence_to_jump(stall_us):
 
 
 def test_after_a_long_pause_the_force_fades_in():
-    """After 0.15 s without a tick the force starts at zero with a ramp, flagged as RAMPING."""
     _, servo = make_servo(Options(fault="stall", at=700, stall_us=150_000), 900)
     _, records = finish(servo)
     force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
@@ -300,7 +281,6 @@ def test_after_a_long_pause_the_force_fades_in():
 
 
 def test_rearming_the_guard_ramps_the_force():
-    """Disarming the guard by tuning gives zero immediately, and arming restores the force with a ramp."""
     device, servo = make_servo(Options(), None)
     armed = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     servo.start()
@@ -327,7 +307,6 @@ def test_rearming_the_guard_ramps_the_force():
 
 @pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
 def test_a_pose_that_stays_unusable_is_a_fault(fault):
-    """After half a second the loop ends as NO_POSE with zero force."""
     device, servo = make_servo(Options(fault=fault, at=700, count=100_000), 5000)
     ended, records = finish(servo)
     assert ended.ending == NO_POSE
@@ -344,7 +323,6 @@ def test_a_single_suspension_of_the_process_ends_nothing():
 
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
-    """After a stall the loop continues on the same grid with one tick each, and the time step includes the gap."""
     _, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
     _, records = finish(servo)
     ticks, missed, dt = (records[:, at] for at in (AT.tick, AT.servo_missed, AT.dt))
@@ -361,7 +339,6 @@ def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
 
 
 def test_loop_runs_while_python_holds_the_interpreter_lock():
-    """Ticks continue while another thread holds the interpreter lock in C code."""
     _, servo = make_servo(Options(), None)
     servo.start()
     run_for(servo, 10)
@@ -375,8 +352,6 @@ def test_loop_runs_while_python_holds_the_interpreter_lock():
 
 
 def test_no_page_fault_in_the_loop():
-    """Five thousand ticks cause no more page faults than fifty."""
-
     def faults_of(ticks: int) -> int:
         seen = []
 
@@ -419,14 +394,12 @@ print(count(10), count(8000))
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
 def test_loop_never_calls_malloc(tmp_path):
-    """A shim that counts every malloc of the servo thread has equal counts for ten and for eight thousand ticks."""
     few, many = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)).split())
     assert few > 0  # the shim does count: entering the loop from Python allocates
     assert many == few
 
 
 def test_parameters_change_without_stopping():
-    """A new friction coefficient takes effect at a later tick without compiling the loop again."""
     device, servo = make_servo(Options(), None)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     thing = tuning.scene.objects.body
@@ -447,7 +420,6 @@ def test_parameters_change_without_stopping():
 
 
 def test_other_parts_are_refused():
-    """A tuning with other parts than the compiled one needs another loop."""
     _, servo = make_servo(Options(), 10)
     tuning = make_tuning(load_scene("frictionless-plane"), load_rig("replay").guard)
     with pytest.raises(ValueError, match="other parts"):

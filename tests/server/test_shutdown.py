@@ -72,7 +72,6 @@ def device(motor: Motor) -> Device:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the time-out of a hanging device."""
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
@@ -84,7 +83,6 @@ def fails(error: BaseException) -> Any:
 
 
 def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptureFixture) -> None:
-    """Of three failing steps the first error is returned and the others are logged; all run in order."""
     done: list[int] = []
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
@@ -96,7 +94,6 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
 
 
 def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
-    """It is returned, and the error of a step is logged."""
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
         assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
@@ -111,7 +108,6 @@ def test_a_successful_stop_writes_one_zero() -> None:
 
 @pytest.mark.parametrize("error", [OSError("the port has gone"), DeviceLost("it is gone"), KeyboardInterrupt()])
 def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> None:
-    """The error names the device that may hold a force; an error of our own class is not replaced."""
     motor = Motor(error)
     with pytest.raises(BaseException) as caught:  # noqa: PT011
         shutdown.stop(device(motor))
@@ -125,8 +121,6 @@ def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> Non
 
 
 def test_an_unconfirmed_zero_is_an_error() -> None:
-    """The error names device, reason and remedy; confirmed devices raise nothing."""
-
     class Quiet(Motor):
         why = ""
 
@@ -141,7 +135,6 @@ def test_an_unconfirmed_zero_is_an_error() -> None:
 
 
 def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
-    """A board behind a full port reads the bytes that it already had, then three zeros."""
     far, near = os.openpty()
     tty.setraw(near)
     os.set_blocking(near, False)
@@ -164,7 +157,6 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
-    """The first error in order is raised; a hanging device gets a plain zero, an intact one does not."""
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
         shutdown.stop_all([device(hangs), device(broken), device(sound)])
@@ -175,7 +167,6 @@ def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureF
 
 @pytest.mark.usefixtures("short")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All are abandoned after one STOP_TIMEOUT_S, and their threads do not keep the process alive."""
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
 
@@ -207,7 +198,6 @@ def test_devices_are_called_simultaneously() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
-    """As of stopping, without the plain zeros."""
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):
         shutdown.close_all([device(hangs), device(broken), device(sound)])
@@ -218,7 +208,6 @@ def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFi
 
 
 def test_a_signal_stops_and_closes_all_open_devices() -> None:
-    """Errors of stopping are returned."""
     error = OSError("no power")
     motors = [Motor(error), Motor()]
     open_devices.devices.update(motors)
@@ -228,7 +217,6 @@ def test_a_signal_stops_and_closes_all_open_devices() -> None:
 
 
 def test_a_zero_overwrites_all_components() -> None:
-    """All six components are written at the address that the loop calls."""
     motor = Motor()
     io, scratch = motor.io(), np.full(6, nan)
     write_zero: Any = getattr(shutdown.write_zero, "py_func", shutdown.write_zero)
@@ -258,7 +246,6 @@ SAID = "its driver said why"
 def test_a_device_failure_is_reported_with_a_remedy(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
-    """Each failure has its class, the device, the finger if there are several, and the driver's reason."""
     ended = LoopEnd(ending, status)
     error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
     assert type(error) is kind
@@ -284,8 +271,6 @@ def test_a_loop_failure_is_reported_with_a_remedy() -> None:
 
 
 def test_with_closes_in_any_case() -> None:
-    """`close` runs at the end of the block and after an error, which propagates."""
-
     class Door(Closeable):
         closed = 0
 

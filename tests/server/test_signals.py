@@ -78,7 +78,6 @@ for number in sorted(signal.valid_signals()):
 
 
 def test_every_signal_that_ends_a_process_is_handled() -> None:
-    """All signals that kill a process without handlers are in ENDING, except those that none can help."""
     asked = run_program([sys.executable, "-S", "-c", FATAL], check=True)
     fatal = set(map(int, asked.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
@@ -119,13 +118,11 @@ def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("number", OTHERS)
 def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
-    """A daemon that presses ends in order by any signal, with the number in its exit code."""
     with pressing(tmp_path) as (board, process):
         end_by(process, board, number)
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
-    """Ctrl-Z removes the force first; after `fg` it ramps up; a hangup then ends daemon and watcher in order."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         process.send_signal(signal.SIGTSTP)
@@ -164,7 +161,6 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
 
 
 def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
-    """The board holds the last force until it receives another one."""
     with pressing(tmp_path) as (board, process):
         process.kill()
         process.wait(END_S)
@@ -184,7 +180,6 @@ def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> N
     ],
 )
 def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
-    """Without a cache, compilation takes many seconds. A signal then ends any verb within END_S, with one line."""
     words = {
         "run": ["run", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off"],
         "warmup": ["warmup"],
@@ -273,7 +268,6 @@ sys.exit(cli.main())
     ("words", "code"), [(["scenes"], 0), (["check", "no-such.toml"], 2), (["TSTP"], 128 + signal.SIGTSTP)]
 )
 def test_a_device_that_cannot_be_stopped_is_reported(words: list[str], code: int) -> None:
-    """One line names the device, and the exit code of the verb is unchanged."""
     done = run_program([sys.executable, "-c", REFUSING, *words], timeout=END_S, start_new_session=words != ["TSTP"])
     assert done.returncode == code, done.stderr
     assert "could not be stopped (OSError: the port has gone): it may still push" in done.stderr
@@ -296,13 +290,11 @@ with signals.handle_signals():
 
 
 def test_a_swallowed_signal_is_not_lost() -> None:
-    """A later `stop_on_signal` stops immediately."""
     done = run_program([sys.executable, "-c", SWALLOWED], timeout=END_S)
     assert done.returncode == 0, done.stderr
 
 
 def test_a_second_signal_raises_nothing() -> None:
-    """Only the first signal is raised; signals during the shutdown change neither that nor the exit code."""
     before = signal.getsignal(signal.SIGINT)
     with signals.handle_signals():
         signals.mark_imported()
@@ -358,7 +350,6 @@ print("left with", os.waitstatus_to_exitcode(status), flush=True)
 
 
 def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
-    """A verb that has a device but no pause writes zero before the process stops, and ends in order after `fg`."""
     ours, theirs = pty.openpty()
     words, said = [sys.executable, "-c", SHELL, JOB], b""
     with Program(words, stdin=theirs, stdout=theirs, stderr=theirs, kill_at_end=True), open(ours, "r+b", 0) as terminal:
@@ -388,7 +379,6 @@ sys.exit(cli.main(sys.argv[1:]))
 
 
 def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
-    """Its stop and close never return: the process reports it and ends with the exit code of a device error."""
     words = ["run", "--rig", "simulated", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t"]
     done = run_program([sys.executable, "-c", HANGING, *words, "--duration", "0.2"], timeout=START_S)
     assert done.returncode == DeviceError.exit_code, done.stderr

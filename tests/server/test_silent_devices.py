@@ -29,7 +29,6 @@ ANSWERS = 2
 
 
 def silences(driver: str) -> dict[str, float]:
-    """Return a driver's time-outs with their defaults."""
     key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
     stale = {"stale_s": default(HaplyOptions, "stale_s")} if driver == "haply" else {}
     return {key: QUIET_S[driver], "timeout_s": GIVEN_UP_S[driver], **stale}
@@ -39,7 +38,6 @@ def silences(driver: str) -> dict[str, float]:
 def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """Zero within QUIET_S of its driver and no force afterwards; the run ends after GIVEN_UP_S, in ticks."""
     driver = DRIVERS[name]
     with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
         assert far.hush is not None

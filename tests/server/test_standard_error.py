@@ -17,7 +17,6 @@ pytestmark = pytest.mark.plain
 
 
 def test_the_last_line_waits_for_its_reader(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader that resumes while a line waits gets that line."""
     reader, writer = os.pipe()
     for end in (reader, writer):
         os.set_blocking(end, False)
@@ -39,7 +38,6 @@ def test_the_last_line_waits_for_its_reader(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_lines_that_nobody_reads_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While the pipe is full no write waits; the first line after that follows the number of dropped lines."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)  # a write that would wait raises instead
     with open(reader, "rb", buffering=0) as heard, open(writer, "w") as stream:

@@ -57,7 +57,6 @@ def states_in(state):
 
 @pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
-    """Each trigger in each state causes the expected transition with its cause, or nothing."""
     states, told = states_in(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)
@@ -66,7 +65,6 @@ def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
 
 
 def test_the_table_is_complete():
-    """It has the expected transitions, a text for every state and trigger, and none out of STOPPING."""
     assert {f"{state} {trigger}": after for (state, trigger), after in TRANSITIONS.items()} == EXPECTED
     assert set(MEANINGS) == set(DaemonState) and set(CAUSES) == set(Trigger)
     assert not any(state is DaemonState.STOPPING for state, _ in TRANSITIONS)
@@ -99,7 +97,6 @@ def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
 
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
-    """After `fail` the state is faulted until the end, regardless of the reasons."""
     states, told = states_in(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):
@@ -109,5 +106,4 @@ def test_an_error_that_ends_the_run_is_cleared_by_nothing():
 
 
 def test_which_reasons_are_faults():
-    """A device that is not yet armed, or was disarmed, is not a fault."""
     assert {SILENT, FAST} == FAULTS and not FAULTS & {UNARMED, COMMANDED}

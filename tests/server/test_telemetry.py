@@ -82,7 +82,6 @@ def published(records, topic, count, **options):
 
 
 def test_plain_client_receives_every_tick_in_two_frames(publisher):
-    """A client with pyzmq and msgpack gets each of 3000 ticks, published one by one, once and in order."""
     records = synthetic(3000)
     socket = plain(publisher.endpoint, "contact", "event")
     join(publisher, socket)
@@ -93,7 +92,6 @@ def test_plain_client_receives_every_tick_in_two_frames(publisher):
 
 
 def test_a_contact_message_contains_the_record_bit_for_bit():
-    """Every column of a record is in the message, unchanged, under its name."""
     record = synthetic(1)[0]
     message = msgpack.unpackb(encode(contact_map(record)))
     flat = {}
@@ -116,7 +114,6 @@ def test_a_contact_message_contains_the_record_bit_for_bit():
 
 
 def test_missing_patches_are_omitted_and_restored():
-    """`contacts` lists the existing patches; `record_of` restores the record."""
     record = synthetic(1)[0]
     for i, number in enumerate((4, 2, -1)):
         record[NAMED[f"contacts{i}.object"].at] = number
@@ -129,7 +126,6 @@ def test_missing_patches_are_omitted_and_restored():
 
 
 def test_integers_are_integers_on_the_wire():
-    """Integer fields arrive as int and all others as float, even without a fraction."""
     record = np.ones(len(columns()))
     message = msgpack.unpackb(encode(contact_map(record)))
     for field in FIELDS:
@@ -143,7 +139,6 @@ def test_integers_are_integers_on_the_wire():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_an_unusable_integer_is_sent_as_zero(bad):
-    """Non-finite buttons of a device do not stop the stream."""
     record = synthetic(1)[0]
     record[AT.buttons] = bad
     message = contact_map(record)
@@ -152,13 +147,11 @@ def test_an_unusable_integer_is_sent_as_zero(bad):
 
 
 def test_messages_are_far_below_the_size_limit():
-    """The longest possible contact message is below 1.5 KiB, a small part of `protocol.MAX_BYTES`."""
     record = np.full(len(columns()), 2.0**53)
     assert len(encode(contact_map(record))) < 1536 < MAX_BYTES // 16
 
 
 def test_backlog_holds_five_seconds_at_the_highest_rate():
-    """The backlog of a stalled subscriber is at least 5 s of ticks at 8 kHz."""
     assert BACKLOG >= 5 * 8000
 
 
@@ -170,7 +163,6 @@ def test_every_sends_only_multiples():
 
 
 def test_transitions_become_events_with_cause_and_modes():
-    """Touch, slip, stick and release, by either cause, give one event each, independent of `every`."""
     story = [
         # tick, mode, cause, name, mode before
         (3, 1, "touch", "touch", 0),
@@ -207,7 +199,6 @@ def test_transitions_become_events_with_cause_and_modes():
 
 
 def test_a_guard_event_is_sent_when_a_bit_rises():
-    """Each rise gives one event, a bit that remains set no other; an unnamed bit is named by its number."""
     records = synthetic(1000)
     guard = np.zeros(1000, int)
     guard[100:200] |= 1
@@ -225,7 +216,6 @@ def test_a_guard_event_is_sent_when_a_bit_rises():
 
 
 def test_events_of_a_chattering_guard_are_limited_and_counted():
-    """A bit that rises every other tick for 0.3 s gives one event per 0.1 s, and the counts add up."""
     records = synthetic(500)
     guard = np.zeros(500, int)
     guard[100:400:2] = 1
@@ -236,7 +226,6 @@ def test_events_of_a_chattering_guard_are_limited_and_counted():
 
 
 def test_missed_deadlines_are_reported_with_count_and_total():
-    """Each increase of the missed counter is in the count of an event; increases within 0.1 s share one."""
     records = synthetic(600)
     missed = np.zeros(600, int)
     missed[100:] += 3
@@ -253,7 +242,6 @@ def test_missed_deadlines_are_reported_with_count_and_total():
 
 
 def test_health_sums_up_each_second():
-    """Rate, percentiles, counters and mode counts are those of the records of a second."""
     records = synthetic(2500, rate_hz=1000.0)
     mode = np.arange(2500) % 7 % 3
     put(records, "contact.mode", mode)
@@ -279,7 +267,6 @@ def test_health_sums_up_each_second():
 
 
 def test_health_energy_is_the_work_of_the_hand():
-    """A constant force against a steady motion gives force times displacement, and the total is the sum."""
     records = synthetic(2001, rate_hz=1000.0)
     put(records, "force", [0.0, 0.0, 2.0])
     put(records, "torque", 0.0)
@@ -296,7 +283,6 @@ def test_health_energy_is_the_work_of_the_hand():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_work_of_a_torque_is_torque_times_angle(sign):
-    """Turning by 0.5 rad about a tilted axis against 0.1 N m takes 0.05 J for either sign of the quaternions."""
     axis = np.array([0.6, 0.0, 0.8])
     angle = np.linspace(0.0, 0.5, 101)
     start = np.array([0.5, 0.5, -0.5, 0.5])
@@ -316,7 +302,6 @@ def test_work_of_a_torque_is_torque_times_angle(sign):
 
 
 def test_unusable_records_do_no_work():
-    """A pose that is not finite does not contribute to the energy; its neighbours do."""
     records = synthetic(4)
     put(records, "force", [1.0, 0.0, 0.0])
     put(records, "torque", 0.0)
@@ -326,7 +311,6 @@ def test_unusable_records_do_no_work():
 
 
 def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
-    """Four threads send events while ticks are published: all arrive, in two frames each."""
     socket = plain(publisher.endpoint, "contact", "event")
     join(publisher, socket)
     threads = [
@@ -346,7 +330,6 @@ def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
 
 
 def test_last_event_before_close_arrives(publisher):
-    """The event with the reason of the stop reaches the subscriber and contains the last tick."""
     socket = plain(publisher.endpoint, "event")
     join(publisher, socket)
     publisher.publish(synthetic(10))
@@ -361,7 +344,6 @@ def test_last_event_before_close_arrives(publisher):
 
 
 def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
-    """A subscriber that does not read misses ticks and can see the gaps; another one misses none."""
     count = 30_000  # more than both backlogs and the kernel's socket buffers
     records = synthetic(count)
     with Publisher(f"ipc://{tmp_path}/telemetry", backlog=5000) as publisher:
@@ -390,7 +372,6 @@ def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "127.8.9.1"])
 def test_a_wildcard_port_is_resolved(host):
-    """Names and addresses of the loopback interface are accepted; the endpoint contains the chosen free port."""
     with Publisher(f"tcp://{host}:*") as publisher:
         assert int(publisher.endpoint.rpartition(":")[2]) > 0
 
@@ -412,7 +393,6 @@ def test_an_endpoint_is_refused_with_its_reason(endpoint, words):
 
 @pytest.mark.parametrize("scheme", ["tcp", "ipc"])
 def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
-    """The error AddressInUse contains a remedy, the first publisher continues, and closing it frees the endpoint."""
     wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
     with Publisher(wanted) as holder:
         endpoint = holder.endpoint
@@ -424,7 +404,6 @@ def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
 
 
 def test_ipc_socket_is_for_user_and_group(tmp_path):
-    """The socket file has mode 660 and the process still has its umask."""
     mask = os.umask(0o022)
     try:
         with Publisher(f"ipc://{tmp_path}/telemetry"):
@@ -445,7 +424,6 @@ def test_an_ipc_path_left_by_a_dead_server_is_reused(tmp_path):
 
 
 def test_a_plain_file_at_an_ipc_path_is_unchanged(tmp_path):
-    """A file that is not a socket is refused and not modified."""
     path = tmp_path / "notes.txt"
     path.write_text("mine")
     with pytest.raises(ConfigError, match="is not a socket"):
@@ -455,7 +433,6 @@ def test_a_plain_file_at_an_ipc_path_is_unchanged(tmp_path):
 
 @pytest.mark.parametrize("planted", ["telemetry", "telemetry.lock"])
 def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
-    """A link instead of the socket or its lock file is refused, and its target is not created."""
     (tmp_path / planted).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match=r"telemetry"):
         Publisher(f"ipc://{tmp_path}/telemetry")
@@ -463,7 +440,6 @@ def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
 
 
 def test_closing_removes_the_ipc_socket(tmp_path):
-    """Only the lock file remains."""
     Publisher(f"ipc://{tmp_path}/telemetry").close()
     assert [path.name for path in tmp_path.iterdir()] == ["telemetry.lock"]
 

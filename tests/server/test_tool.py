@@ -59,7 +59,6 @@ def tuned(scene: str, tool: schema.Tool | None, guard: Guard = FREE_HAND) -> Tun
 
 @pytest.mark.plain
 def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
-    """1 N up at a tip 100 mm along the handle's x gives -0.1 N m about y; turned by 45 degrees, 0.1 / sqrt 2."""
     tuning = tuned("frictionless-plane", schema.Tool(offset_m=(0.1, 0.0, 0.0)))
     half = np.sqrt(0.5)
     down = quaternion(np.array([0.0, np.pi / 4.0, 0.0]))
@@ -94,7 +93,6 @@ def test_power_is_equal_at_tip_and_handle(
 
 @pytest.mark.plain
 def test_limits_apply_at_the_device() -> None:
-    """The torque at the handle is limited for any arm; telemetry has the resulting torque about the tip."""
     largest, change = 0.05, 4.0
     guard = FREE_HAND._replace(torque_max=largest, torque_slew=change)
     offset = (0.1, 0.02, -0.05)
@@ -122,7 +120,6 @@ def test_a_tool_of_no_length_changes_no_bit() -> None:
 
 @pytest.mark.plain
 def test_the_contact_is_that_of_the_tip() -> None:
-    """Contact forces are the recording's; only the torque at the handle differs."""
     tips = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
     turn = np.array([0.8, 0.0, 0.6, 0.0])
     tool = schema.Tool(offset_m=(0.0, -0.03, 0.15), orientation_wxyz=(0.8, 0.0, 0.6, 0.0))
@@ -150,7 +147,6 @@ def test_the_contact_is_that_of_the_tip() -> None:
 
 @pytest.mark.parametrize("fault", ["none", "held", "withheld_write"])
 def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
-    """The driver gets the wrench at the handle, also if it holds or withholds a force."""
     device = FaultyDevice(Options(fault=fault, at=300, count=20, own_clock=True))
     arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
     servo = Servo([device], tuned("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
@@ -172,7 +168,6 @@ def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
 
 @pytest.mark.plain
 def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
-    """From the file to `simulate --device`, the tip has the offset and the orientation of the tool."""
     file = tmp_path / "rig.toml"
     file.write_text(
         '[device]\ndriver = "simulated"\n\n[device.tool]\noffset_m = [0.0, 0.0, -0.1]\n'

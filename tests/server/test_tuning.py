@@ -32,12 +32,10 @@ LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAND)
 
 
 def test_every_limit_of_the_rig_reaches_the_guard():
-    """Each number of [guard] is in the guard, which is armed."""
     assert guard_limits(RIG, STRONG) == LIMITS
 
 
 def test_poses_are_checked_only_with_a_force_in_a_hand():
-    """Recorded or computed devices and devices without forces have no limits of speed, energy, heat, workspace."""
     believing = LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
     assert (
@@ -50,21 +48,18 @@ def test_poses_are_checked_only_with_a_force_in_a_hand():
 
 @pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
 def test_limits_are_lowered_to_those_of_the_device(field, limit, caplog):
-    """A lower limit of the device replaces that of the rig with a warning; other limits are unchanged."""
     weak = dataclasses.replace(STRONG, **{field: 0.1})
     assert guard_limits(RIG, weak) == LIMITS._replace(**{limit: 0.1})
     assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
 
 
 def test_devices_without_torque_are_known():
-    """With three actuated degrees of freedom the hand gets only the force, however many are sensed."""
     for driven, turns in ((3, 0.0), (6, 1.0)):
         assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
     assert guard_limits(RIG).displays_torque == 1.0
 
 
 def test_the_servo_is_given_these_limits():
-    """The tuning of a scene contains the guard of rig and device."""
     rig = load_rig("replay", {"guard.force_slew_n_per_s": 321.0})
     weak = dataclasses.replace(STRONG, force_max_n=0.5)
     tuning = make_tuning(load_scene("paper-plane"), rig.guard, [weak])
@@ -73,7 +68,6 @@ def test_the_servo_is_given_these_limits():
 
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
 def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, caplog):
-    """The slope of K d (delta / d)^p at 12 N is compared with the device's limit."""
     scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
     for limit, told in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
         caplog.clear()
@@ -101,7 +95,6 @@ def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.
 
 @pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])
 def test_loop_and_engine_share_the_kernels_of_the_contact(name):
-    """Their scenes and states have equal types: after an `Engine`, the loop compiles no kernel of the contact."""
     engine, tuning = Engine(name), make_tuning(load_scene(name), RIG)
     memory = begin(tuning.scene)
     start = State(memory.world, tuple(finger.contact for finger in memory.fingers))

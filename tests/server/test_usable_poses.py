@@ -35,7 +35,6 @@ def with_one(place: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize("place", range(7))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_number_may_be_missing(place: int, value: float) -> None:
-    """A non-finite value in any of the seven numbers makes a pose invalid."""
     assert has_pose(sample(*TILTED))
     assert not has_pose(with_one(place, value))
 
@@ -43,14 +42,12 @@ def test_no_number_may_be_missing(place: int, value: float) -> None:
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
-    """Positions up to POSITION_MAX_M are valid, larger ones are not."""
     assert has_pose(with_one(axis, side * POSITION_MAX_M))
     assert not has_pose(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
 
 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_quaternion_is_about_unit(axis: int) -> None:
-    """A length from 0.5 to 2 is valid, whichever component is non-zero."""
     for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
         quaternion = [0.0] * 4
         quaternion[axis] = -length
@@ -82,20 +79,17 @@ def turned(angle: float) -> tuple[float, ...]:
 
 
 def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
-    """The limit applies from any start; the first pose is never a jump."""
     assert doubts([at(5.0), at(5.0099), at(5.0)]) == [0, 0, 0]
     assert doubts([at(0.0), at(0.0101), at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
 def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
-    """Sign and length of a quaternion do not matter."""
     doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turned(0.099)))
     assert doubts([turned(0.0), turned(0.099), turned(0.0), doubled]) == [0, 0, 0, 0]
     assert doubts([turned(0.0), turned(0.101), turned(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
 def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
-    """After five ticks without a new or usable sample, the next pose may differ by the limit of six ticks."""
     broken = (math.nan,) * 7
     for waiting, status in ((at(0.0), STALE), (broken, OK)):
         for x, said in ((0.059, 0), (0.061, POSE_JUMPED)):
@@ -111,7 +105,6 @@ def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
 
 
 def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
-    """The guard removes the force of a frozen pose; the missing force does not end the freeze."""
     seen = make_pose_memory()
     for _ in range(30):
         check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)

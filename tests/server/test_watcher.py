@@ -22,13 +22,11 @@ _PR_CAPBSET_DROP, _CAP_SYS_ADMIN = 24, 21
 
 
 def as_an_ordinary_user() -> None:
-    """Drop root's capability to open a port in exclusive use."""
     ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_SYS_ADMIN, 0, 0, 0)
 
 
 @pytest.fixture
 def port() -> Iterator[tuple[int, int]]:
-    """Both ends of a line that the driver has opened exclusively."""
     far, near = os.openpty()
     tty.setraw(near)
     fcntl.ioctl(near, termios.TIOCEXCL)
@@ -38,7 +36,6 @@ def port() -> Iterator[tuple[int, int]]:
 
 
 def watched(name: str, fd: int, told: bytes) -> str:
-    """Return the output of a device's watcher after the daemon's last data on the pipe."""
     words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
     process = subprocess.run(
         words, input=told, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
@@ -47,7 +44,6 @@ def watched(name: str, fd: int, told: bytes) -> str:
 
 
 def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
-    """Unsent bytes are dropped before; no other process can open the port until then."""
     far, near = port
     name = os.ttyname(near)
     fcntl.ioctl(far, termios.TIOCPKT, struct.pack("i", 1))  # each read has a byte of status
@@ -72,7 +68,6 @@ def test_a_device_that_was_closed_is_not_written_to(port: tuple[int, int]) -> No
 
 
 def test_a_failed_zero_is_reported() -> None:
-    """The device has disappeared."""
     far, near = os.openpty()
     name = os.ttyname(near)
     os.close(far)

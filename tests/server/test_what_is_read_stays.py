@@ -15,7 +15,6 @@ POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Folder with poses in a.csv and a link to it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.csv").write_text(POSES)
     (tmp_path / "link.csv").symlink_to("a.csv")
@@ -34,7 +33,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ids=lambda words: words[0],
 )
 def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Path) -> None:
-    """For each name of the file: exit code 2, one sentence, and an unchanged file."""
     result = called(*words, written)
     assert result.returncode == 2 and "choose another output file" in result.stderr, result.stderr
     assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
@@ -42,7 +40,6 @@ def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Pat
 
 @pytest.mark.real_time
 def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) -> None:
-    """A recording with too few poses is deleted."""
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
     result = called("record", "a.csv", "--duration", "0.05", *to)
     assert result.returncode == 3 and "already exists" in result.stderr and (here / "a.csv").read_text() == POSES
@@ -54,7 +51,6 @@ def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) 
 
 
 def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> None:
-    """`check` of a scene with a Russian name, with ASCII output."""
     scene = tmp_path / "scene.toml"
     table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
     scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")

@@ -45,7 +45,6 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def daemons() -> Iterator[list[Daemon]]:
-    """Run two daemons on ports that the system chooses."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as one, Daemon(rig, load_scene("paper-plane")) as other:
         one.start()
@@ -55,7 +54,6 @@ def daemons() -> Iterator[list[Daemon]]:
 
 @pytest.mark.real_time
 def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemons: list[Daemon]) -> None:
-    """The port determines the socket. Folder and socket are private to the user, and each client reaches its daemon."""
     for daemon in daemons:
         port = daemon.publisher.endpoint.rpartition(":")[2]
         socket = folder / f"{port}.commands"
@@ -68,7 +66,6 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
 
 @pytest.mark.real_time
 def test_ctl_accepts_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    """The addresses of telemetry and of commands are equivalent."""
     for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
         assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert daemons[0].publisher.endpoint in capsys.readouterr().out
@@ -76,7 +73,6 @@ def test_ctl_accepts_either_address(folder: Path, daemons: list[Daemon], capsys:
 
 @pytest.mark.real_time
 def test_readers_accept_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    """monitor, record and the Python client find the telemetry from the address of the commands."""
     told = list[str]()
     for number, endpoint in enumerate((daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint))):
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
@@ -103,7 +99,6 @@ def named() -> Iterator[Daemon]:
 def test_a_daemon_with_named_commands_is_found_from_either_address(
     folder: Path, named: Daemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every client finds the commands from the telemetry, and the telemetry from the commands."""
     both = (named.publisher.endpoint, str(named.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
@@ -125,7 +120,6 @@ def test_a_daemon_with_named_commands_is_found_from_either_address(
 
 @pytest.mark.real_time
 def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
-    """With only the telemetry's address, the page shows the scene, and forwarded commands are answered."""
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.page import Page
 
@@ -154,7 +148,6 @@ def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: 
 
 @pytest.mark.real_time
 def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> None:
-    """Its telemetry is still available."""
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
@@ -166,7 +159,6 @@ def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> Non
 
 
 def test_addresses_follow_from_each_other(folder: Path) -> None:
-    """The socket of commands gives the telemetry's port, a public address the next port, without a peer."""
     beside = f"ipc://{folder}/5601.commands"
     assert find_addresses(beside) == ("tcp://127.0.0.1:5601", beside)
     assert find_addresses("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
@@ -185,7 +177,6 @@ except PermissionError:
 
 @needs_root
 def test_another_user_cannot_connect_to_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mode of the socket refuses other users, even in a folder that is open to all."""
     folder = Path(os.environ["XDG_RUNTIME_DIR"])
     folder.chmod(0o755)
     (folder / "softfinger").mkdir(exist_ok=True)
@@ -202,7 +193,6 @@ def test_another_user_cannot_connect_to_the_socket(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
-    """The socket of a running daemon is not touched."""
     endpoint = commands_address_for(TELEMETRY)
     killed = (
         "import os, sys; from softfinger.server.wire.endpoint import listen; "

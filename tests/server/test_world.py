@@ -43,7 +43,6 @@ PRESSED_M = 1e-3
 
 @pytest.fixture
 def scene(tmp_path: Path) -> schema.Scene:
-    """Scene with a key that the shipped taps press."""
     return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
@@ -53,7 +52,6 @@ def rig(**changes: Any) -> schema.Rig:
 
 
 def heights(endpoint: str) -> Iterator[tuple[int, float]]:
-    """Yield tick and height of the key from the messages."""
     with subscribe(endpoint, ("world",), timeout_s=20.0) as samples:
         for sample in samples:
             (body,) = sample.bodies
@@ -63,7 +61,6 @@ def heights(endpoint: str) -> Iterator[tuple[int, float]]:
 
 
 def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
-    """With two springs in series the key moves by its share; records and replay equal those of `simulate`."""
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
@@ -147,7 +144,6 @@ print(few[0], many[0], many[1])
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="counting calls of malloc needs a C compiler to build the shim")
 def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
-    """With contacts, friction and a joint limit, the servo calls malloc as often in ten ticks as in thousands."""
     (tmp_path / "full.xml").write_text(FULL)
     few, many, contacts = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), "full.xml").split())
     assert contacts > 4 and few > 0  # the shim does count: entering the loop from Python allocates
@@ -156,7 +152,6 @@ def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) -> None:
-    """The shipped demonstration lifts the box by 98 mm, turns it by less than 5 degrees, and puts it down."""
     words = ["--duration", "5.4", "--realtime", "off", "--commands", "off", "--endpoint", f"ipc://{tmp_path}/t"]
     command = [sys.executable, "-m", "softfinger.server.cli"]
     process = subprocess.Popen([*command, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
@@ -184,7 +179,6 @@ HOME = """
 
 
 def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> None:
-    """The key starts at the keyframe, rises when the motor's control is set to 0, and returns with a reset."""
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
     at_home = apply_overrides(scene, {"world.keyframe": "home"}, "test")
@@ -204,7 +198,6 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
 
 
 def next_fault(events: Subscription) -> str:
-    """Return the message of the next fault of the bodies."""
     return next(
         str(event.data["message"])
         for event in events
@@ -217,7 +210,6 @@ SLEW = 20.0
 
 
 def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
-    """After each of three failures the force ramps to zero, ticks continue, and a reset restores the contact."""
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
@@ -265,7 +257,6 @@ def wait_for(running: Daemon, ticks: int) -> None:
 
 
 def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
-    """The failure names the key to change, and ticks continue."""
     assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))
     with Daemon(rig(), hasty) as running:
@@ -277,7 +268,6 @@ def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
 
 
 def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
-    """The state after steps through `_address` of model and data (mujoco-core 4.0.1) is equal bit for bit."""
     tuning, away = make_tuning(scene, rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert tuning.scene.bodies is not None
     owner = tuning.scene.bodies.block.owner

@@ -32,7 +32,6 @@ G = 9.81
 
 
 def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
-    """`softfinger run --scene NAME` finds a rig of simulated devices for each."""
     worlds = [name for name in list_shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
     assert len(worlds) == 8
     assert {f"simulated-{name}" for name in worlds} <= set(list_shipped(Rig))
@@ -40,7 +39,6 @@ def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
 
 @PLAIN_ONLY
 def test_torsion_turns_a_knob() -> None:
-    """The hand turns by 1 rad; the knob lags by the friction of its bearing over the torsional stiffness."""
     hands = SimulatedHands("turn-a-knob")
     hands.until(2.9)
     lag = 0.002 / 0.05  # friction of the bearing over the torsional stiffness
@@ -60,7 +58,6 @@ def test_without_torsion_a_knob_does_not_turn() -> None:
 
 @PLAIN_ONLY
 def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
-    """It opens by the finger's displacement less its clearance and the depth under friction, and closes when pushed."""
     hands = SimulatedHands("open-a-drawer")
     felt = hands.until(2.9)[""][-1]
     inner_face = 0.024  # of the handle, shut: 5 mm before the finger
@@ -75,7 +72,6 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
 
 @PLAIN_ONLY
 def test_a_door_follows_the_finger_and_closes_by_its_spring() -> None:
-    """The finger's centre stays at its distance from the face; force times arm equals the spring's torque."""
     hands = SimulatedHands("open-a-door")
     felt = hands.until(2.2)[""][-1]
     x, y = felt["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
@@ -91,7 +87,6 @@ def test_a_door_follows_the_finger_and_closes_by_its_spring() -> None:
 
 @PLAIN_ONLY
 def test_a_button_clicks_at_the_load_of_its_dome() -> None:
-    """The force rises to the maximum of spring and dome less the cap's weight, falls as the dome snaps, and returns."""
     depth = np.linspace(0.0, 0.003, 3001)
     height = 0.0015 - depth
     side = np.hypot(0.006, height)
@@ -110,7 +105,6 @@ def test_a_button_clicks_at_the_load_of_its_dome() -> None:
 
 @PLAIN_ONLY
 def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
-    """Without slip on the table and under the finger it moves 5 mm of 10 mm, and turns by that over the radius."""
     hands = SimulatedHands("roll-a-pencil")
     start = hands.until(1.15)[""]["probe.position"][-1, 0]
     place, turn = hands.data.qpos[0], 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3])
@@ -146,7 +140,6 @@ def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
 
 @pytest.mark.exhaustive
 def test_three_boxes_are_stacked_and_stay() -> None:
-    """The third box rests on the other two, released and level."""
     hands = SimulatedHands("stack-boxes")
     records = hands.until(4.3)
     assert all(record["force"][-1].tolist() == [0.0, 0.0, 0.0] for record in records.values())
@@ -180,7 +173,6 @@ SECONDS = {
 def test_scenes_played_by_hands_are_replayed_exactly(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A replay of only the poses, with bodies from the start, gives equal forces in every tick."""
     file, seconds = str(tmp_path / "run.mcap"), SECONDS[name]
     hands = ["--scene", name, "--device", "simulated", "--duration", str(seconds)]
     assert cli.main(["simulate", *hands, "--out", file]) == 0
@@ -195,7 +187,6 @@ def test_scenes_played_by_hands_are_replayed_exactly(
 
 @PLAIN_ONLY
 def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
-    """An MCAP library finds them at 60 Hz, equal to MuJoCo's; Foxglove's frames and the page show them as well."""
     file, name = tmp_path / "run.mcap", "turn-a-knob"
     assert (
         cli.main(["simulate", "--scene", name, "--device", "simulated", "--duration", "1.5", "--out", str(file)]) == 0
@@ -223,7 +214,6 @@ def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
 
 
 def test_messages_of_an_elastic_object_follow_its_loads() -> None:
-    """A touch from tick 40 to 69 gives a message at the next picture, and one without loads after its end."""
     scene, tuning = load_scene("press-a-pad"), load_scene("paper-plane")
     records = np.zeros((200, 1, RECORD_SIZE))
     records[:, 0, AT.tick] = np.arange(200)

@@ -42,7 +42,6 @@ def zeroed(control: Control, **what):
 
 
 def test_a_zero_offset_changes_no_bit():
-    """Adding the initial offset changes no number, not even the sign of a zero."""
     numbers = np.array([0.0, -0.0, 5e-324, -1.0, np.inf])
     assert (numbers + UNMOVED[0]).tobytes() == numbers.tobytes()
 
@@ -80,7 +79,6 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
 
 
 def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
-    """It is selected by name; the other one is not shifted."""
     device = {"driver": "faulty"}
     with running(two_devices(device, device, guard=describe(rig())["guard"]), pressed_by_two()) as (_, control, kept):
         control.disarm()

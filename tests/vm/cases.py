@@ -71,12 +71,10 @@ class Cases:
 
     @pytest.fixture
     def pressed(self) -> Iterator[Gadget]:
-        """Device with a hand that presses into the plane."""
         with gadget(self.kind, **PRESS) as device:
             yield device
 
     def test_closed_loop(self, tmp_path: Path, rig: str) -> None:
-        """A hand presses into the plane, drags and releases; modes and forces equal the engine's on the same poses."""
         kept = tmp_path / "records.npy"
         with gadget(self.kind, **STROKE) as device:
             keep(rig, "paper-plane", TICKS, kept)
@@ -91,7 +89,6 @@ class Cases:
         assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 100, "too few ticks in contact"
 
     def test_a_stopped_daemon_leaves_zero_force_and_a_usable_device(self, pressed: Gadget, rig: str) -> None:
-        """Ctrl-C in contact ends the daemon with code 0 and zero force; the next daemon opens the device again."""
         for _ in range(2):
             with pushing(rig, pressed, self.in_contact(pressed)) as running:
                 assert running.stop() == 0, running.err
@@ -99,7 +96,6 @@ class Cases:
             assert not any(pressed.seen()[self.force])
 
     def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
-        """Unplugged in contact, the device is lost; another daemon logs removal and return; it opens again."""
         told = f"{self.name} ({':'.join(self.ids)}) at /dev/"
         with other_daemon() as other, pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make lost")
@@ -113,7 +109,6 @@ class Cases:
         self.works(pressed, rig)
 
     def test_a_second_program_reports_a_busy_device(self, pressed: Gadget, rig: str) -> None:
-        """A second daemon fails and `devices` reports busy, both with the process of the first, which continues."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             with daemon(rig) as second:
                 assert second.end() == 4, second.err
@@ -124,7 +119,6 @@ class Cases:
             assert running.stop() == 0, running.err
 
     def test_another_user_gets_instructions(self, pressed: Gadget, rig: str) -> None:
-        """For a user without permission, the error contains instructions and `devices` lists the state `permission`."""
         with daemon(rig, user=NOBODY) as refused:
             assert refused.end() == 4, refused.err
         assert re.search(self.forbidden, refused.err), refused.err
@@ -133,7 +127,6 @@ class Cases:
         assert pressed.seen()[self.packets] == 0
 
     def test_silent_under_force(self, pressed: Gadget, rig: str) -> None:
-        """If answers stop, the daemon ends with a timeout and zero force; then the device opens again."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make timeout")
             assert running.end() == 4, running.err

@@ -89,7 +89,6 @@ class Gadget:
         return answer
 
     def seen(self) -> dict[str, Any]:
-        """Return the state of the device."""
         answer: dict[str, Any] = self.ask("seen")
         return answer
 
@@ -234,12 +233,10 @@ class Run:
 
 
 def softfinger(*words: str, user: int | None = None) -> Run:
-    """Run the command line in a fork."""
     return Run(lambda: cli.main(list(words)), user)
 
 
 def daemon(rig: str, *words: str, user: int | None = None) -> Run:
-    """Run the daemon on a device of the guest."""
     fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
     fixed = (*fixed, "--rate", str(RATE_HZ))
     return softfinger("run", "--rig", rig, *fixed, *words, user=user)

@@ -49,7 +49,6 @@ def find(cache: Path, package: str | None = None) -> Kernel:
 
 
 def newest() -> str:
-    """Return the kernel package to which the meta package currently refers."""
     said = _output("apt-cache", "depends", META_PACKAGE)
     match = re.search(r"Depends: (linux-image-\d\S+)", said)
     if match is None:

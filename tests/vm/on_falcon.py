@@ -29,7 +29,6 @@ class TestCases(Cases):
     forbidden = "may not be opened by this user: .*install --system"
 
     def test_the_attached_device_is_listed(self, tmp_path: Path) -> None:
-        """`devices` lists it under its driver, usable with a firmware file, and no longer once it is unplugged."""
         path = tmp_path / "firmware.bin"
         path.write_bytes(bytes(FIRMWARE_BYTES))
         with gadget("falcon", serial="SN7"):
@@ -52,7 +51,6 @@ class TestCases(Cases):
         ],
     )
     def test_faults_of_an_endpoint(self, case: str, message: str, pressed: Gadget, rig: str) -> None:
-        """An endpoint that accepts nothing and a halted one end the daemon with different errors; a replug helps."""
         ended = self.faulty(case, pressed, rig)
         assert ended.code == 4 and re.search(message, ended.err), ended.err
         for line in ("mend", "make lost", "mend"):
@@ -72,7 +70,6 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
-    """A device without firmware is rejected until the rig names a file, which is sent byte for byte."""
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     with gadget("falcon", firmware=FIRMWARE_BYTES, spoil=1) as falcon:
@@ -87,7 +84,6 @@ def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
 
 
 def test_the_driver_contract() -> None:
-    """All tests of the contract pass over the device on the bus, without a skip."""
     with gadget("falcon", place=[0.0, 0.0, 0.02]) as falcon:
         said, code = contract(CONTRACT, falcon)
     assert code == 0, said

@@ -32,7 +32,6 @@ class TestCases(Cases):
     forbidden = r"/dev/hidraw\d+ may not be opened by this user"
 
     def test_the_attached_device_is_listed(self) -> None:
-        """`devices` lists it by its node, usable with the rigs of its ids, and no longer once unplugged."""
         with gadget("woodenhaptics"):
             (found,) = self.listed()
         assert (found["driver"], found["state"], found["bus"]) == ("hid", "usable", self.bus)
@@ -42,7 +41,6 @@ class TestCases(Cases):
         assert self.listed() == []
 
     def test_closed_loop_without_a_bus(self, tmp_path: Path, rig: str) -> None:
-        """The same through uhid, which transfers reports without USB."""
         kept = tmp_path / "records.npy"
         with gadget("woodenhaptics", bus="uhid", **STROKE) as arm:
             keep(rig, "paper-plane", TICKS, kept)
@@ -50,7 +48,6 @@ class TestCases(Cases):
         self.agrees(np.load(kept), saw)
 
     def test_an_arm_that_takes_no_report(self, pressed: Gadget, rig: str) -> None:
-        """A write that hangs in the kernel ends the daemon with an error, though the arm does not respond."""
         begun = time.monotonic()
         ended = self.faulty("blocked", pressed, rig)
         measured("hid, usb: a daemon's life with an arm that takes no more reports", [1e3 * (time.monotonic() - begun)])
@@ -68,10 +65,6 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_the_driver_contract() -> None:
-    """All tests of the contract pass over the node, without a skip.
-
-    They run on the bus, where an unread report delays the next: uhid drops reports beyond its queue without an error.
-    """
     with gadget("woodenhaptics", place=[0.0, 0.0, 0.02]) as arm:
         said, code = contract(Path(contract_hid.__file__), arm)
     assert code == 0, said
@@ -80,7 +73,6 @@ def test_the_driver_contract() -> None:
 
 @pytest.mark.parametrize("bus", ["usb", "uhid"])
 def test_how_long_an_exchange_takes(bus: str, rig: str) -> None:
-    """Measure the times from a report to the arm's answer, with and without a bus, and of the write of a report."""
     with gadget("woodenhaptics", bus=bus, **PRESS):
         cycles, calls = exchanges(rig, 400)
     measured(f"hid, {bus}: report to answer", ms=cycles)

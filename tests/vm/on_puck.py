@@ -21,8 +21,6 @@ def listed() -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
-    """A deflected puck is found and opened, the fingertip moves down and to the right into the plane, buttons are read,
-    and the lamp is switched on and off."""
     kept = tmp_path / "records.npy"
     with gadget("puck", reports=reports, push={"up": -200, "right": 100}, buttons=5) as puck:
         (found,) = listed()
@@ -39,7 +37,6 @@ def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
 
 
 def test_unplugged_in_use() -> None:
-    """Unplugging the puck in use means device lost; another daemon logs it; plugged in, the puck opens again."""
     with gadget("puck", push={"right": 50}) as puck, other_daemon() as other:
         with daemon("spacemouse") as running:
             running.says("scene")

@@ -44,7 +44,6 @@ class TestCases(Cases):
         assert saw["faults"] == []
 
     def test_a_board_that_reads_no_more(self, pressed: Gadget, rig: str) -> None:
-        """A board that stops reading ends the daemon with a timeout; closing discards unread bytes; it works again."""
         ended = self.faulty("blocked", pressed, rig)
         assert ended.code == 4, ended.err
         assert re.search("no answer to a (read|write) in time", ended.err), ended.err
@@ -52,7 +51,6 @@ class TestCases(Cases):
         self.works(pressed, rig)
 
     def test_how_long_an_exchange_takes(self, pressed: Gadget, rig: str) -> None:
-        """Measure the times from a frame to the board's answer, and of the calls themselves."""
         cycles, calls = exchanges(rig, 400)
         measured("serial: frame to answer", cycles)
         measured("serial: write and read of a tick", calls)

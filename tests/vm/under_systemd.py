@@ -51,7 +51,6 @@ def journal() -> str:
 
 
 def shown(name: str) -> str:
-    """Return a property of the service."""
     return ran("systemctl", "show", "--value", "--property", name, "softfinger").strip()
 
 
@@ -93,7 +92,6 @@ def program() -> str:
 
 @cache
 def before() -> set[str]:
-    """Return the files written before the installation."""
     program()
     return files()
 
@@ -121,7 +119,6 @@ def service() -> str:
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Iterator[None]:
-    """A WoodenHaptics arm on the guest's USB."""
     words = [sys.executable, "-S", Path(__file__).with_name("gadgets") / "woodenhaptics.py", tmp_path / "arm", "{}"]
     with subprocess.Popen(words) as process:
         yield
@@ -129,7 +126,6 @@ def arm(tmp_path: Path) -> Iterator[None]:
 
 
 def test_installing_creates_the_account_and_reloads_systemd() -> None:
-    """All commands of the installation were run and succeeded."""
     said = installed()
     assert [line for line in said.splitlines() if line.startswith(("ran", "not run"))] == [
         "ran systemd-sysusers /etc/sysusers.d/softfinger.conf",
@@ -142,7 +138,6 @@ def test_installing_creates_the_account_and_reloads_systemd() -> None:
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    """The service ticks as its account, without capabilities, with real-time threads and a socket of the group."""
     assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
     assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
@@ -158,7 +153,6 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
 
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
-    """Nodes of a device belong to the group; the service may open them, and none that it does not need."""
     for pattern in ("hidraw*", "bus/usb/*/*"):
         assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
@@ -172,14 +166,12 @@ def test_devices_are_for_the_group_and_within_the_service(service: str, arm: Non
 
 
 def test_ticks_feed_the_watchdog(service: str) -> None:
-    """The service is alive and updates its watchdog for several times the watchdog's limit."""
     first = int(shown("WatchdogTimestampMonotonic"))
     assert comes(lambda: int(shown("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
     assert (shown("MainPID"), shown("ActiveState")) == (service, "active")
 
 
 def test_it_stops_with_zero_force(service: str) -> None:
-    """`systemctl stop` ends the service with zero force and result success."""
     ran("systemctl", "stop", "softfinger")
     assert (shown("ActiveState"), shown("Result"), shown("ExecMainStatus")) == ("inactive", "success", "0")
     assert re.search(r"stopped after \d+ ticks; force is zero", journal())
@@ -194,7 +186,6 @@ def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
 
 
 def test_removing_leaves_nothing(service: str) -> None:
-    """Removal of a running service leaves no file, folder, account or process."""
     shutil.rmtree(OF_THE_SERVICE.parent)
     said = ran(program(), "install", "--system", "--remove")
     assert not Path(f"/proc/{service}").exists()

@@ -9,7 +9,6 @@ from softfinger.server.keys import make_pair
 
 
 def run(args: argparse.Namespace) -> int:
-    """Create the pairs and print their files; returns 0."""
     pairs = {name: make_pair(args.folder, name) for name in args.names}
     if args.json:
         print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in pairs.items()}))

@@ -174,7 +174,6 @@ def wake_readers(broadcast: Broadcast) -> None:
 
 @entry
 def wake_readers_from_python(broadcast: Broadcast) -> None:
-    """Call `wake_readers` from Python."""
     wake_readers(broadcast)
 
 

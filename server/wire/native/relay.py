@@ -163,7 +163,6 @@ class Tap:
 
     @property
     def failed(self) -> bool:
-        """Whether the thread of the relay has failed."""
         return self._failed.is_set()
 
     @property
@@ -220,7 +219,6 @@ class Relay:
 
     @property
     def rows(self) -> int:
-        """Number of ticks passed on."""
         return int(self._state.readers.head[0])
 
     @property
@@ -230,7 +228,6 @@ class Relay:
 
     @property
     def native_id(self) -> int | None:
-        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: RecordSource) -> None:
@@ -287,7 +284,6 @@ class Relay:
 
 @entry
 def pass_on_rows(state: RelayState, rows: NDArray[np.float64]) -> None:
-    """Call `pass_on` for rows (n, width) from Python."""
     pass_on(state, rows, len(rows))
 
 
