@@ -22,6 +22,16 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Common options of all tables."""
 
 
+class _TableTag:
+    def __get__(self, table: object, table_type: type[Struct]) -> Any:
+        return table_type.__struct_config__.tag or msgspec.UNSET
+
+
+def table_tag() -> Any:
+    """Return a class attribute with the tag of each table; UNSET for a class without a tag."""
+    return _TableTag()
+
+
 def is_usable(*values: object) -> bool:
     """Return whether all these fields were usable in the file."""
     return not any(value is msgspec.UNSET for value in values)
@@ -122,6 +132,12 @@ def normalise_orientation(table: Table) -> None:
     # A quaternion that is unit to the last bits is not changed, so that a scene survives a round trip.
     if norm > 0.0 and math.isfinite(norm) and abs(norm - 1.0) > 1e-15:
         msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in orientation))
+
+
+def orientation_faults(orientation: tuple[float, float, float, float] | None) -> Iterator[Complaint]:
+    """Yield a fault for a quaternion of all zeros at `orientation_wxyz`; a missing one is not a fault."""
+    if is_usable(orientation) and orientation is not None and not any(orientation):
+        yield "orientation_wxyz", orientation, "all zero is not an orientation: [1, 0, 0, 0] turns nothing"
 
 
 def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:

@@ -18,6 +18,7 @@ from softfinger.config.fields import (
     doc,
     is_usable,
     normalise_orientation,
+    orientation_faults,
     sized,
     within,
 )
@@ -84,22 +85,14 @@ class Form(Table, frozen=True, kw_only=True):
             )
         elif self.radii_m is None:
             if self.orientation_wxyz is not None:
-                yield (
-                    "orientation_wxyz",
-                    self.orientation_wxyz,
-                    "turns an ellipsoid, and this is a sphere: leave it out",
-                )
+                fault = "turns an ellipsoid, and this is a sphere: leave it out"
+                yield "orientation_wxyz", self.orientation_wxyz, fault
         elif self.radius_m is not None:
             yield "radius_m", self.radius_m, "is that of a sphere, and radii_m of an ellipsoid: leave one of them out"
         elif max(self.radii_m) > limits.FINGERTIP_ASPECT.high * min(self.radii_m):
             most, why = limits.FINGERTIP_ASPECT.high, limits.FINGERTIP_ASPECT.reason
             yield "radii_m", self.radii_m, f"the longest must be at most {most:g} times the shortest ({why})"
-        if self.orientation_wxyz is not None and not any(self.orientation_wxyz):
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+        yield from orientation_faults(self.orientation_wxyz)
 
     @property
     def reaches_m(self) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from softfinger.config.fields import (
     direction_faults,
     doc,
     is_usable,
+    table_tag,
     within,
 )
 
@@ -57,13 +58,12 @@ class Region(Table, frozen=True, kw_only=True):
 class EffectBase(Table, frozen=True, kw_only=True):
     """Base of all effects; the kind selects the other keys."""
 
-    kind: ClassVar[str]
+    kind: ClassVar[str] = table_tag()
 
 
 class Viscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
     """Viscous drag against the velocity of the probe."""
 
-    kind: ClassVar[str] = "viscosity"
     damping_ns_per_m: EffectDamping
     region: Region | None = None
 
@@ -71,7 +71,6 @@ class Viscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vi
 class ConstantForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="constant_force"):
     """Constant force."""
 
-    kind: ClassVar[str] = "constant_force"
     force_n: ForceVector
     region: Region | None = None
 
@@ -79,7 +78,6 @@ class ConstantForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag
 class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="spring"):
     """Spring to a fixed point."""
 
-    kind: ClassVar[str] = "spring"
     position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
     rest_length_m: Annotated[float, within(limits.EDGE_M, "free length; a shorter spring pushes", 0.0)] = 0.0
@@ -90,7 +88,6 @@ class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="sprin
 class Vibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
     """Sinusoidal force; the phase starts at zero."""
 
-    kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude
     frequency_hz: Frequency
     direction: Direction
@@ -103,7 +100,6 @@ class Vibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vi
 class Boundary(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="boundary"):
     """Workspace limit: spring and damper push the probe centre back inside."""
 
-    kind: ClassVar[str] = "boundary"
     position_m: Middle = (0.0, 0.0, 0.0)
     size_m: Edges | None = None
     radius_m: BallRadius | None = None
@@ -122,21 +118,18 @@ Effect = Viscosity | ConstantForce | Spring | Vibration | Boundary
 class ObjectViscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
     """Viscous drag against the velocity relative to the object, while the object is touched."""
 
-    kind: ClassVar[str] = "viscosity"
     damping_ns_per_m: EffectDamping
 
 
 class ObjectForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="constant_force"):
     """Constant force while the object is touched."""
 
-    kind: ClassVar[str] = "constant_force"
     force_n: ForceVector
 
 
 class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vibration"):
     """Sinusoidal force while the object is touched; the phase starts at zero at each touch."""
 
-    kind: ClassVar[str] = "vibration"
     amplitude_n: Amplitude
     frequency_hz: Frequency
     direction: (
@@ -154,7 +147,6 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
 class Magnet(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="magnet"):
     """Attraction to the nearest surface point: force_n (1 - gap / range_m)^exponent."""
 
-    kind: ClassVar[str] = "magnet"
     force_n: Annotated[float, within(limits.EFFECT_FORCE_N, "attraction at the surface and in contact", 2.0)]
     range_m: Annotated[float, within(limits.LENGTH_M, "gap at which the attraction reaches zero", 0.02)]
     exponent: Annotated[float, within(limits.EXPONENT, "exponent of the decay; 1: linear", 2.0)] = 1.0
@@ -163,7 +155,6 @@ class Magnet(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="magne
 class StickSlip(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="stick_slip"):
     """Stick-slip texture: a tangential spring to an anchor that jumps to the finger at force_max_n."""
 
-    kind: ClassVar[str] = "stick_slip"
     stiffness_n_per_m: EffectStiffness
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "spring force at which the anchor jumps", 0.5)]
 

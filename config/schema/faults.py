@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, table_tag, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]
@@ -24,7 +24,7 @@ NUMBERS: Final[tuple[Number, ...]] = ("x", "y", "z", "qw", "qx", "qy", "qz")
 class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
     """Time at which a fault acts. Ticks count the reads of the device, from 0."""
 
-    kind: ClassVar[str]
+    kind: ClassVar[str] = table_tag()
     at_tick: Annotated[int, within(limits.FAULT_TICK, "first tick with the fault", 500)] | None = None
     at_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.5)] | None = None
     ticks: Annotated[int, within(limits.FAULT_TICK, "how many ticks it lasts; 1 where neither is given", 100)] | (
@@ -53,40 +53,32 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
 class Stale(FaultBase, frozen=True, kw_only=True, tag="stale"):
     """The device has no new sample: the driver returns the previous one and reports it as stale."""
 
-    kind: ClassVar[str] = "stale"
-
 
 class Frozen(FaultBase, frozen=True, kw_only=True, tag="frozen"):
     """The driver returns the previous sample as if it were new."""
-
-    kind: ClassVar[str] = "frozen"
 
 
 class NotANumber(FaultBase, frozen=True, kw_only=True, tag="nan"):
     """A number of the pose is NaN."""
 
-    kind: ClassVar[str] = "nan"
     number: Annotated[Number, doc("which of the pose", "x")] = "x"
 
 
 class Infinite(FaultBase, frozen=True, kw_only=True, tag="infinite"):
     """A number of the pose is infinite."""
 
-    kind: ClassVar[str] = "infinite"
     number: Annotated[Number, doc("which of the pose", "z")] = "x"
 
 
 class Teleport(FaultBase, frozen=True, kw_only=True, tag="teleport"):
     """The position jumps by an offset."""
 
-    kind: ClassVar[str] = "teleport"
     offset_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("added to the position", [0.0, 0.0, -0.05])]
 
 
 class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):
     """A call of the driver blocks."""
 
-    kind: ClassVar[str] = "slow"
     block_s: Annotated[float, within(limits.FAULT_BLOCK_S, "for so long", 0.003)]
     on: Annotated[Side, doc("which call", "read")] = "read"
 
@@ -94,21 +86,18 @@ class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):
 class Short(FaultBase, frozen=True, kw_only=True, tag="short"):
     """A sample arrives in part: the numbers after the first ones are 0."""
 
-    kind: ClassVar[str] = "short"
     numbers: Annotated[int, within(limits.FAULT_NUMBERS, "of the ten that arrive", 3)]
 
 
 class Corrupt(FaultBase, frozen=True, kw_only=True, tag="corrupt"):
     """One random bit of the pose is flipped."""
 
-    kind: ClassVar[str] = "corrupt"
     seed: Annotated[int, within(limits.FAULT_SEED, "of the random numbers", 1)] = 1
 
 
 class Bounce(FaultBase, frozen=True, kw_only=True, tag="bounce"):
     """Buttons bounce: they are inverted in every other tick."""
 
-    kind: ClassVar[str] = "bounce"
     every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 2)] = 2
     buttons: Annotated[int, within(limits.FAULT_BUTTONS, "which, a bit each", 1)] = 1
 
@@ -116,45 +105,33 @@ class Bounce(FaultBase, frozen=True, kw_only=True, tag="bounce"):
 class Disconnect(FaultBase, frozen=True, kw_only=True, tag="disconnect"):
     """The device is disconnected: no call reaches it, and each one fails. It is back at the end of the fault."""
 
-    kind: ClassVar[str] = "disconnect"
-
 
 class Timeout(FaultBase, frozen=True, kw_only=True, tag="timeout"):
     """The device does not answer in time. A write that fails does not reach it."""
 
-    kind: ClassVar[str] = "timeout"
     on: Annotated[Side, doc("which call", "write")] = "read"
 
 
 class Protocol(FaultBase, frozen=True, kw_only=True, tag="protocol"):
     """The device violates its protocol in an answer. A write that fails does not reach it."""
 
-    kind: ClassVar[str] = "protocol"
     on: Annotated[Side, doc("which call", "write")] = "read"
 
 
 class ForceOff(FaultBase, frozen=True, kw_only=True, tag="force_off"):
     """The device switches its own force off and reports it."""
 
-    kind: ClassVar[str] = "force_off"
-
 
 class Withheld(FaultBase, frozen=True, kw_only=True, tag="withheld"):
     """The driver writes zero in place of the force and reports it."""
-
-    kind: ClassVar[str] = "withheld"
 
 
 class Held(FaultBase, frozen=True, kw_only=True, tag="held"):
     """The device does not accept the force and keeps the previous one; the driver reports it."""
 
-    kind: ClassVar[str] = "held"
-
 
 class Swallowed(FaultBase, frozen=True, kw_only=True, tag="swallowed"):
     """The force never arrives: the device keeps the previous one, but the driver reports success."""
-
-    kind: ClassVar[str] = "swallowed"
 
 
 Injection = (

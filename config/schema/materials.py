@@ -168,19 +168,13 @@ class Torsion(Table, frozen=True, kw_only=True):
         if not is_usable(kinetic) or kinetic is None:
             return
         if is_usable(self.model) and self.model != "soft_finger_proxy":
-            yield (
-                "kinetic_friction_length_m",
-                kinetic,
-                f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out',
-            )
+            fault = f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out'
+            yield "kinetic_friction_length_m", kinetic, fault
         elif is_usable(static) and static is None:
             yield "kinetic_friction_length_m", kinetic, "needs friction_length_m, the limit before it spins"
         elif is_usable(static) and static is not None and kinetic > static:
-            yield (
-                "kinetic_friction_length_m",
-                kinetic,
-                f"must be at most friction_length_m = {static:g} m, the limit before it spins",
-            )
+            fault = f"must be at most friction_length_m = {static:g} m, the limit before it spins"
+            yield "kinetic_friction_length_m", kinetic, fault
 
 
 class Material(Table, frozen=True, kw_only=True):
@@ -231,11 +225,8 @@ class Material(Table, frozen=True, kw_only=True):
         if is_usable(self.normal) and self.normal is not None:
             ours, plain = self.normal.damping_s_per_m, self.damping_ns_per_m
             if is_usable(ours, plain) and ours is not None and plain > 0.0:
-                yield (
-                    "normal.damping_s_per_m",
-                    ours,
-                    f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out",
-                )
+                fault = f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out"
+                yield "normal.damping_s_per_m", ours, fault
         if not is_usable(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:

@@ -8,7 +8,17 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Table, TopicPart, doc, is_usable, sized, within
+from softfinger.config.fields import (
+    Complaint,
+    Component,
+    Table,
+    TopicPart,
+    doc,
+    is_usable,
+    orientation_faults,
+    sized,
+    within,
+)
 from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_address_for, endpoint_complaint, is_public
 from softfinger.config.schema.guard import Arm, Guard
 
@@ -27,12 +37,7 @@ class Tool(Table, frozen=True, kw_only=True):
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+        yield from orientation_faults(self.orientation_wxyz)
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
@@ -213,11 +218,8 @@ class Rig(Table, frozen=True, kw_only=True):
         if not is_usable(self.device, self.devices):
             return
         if self.device is None and not self.devices:
-            yield (
-                "device",
-                msgspec.UNSET,
-                "is missing: add the table [device], or a table [devices.NAME] for each of several fingers",
-            )
+            fault = "is missing: add the table [device], or a table [devices.NAME] for each of several fingers"
+            yield "device", msgspec.UNSET, fault
         if self.device is not None and self.devices:
             yield (
                 "device",

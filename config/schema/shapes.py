@@ -19,7 +19,9 @@ from softfinger.config.fields import (
     doc,
     is_usable,
     normalise_orientation,
+    orientation_faults,
     sized,
+    table_tag,
     within,
 )
 from softfinger.config.schema.effects import ObjectEffect
@@ -49,7 +51,7 @@ Inside = Annotated[bool, doc("true: a cavity, touched from inside", False)]
 class ObjectBase(Table, frozen=True, kw_only=True):
     """Common keys of all objects. A shape adds its dimensions and its tag."""
 
-    shape: ClassVar[str] = msgspec.UNSET  # type: ignore[assignment]  # of an object of unknown shape, in checks
+    shape: ClassVar[str] = table_tag()
     unrolls: ClassVar[bool] = False
     """Whether the rolling method `rotation_vector` has a closed form on this shape."""
     added: ClassVar[list[type[Struct]]] = []
@@ -71,9 +73,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.orientation_wxyz) and not any(self.orientation_wxyz):
-            zero = self.orientation_wxyz
-            yield "orientation_wxyz", zero, "all zero is not an orientation: [1, 0, 0, 0] is the identity"
+        yield from orientation_faults(self.orientation_wxyz)
         if is_usable(self.name) and not (self.name.isprintable() and self.name.strip()):
             yield "name", self.name, "must have printable characters only, and not only blanks"
 
@@ -103,7 +103,6 @@ class Textured(ObjectBase, frozen=True, kw_only=True):
 class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
     """Half-space below the plane z = 0 of the object frame."""
 
-    shape: ClassVar[str] = "plane"
     unrolls: ClassVar[bool] = True
 
     @property
@@ -114,7 +113,6 @@ class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane")
 class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphere"):
     """Sphere about the origin."""
 
-    shape: ClassVar[str] = "sphere"
     unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.05)]
     inside: Inside = False
@@ -131,7 +129,6 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
 class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
     """Cylinder about the z axis, centred on the origin, with flat ends or infinite."""
 
-    shape: ClassVar[str] = "cylinder"
     unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.05)]
     length_m: Annotated[float, within(limits.LENGTH_M, "length; default: infinite", 0.2)] | None = None
@@ -167,7 +164,6 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
 class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="capsule"):
     """Capsule about the z axis, centred on the origin."""
 
-    shape: ClassVar[str] = "capsule"
     unrolls: ClassVar[bool] = True
     radius_m: Annotated[float, within(limits.LENGTH_M, "radius", 0.02)]
     length_m: Annotated[float, within(limits.LENGTH_M, "distance between the centres of the caps", 0.1)]
@@ -181,7 +177,6 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
 class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
     """Box along the axes, centred on the origin."""
 
-    shape: ClassVar[str] = "box"
     unrolls: ClassVar[bool] = True
     size_m: Annotated[tuple[Length, Length, Length], doc("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
     inside: Inside = False
@@ -198,7 +193,6 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
 class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="ellipsoid"):
     """Ellipsoid along the axes, centred on the origin."""
 
-    shape: ClassVar[str] = "ellipsoid"
     semi_axes_m: Annotated[tuple[Length, Length, Length], doc("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
     inside: Inside = False
 
@@ -214,7 +208,6 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
 class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus"):
     """Torus about the z axis, centred on the origin."""
 
-    shape: ClassVar[str] = "torus"
     major_radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the centre circle of the tube", 0.06)]
     minor_radius_m: Annotated[float, within(limits.LENGTH_M, "radius of the tube; below major_radius_m", 0.02)]
     inside: Inside = False
@@ -240,7 +233,6 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
 class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="heightmap"):
     """Solid below a height field over the x and y axes, read from a file; level beyond the rim."""
 
-    shape: ClassVar[str] = "heightmap"
     file: Annotated[
         str,
         sized(
@@ -264,7 +256,6 @@ class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="h
 class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh"):
     """Triangle mesh from a file, in the object frame. A mesh with holes is a sheet that is touched from both sides."""
 
-    shape: ClassVar[str] = "mesh"
     unrolls: ClassVar[bool] = True  # triangle by triangle, each in its plane
     endings: ClassVar[tuple[str, ...]] = (".ply", ".stl", ".obj", ".glb")
     volumes: ClassVar[tuple[str, ...]] = (".msh", ".vtu")
