@@ -103,6 +103,7 @@ def fingertips() -> Mapping[str, LibraryEntry]:
 
 @lru_cache(maxsize=1)
 def papers() -> Mapping[str, Paper]:
+    """Return all sources by name."""
     return MappingProxyType(msgspec.convert(_tables("papers.toml"), dict[str, Paper]))
 
 

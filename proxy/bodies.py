@@ -245,7 +245,10 @@ def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, A
 
 
 def begin_bodies(scene: kernels.Scene, period_s: float) -> None:
-    """Reset the bodies of a scene, if any, for ticks of `period_s`: see `RigidBodies.begin`."""
+    """Reset the bodies of a scene, if any, to the poses in the model, for ticks of `period_s`.
+
+    See `RigidBodies.begin`.
+    """
     if scene.bodies is not None:
         scene.bodies.block.owner.begin(period_s)
 

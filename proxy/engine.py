@@ -73,7 +73,7 @@ def step_many(
 def compiled(scene: Scene, begin: State) -> Callable[..., None]:
     """Return `step_many` compiled for scenes and states of these types; it ignores the arguments `scene` and `start`.
 
-    numba's dispatcher would determine both types number by number on each call, in a hundred microseconds.
+    numba's dispatcher would determine the types of both trees number by number on each call, in a hundred microseconds.
     """
     if PLAIN:
         return lambda _scene, values, _start, *rest: step_many(scene, values, begin, *rest)

@@ -214,7 +214,8 @@ def _materials(scene: schema.Scene) -> list[model.Material]:
 def shape_bodies(thing: Any) -> list[Body]:
     """Return the bodies of an object's shape. Another package registers a function for the table of its shape.
 
-    The inside of a box or of a cylinder with ends is several walls that can support the fingertip simultaneously.
+    Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
+    can support the fingertip simultaneously, one body each.
     """
     raise TypeError(f"{type(thing).__name__} is not a shape: nothing is registered with shape_bodies for it")
 

@@ -103,6 +103,7 @@ this package share the compiled loop with those of commands."""
 
 
 def make_pulling_tuning() -> Tuning:
+    """Return the tuning of the scene `PULL`, with a guard that ramps in within 10 ms."""
     return make_tuning(load_scene(PULL), load_rig("replay", {"guard.ramp_s": 0.01}).guard)
 
 
@@ -143,6 +144,7 @@ class DriverContract:
         assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation
 
     def test_device_time_does_not_run_back(self, device: Device) -> None:
+        """Device time never decreases between reads."""
         servo = Servo(device)
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
@@ -196,11 +198,13 @@ class DriverContract:
             servo.close()
 
     def test_a_device_that_is_not_armed_displays_nothing(self, bench: Bench) -> None:
+        """A device that was never armed displays no force after `stop`, which raises nothing."""
         with bench.open() as device:
             device.stop()
             assert not any(bench.displayed())
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
+        """After repeated `stop`, a write does not apply the full force and reads still work."""
         servo = Servo(device)
         servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
         device.stop()
@@ -210,6 +214,7 @@ class DriverContract:
         assert servo.read()[0] in (OK, STALE, END, WITHHELD)
 
     def test_close_may_be_repeated(self, device: Device) -> None:
+        """`close` after `stop` and after `close` does nothing and raises nothing."""
         device.stop()
         device.close()
         device.close()
@@ -242,6 +247,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("ending", ["last_tick", "stop_word", "crash"])
     def test_no_force_is_left_after_a_servo(self, ending: str, bench: Bench) -> None:
+        """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
                 [device],
@@ -267,6 +273,7 @@ class DriverContract:
             servo.close()
 
     def test_opening_is_refused_by_name(self, bench: Bench) -> None:
+        """A device that is absent, busy or forbidden raises its error, and opens after the cause is removed."""
         for case in set(REFUSALS) - set(bench.cannot):
             bench.make(case)
             with pytest.raises(bench.refusals[case]) as caught:

@@ -46,6 +46,7 @@ class Watcher:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(fd,), start_new_session=True)
 
     def dismiss(self) -> None:
+        """End the process after the device was closed."""
         self._process.communicate(CLOSED)
 
 

@@ -26,8 +26,19 @@ STRIP: Final = 16
 def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
     """Return three sparse matrices (N, n): nodal forces of 1 N along x, y, z on the patch about each of n centres.
 
-    A patch does not reach through a thin body: the surface's normals there are within 90 degrees of that of its centre.
-    Raises ValueError if the surface has no quadrature point near a centre.
+    Parameters
+    ----------
+    solid
+        Body with N unknowns.
+    centers, normals
+        (n, 3) m, and outward unit normals (n, 3): the patch does not reach through a thin body.
+    radius_m
+        Radius of the patches.
+
+    Raises
+    ------
+    ValueError
+        If the surface has no quadrature point near a centre.
     """
     import skfem
     from scipy.sparse import csr_matrix
@@ -126,7 +137,10 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
 
 
 def surface_gradient(solid: Solid) -> Any:
-    """Return the sparse matrix (9 m, N) of mean gradients [k, i, j] = du_i / dx_j in m tetrahedra at the surface."""
+    """Return the sparse matrix (9 m, N) of the mean displacement gradients [k, i, j] = du_i / dx_j.
+
+    It is that of the m tetrahedra with a face on the surface.
+    """
     from scipy.sparse import csr_matrix
 
     mesh = solid.basis.mesh

@@ -98,7 +98,7 @@ class Deformed:
     def _followed(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
         """Return the node that each of `vertices` (n, 3) follows, and its share of that node's displacement.
 
-        The share grows from 0 at the fixed regions to 1 at the node.
+        A vertex outside of `reach` has no compliance. Its share grows from 0 at the fixed regions to 1 at the node.
         """
         assert self._thing.elastic is not None
         places = self._body.surface.vertices

@@ -40,10 +40,21 @@ class Front(NamedTuple):
 
 
 class Factors:
-    """Factors of a symmetric positive definite matrix: sparse (n, n), by rows, with both triangles.
+    """Factors of a symmetric positive definite matrix.
 
-    `places` (n, 3) m are the positions of the unknowns. Raises ValueError if the matrix is not positive definite, and
-    OSError if the temporary file cannot be written.
+    Parameters
+    ----------
+    matrix
+        Sparse (n, n) by rows (CSR), with both triangles.
+    places
+        (n, 3) m, positions of the unknowns.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not positive definite.
+    OSError
+        If the temporary file cannot be written.
     """
 
     def __init__(self, matrix: Any, places: Doubles) -> None:

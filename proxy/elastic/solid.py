@@ -28,8 +28,19 @@ CHUNK: Final = 1024
 class Solid:
     """Body of Young's modulus 1 Pa, fixed in regions.
 
-    `is_fixed` returns for positions (n, 3) m the components (n, 3) that are fixed there. Raises ValueError if
-    scikit-fem or SciPy is not installed, or fewer than three nodes are fixed.
+    Parameters
+    ----------
+    volume
+        Tetrahedra.
+    poisson
+        Poisson's ratio, below 0.5.
+    is_fixed
+        Function from positions (n, 3) m to the components (n, 3) that are fixed there, as booleans.
+
+    Raises
+    ------
+    ValueError
+        If scikit-fem or SciPy is not installed, or fewer than three nodes are fixed.
     """
 
     def __init__(self, volume: Volume, poisson: float, is_fixed: Callable[[Doubles], NDArray[np.bool_]]) -> None:

@@ -101,7 +101,15 @@ def save(path: str, key: str, body: ElasticBody) -> None:
 
 
 def read(path: str, key: str) -> ElasticBody:
-    """Return the body in a file. Raises ValueError if it is damaged or of another identity than `key`, or OSError."""
+    """Return the body in a file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is damaged, or of another identity than `key`.
+    """
     arrays = _arrays(read_input(path, BYTES_MAX))
     if arrays["hash"].tobytes() != _hash(key, arrays).tobytes():
         raise ValueError("is damaged or the solution for other values")

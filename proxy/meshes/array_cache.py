@@ -69,7 +69,10 @@ def load(key: str, folder: Folder = FOLDER) -> CachedArrays | None:
 
 
 def _allocate(size: int) -> mmap.mmap:
-    """Return anonymous memory in huge pages: clearing small ones takes three quarters of the reading time."""
+    """Return anonymous memory in huge pages, if the system has them.
+
+    The kernel clears each page on its first write; with small pages that takes three quarters of the reading time.
+    """
     memory = mmap.mmap(-1, max(1, size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     with contextlib.suppress(OSError):  # a kernel without huge pages
         memory.madvise(mmap.MADV_HUGEPAGE)
@@ -79,7 +82,7 @@ def _allocate(size: int) -> mmap.mmap:
 def save(key: str, cached: CachedArrays, folder: Folder = FOLDER) -> None:
     """Store arrays, and values of JSON types, under a key, and remove the least recently used files over the limit.
 
-    The folder logs a warning, once, if it cannot be used.
+    If the folder cannot be used, nothing is stored and the folder logs a warning, once.
     """
     folder.put(f"{key}{ENDING}", _parts(key, cached))
     if folder.path is not None and folder.problem() is None:
@@ -127,7 +130,10 @@ def _array(memory: mmap.mmap, start: int, entry: Mapping[str, Any]) -> NDArray[A
 
 
 def _sum(array: NDArray[Any]) -> int:
-    """Return the sum of the 64-bit words modulo 2^64: any single flipped bit changes it."""
+    """Return the sum of the 64-bit words modulo 2^64.
+
+    Any single flipped bit changes it. Its computation is limited by memory bandwidth.
+    """
     data = array.reshape(-1).view(np.uint8)
     whole = len(data) // 8 * 8
     rest = int.from_bytes(data[whole:].tobytes(), "little")

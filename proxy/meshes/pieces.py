@@ -91,7 +91,10 @@ def pieces_of(edges: Edges) -> Pieces:
 
 @entry
 def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
-    """Write `first_alike` to `first`, by linear probing in `table`: entries -1, a power of two, more than the rows."""
+    """Write `first_alike` to `first`, with a hash table of a power of two entries, all -1, more than the rows.
+
+    Open addressing with linear probing, from the slot of a row's hash.
+    """
     mask = np.uint64(len(table) - 1)
     for i in range(rows.shape[0]):
         mixed = seed

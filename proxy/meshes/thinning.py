@@ -17,7 +17,10 @@ _COARSER: Final = 1.1
 
 
 def thin_mesh(mesh: Arrays, most: int = PICTURE_TRIANGLES) -> Arrays:
-    """Return the mesh with at most `most` triangles, by the smallest cells that allow it; a small mesh as it is."""
+    """Return the mesh with at most `most` triangles; the same mesh if it has no more.
+
+    The cell size is as small as that allows. Details smaller than a cell vanish: the result is only for pictures.
+    """
     edges = np.ptp(mesh.vertices, axis=0)
     around = 2.0 * float(edges @ np.roll(edges, 1))
     cell = max(float(np.sqrt(3.0 * around / most)), FINEST * float(edges.max()))

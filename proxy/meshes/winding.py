@@ -82,7 +82,10 @@ def _reverse(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:
 def _find_hollows(
     vertices: Vertices, triangles: Triangles, body: NDArray[np.int32], volumes: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which pieces (bodies,) are wound inward with a bounding box within that of a large piece wound outward."""
+    """Return which pieces (bodies,) are hollows.
+
+    A hollow is wound inward, and its bounding box is within that of one of the largest pieces wound outward.
+    """
     hollow = np.zeros(len(volumes), np.bool_)
     if not (volumes < 0.0).any() or not (volumes > 0.0).any():
         return hollow

@@ -18,7 +18,12 @@ BACKLOG: Final = 8192
 
 
 class Server:
-    """Foxglove's WebSocket server, for this machine only, on a port (0: a free one); a `Sink` for `Topics`."""
+    """Foxglove's WebSocket server, for this machine only; a `Sink` for `Topics`.
+
+    port  0: a free port
+
+    Raises ConfigError if foxglove-sdk is not installed, and AddressInUse if the port is not available.
+    """
 
     def __init__(self, port: int = FOXGLOVE_PORT) -> None:
         try:

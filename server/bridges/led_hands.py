@@ -157,7 +157,10 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return velocities
 
     def _run(self, goals: Array) -> Any:
-        """Return the records by finger along goals (ticks + 1, hands, 7), of which the first is the current one."""
+        """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.
+
+        Returns records by finger.
+        """
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
             DrivenPlant(device.plant, PlantInputs(intention, goals[:, index].reshape(-1), line))

@@ -32,7 +32,10 @@ PLOTTED: Final = (
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
-    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here."""
+    """Return a Rerun recording stream: into a file, to a running viewer, or to a viewer that is started here.
+
+    Raises ConfigError if rerun-sdk is not installed, or if the file or viewer is not available.
+    """
     try:
         import rerun
     except ImportError as error:
@@ -52,7 +55,11 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
 
 
 class RerunSink:
-    """Logs the data of a daemon or a recording to a Rerun stream."""
+    """Logs the data of a daemon or a recording to a Rerun stream.
+
+    fingers  names of several fingers, one empty name for a single one
+    scene    scene to draw, None for none
+    """
 
     failed = False
 

@@ -28,6 +28,10 @@ log: Final = logging.getLogger(__name__)
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
+    """
     for name in ("duration", "timeout"):
         value = getattr(args, name)
         if value is not None and not 0.0 < value < math.inf:
@@ -47,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def to_foxglove(args: argparse.Namespace) -> int:
+    """Serve until the end of the daemon, or a signal."""
     server = foxglove.Server(args.port)
     try:
         log.info("in Foxglove open the connection %s, or %s", server.url, server.app)

@@ -85,6 +85,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
 
 
 def is_counted(row: Entry) -> bool:
+    """Return True for a trial that is neither practice nor a catch trial."""
     return not (row["practice"] or row.get("catch"))
 
 
@@ -117,9 +118,18 @@ def fit_answers(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | Powe
 
 
 def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
-    """Fit a line to the logarithms of answers (n,) over levels (n,), all above 0; the intervals are Student's.
+    """Fit a line to the logarithms of answers over levels.
 
-    Undetermined values are nan: the exponent of a single level, and the intervals of too few answers.
+    Parameters
+    ----------
+    levels, answers
+        (n,) values above 0.
+
+    Returns
+    -------
+    PowerLaw
+        Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too
+        few answers.
     """
     x, y = np.log(levels), np.log(answers)
     middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()

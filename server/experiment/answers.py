@@ -35,7 +35,9 @@ class Participant:
     """Participant at the device. The first answer counts, from any source.
 
     Each question is a prompt of the daemon. Pages and other programs answer it by the command `answer`; this class does
-    so for keys in the terminal and the first two buttons of the device. `images` are data URIs by name.
+    so for keys in the terminal and the first two buttons of the device.
+
+    images  data URIs of the images of the page, by name
     """
 
     def __init__(self, experiment: ExperimentFile, haptics: Haptics, images: Mapping[str, str]) -> None:
@@ -45,6 +47,7 @@ class Participant:
         self._screen: dict[str, Any] = {}
 
     def instruct(self) -> None:
+        """Show the instructions until the participant starts."""
         if text := self._experiment.instructions:
             self._ask(
                 Prompt(self._experiment.title, text, choices=(BEGIN,)), f"{text} Press Enter or a button to start."

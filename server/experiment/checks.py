@@ -35,6 +35,9 @@ def load(
 ) -> tuple[ExperimentFile, Path]:
     """Return an experiment and the folder of its files.
 
+    changes      replacement values by dotted key
+    part_faults  further check of each scene and of the rig
+
     Raises FaultyConfig with every fault of the file, and of the surveys, scenes, rig and images that it names.
     """
     tables, name, folder = read(source)

@@ -38,12 +38,22 @@ class Comparison(NamedTuple):
 def compare_models(
     experiment: ExperimentFile, rows: Sequence[Entry], excluded: Collection[str] = ()
 ) -> list[Comparison]:
-    """Compare the model of all conditions with the models in which a factor has no effect.
+    """Compare the model of all conditions with the models in which a factor has no effect, for each factor.
 
-    rows      answered trials; practice and catch trials are ignored
-    excluded  participants to leave out
-    returns   a comparison for each factor with an answer at two or more of its levels, in the order of the file
+    Parameters
+    ----------
+    rows
+        Answered trials; practice and catch trials are ignored.
+    excluded
+        Participants to leave out.
 
+    Returns
+    -------
+    list of Comparison
+        One for each factor with an answer at two or more of its levels, in the order of the file.
+
+    Notes
+    -----
     Each participant has a threshold in each condition and one slope; for numbers and durations, an intercept in each
     condition, one exponent and one noise. Without a factor, conditions that differ only in it share the threshold or
     intercept. Twice the difference of the log likelihoods is chi-squared distributed (Wilks, Annals of Mathematical
@@ -74,7 +84,10 @@ def compare_models(
 
 
 def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
-    """Return parameters and maximum log likelihood of a participant if the factors `keys` have an effect."""
+    """Return the number of parameters and the maximum of the log likelihood of a participant's answers.
+
+    keys  factors that have an effect
+    """
     groups = dict[tuple[Any, ...], list[Entry]]()
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)

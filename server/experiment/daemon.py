@@ -52,6 +52,11 @@ class RunOptions(NamedTuple):
 def start_daemon(
     experiment: ExperimentFile, folder: Path, results: Path, running: RunOptions
 ) -> Iterator[tuple[Haptics, dict[str, Any]]]:
+    """Start a daemon with rig and scene of an experiment; yield its `Haptics` and its description.
+
+    folder   of the experiment's files
+    results  folder of all participants, in which it records
+    """
     from softfinger.server.app import Daemon
 
     rig, scene_of = resolve_source(folder, experiment.rig), partial(resolve_source, folder)

@@ -155,7 +155,10 @@ def _begin_run(
     run_files: Mapping[str, Any],
     dry_run: bool,
 ) -> tuple[Journal, int]:
-    """Append a start to the journal; return the journal and the number of the start."""
+    """Append a start to the journal; return the journal and the number of the start.
+
+    run_files  additional files of the start, by name
+    """
     session.begin(participant_folder)
     number = participant_folder.next_run()
     if journal is None:

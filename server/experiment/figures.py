@@ -35,7 +35,10 @@ LABELS: Final = {
 
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
-    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files."""
+    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files.
+
+    Raises ConfigError if matplotlib is not installed.
+    """
     try:
         import matplotlib
 

@@ -42,6 +42,7 @@ def read(source: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str
 
 
 def read_survey(survey: Survey, folder: Path) -> Survey:
+    """Return a survey with the questions of its file; raises ConfigError with every fault of that."""
     if not survey.file:
         return survey
     path = find_in(EXPERIMENTS / "surveys", "survey", resolve_source(folder, survey.file))

@@ -41,6 +41,8 @@ class ParticipantFolder:
     """Files of one participant's sessions. Nothing is written before `begin`.
 
     files  hashes of the scenes and the rig next to the experiment, by name
+
+    Raises ConfigError if the folder belongs to another experiment.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
@@ -57,6 +59,10 @@ class ParticipantFolder:
     def begin(
         self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
     ) -> None:
+        """Write the missing files: description of the experiment, design and order.
+
+        Raises ConfigError if a file cannot be written, or exists with another content.
+        """
         rows = _rows(conditions, trials)
         try:
             (self.participant_dir / "trials").mkdir(parents=True, exist_ok=True)
@@ -73,6 +79,7 @@ class ParticipantFolder:
     def check_design(
         self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
     ) -> None:
+        """Raise ConfigError if the folder has another design of this participant."""
         for path, text in self._design(experiment, conditions, _rows(conditions, trials)).items():
             _check_same(path, text)
 
@@ -131,6 +138,7 @@ def _json(values: Any) -> bytes:
 
 
 def _check_same(path: Path, text: bytes) -> None:
+    """Raise ConfigError if an existing file has another content than `text`."""
     if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
         raise ConfigError(
             f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
@@ -183,10 +191,12 @@ def read_surveys(journals: Iterable[Path]) -> list[Entry]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write or replace a table atomically."""
     _write(path, format_csv(rows).encode())
 
 
 def _write_new(path: Path, data: bytes) -> None:
+    """Write a new file atomically. Raises ConfigError if it exists."""
     if path.exists():
         raise ConfigError(f"{path}: already exists, and data of a participant is not overwritten: move it away")
     _write(path, data)

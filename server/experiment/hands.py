@@ -38,6 +38,7 @@ class Hands:
         return starts
 
     def lead(self, elapsed_s: float) -> None:
+        """Lead each hand with a path to its point at a time of the touch, s."""
         for name, is_led in self._is_led.items():
             if is_led and (path := self._experiment.motion.get(name or SINGLE_FINGER)):
                 self._lead(name, interpolate_path(path, elapsed_s), elapsed_s)
@@ -58,4 +59,5 @@ def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: flo
 
 
 def angle_between(a: Quaternion, b: Quaternion) -> float:
+    """Return the angle between two orientations (unit quaternions), rad."""
     return 2.0 * math.acos(min(1.0, abs(float(np.dot(a, b)))))

@@ -48,6 +48,7 @@ class Progress(NamedTuple):
 
     @property
     def text(self) -> str:
+        """Number of the next touch, if there are several."""
         return f"Touch {self.touch} of {self.touches}" if self.touches > 1 else ""
 
 
@@ -66,7 +67,10 @@ class Apparatus(Protocol):
 
 
 class NullApparatus:
-    """No apparatus: only design, answers, journal and tables, as fast as possible."""
+    """No apparatus: only design, answers, journal and tables, as fast as possible.
+
+    on_trial  receives the number of the trial
+    """
 
     def __init__(self, on_trial: Callable[[int], None] = lambda trial: None) -> None:
         self._on_trial = on_trial

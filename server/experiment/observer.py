@@ -55,7 +55,10 @@ class SimulatedObserver:
         return float(marks[min(int(abs(evidence) / CERTAIN * len(marks)), len(marks) - 1)])
 
     def survey(self, question: Question, condition: Condition | None, number: int) -> str | float:
-        """Return the answer to a question of a survey; the `number` of the answer determines its noise."""
+        """Return the answer to a question of a survey.
+
+        number  number of the answer in the session, which determines its noise
+        """
         answers = dict(self._experiment.observer.answers)
         if condition is not None:
             answers |= observer_for(self._experiment, condition).answers

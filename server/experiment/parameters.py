@@ -29,7 +29,10 @@ _TABLES: Final = {field.name for field in fields(Rig)} - {field.name for field i
 
 
 def split_rig(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the values of the rig by dotted key, and the parameters of the scene."""
+    """Return the values of the rig by dotted key, and the parameters of the scene.
+
+    Raises ConfigError if a value of the rig needs a restart of the daemon.
+    """
     faults = [
         f"{where}: {path}: needs another start of the daemon, so it is not a factor: run a session with --rig for "
         f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
@@ -59,7 +62,10 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
 
 
 def check_device_limits(values: Iterable[tuple[str, Mapping[str, Any]]], devices: Sequence[DeviceInfo]) -> None:
-    """Raise ConfigError if an experiment requires more than a device can display, since the guard would limit it."""
+    """Raise ConfigError if an experiment requires more than a device can display, since the guard would limit it.
+
+    values  location in the design, and the parameters there
+    """
     for where, parameters in values:
         for device in devices:
             for key, unit in (("force_max_n", "N"), ("torque_max_nm", "N m")):
@@ -78,6 +84,10 @@ def split_masses(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str,
 
 
 def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
+    """Return a scene with changed values, including masses.
+
+    Raises ConfigError, with `where`, if the scene lacks a value.
+    """
     masses, parameters = split_masses(values)
     scene = load_scene(source)
     if not masses:

@@ -59,13 +59,35 @@ class Fit(NamedTuple):
 
 
 def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> Fit:
-    """Fit the Weibull function to answers (n,) at levels (n,), with a lapse rate and `points` levels in the curve.
+    """Fit the Weibull function to answers (n,) at levels (n,) with a given lapse rate.
 
-    The result has medians, and central 95 % intervals, of the posterior on a grid of 300 thresholds by 40 slopes (Kuss,
-    Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492). The prior is uniform in the threshold's logarithm and
-    normal in the slope's. Levels of an adaptive procedure are close together and carry little information on the slope:
-    with only the most likely slope the interval of the threshold would be too short, and without a prior the threshold
-    too low (Kaernbach, Perception and Psychophysics 63 (2001) 1389-1398). Raises ValueError if there are no answers.
+    Parameters
+    ----------
+    levels, right
+        (n,) level of each trial, and whether its answer was right.
+    lapse
+        Fraction of wrong answers at the highest levels.
+    points
+        Number of levels in the curve of the result.
+
+    Returns
+    -------
+    Fit
+        Medians, and central 95 % intervals, of the posterior on a grid of 300 thresholds by 40 slopes.
+
+    Raises
+    ------
+    ValueError
+        If there are no answers.
+
+    Notes
+    -----
+    The prior is uniform in the threshold's logarithm and normal in the slope's. Levels of an adaptive procedure are
+    close together and carry little information on the slope: with only the most likely slope the interval of the
+    threshold would be too short, and without a prior the threshold too low (Kaernbach, Perception and Psychophysics 63
+    (2001) 1389-1398).
+
+    Source: Kuss, Jaekel and Wichmann, Journal of Vision 5 (2005) 478-492.
     """
     thresholds, likelihood = log_likelihoods(levels, right, lapse)
     unique_levels = np.unique(np.asarray(levels, np.float64))
@@ -91,7 +113,10 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
 
 
 def log_likelihoods(levels: ArrayLike, right: ArrayLike, lapse: float) -> tuple[Array, Array]:
-    """Return the grid of thresholds (300,), and the log likelihood of answers (300, 40) on it and on SLOPES."""
+    """Return the grid of thresholds (300,), and the log likelihood of answers (300, 40) on it and on SLOPES.
+
+    Raises ValueError if there are no answers.
+    """
     unique_levels, index = np.unique(np.asarray(levels, np.float64), return_inverse=True)
     if not len(unique_levels):
         raise ValueError("no answers: nothing to fit")

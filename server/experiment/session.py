@@ -47,7 +47,10 @@ class Session:
         folder.begin(self.experiment, self.conditions, self.trials)
 
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask for consent and the surveys before the first trial, then show the instructions."""
+        """Ask for consent and the surveys before the first trial, then show the instructions.
+
+        Raises Stopped if the participant does not agree.
+        """
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
             answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
@@ -90,7 +93,10 @@ class Session:
             journal.write("finished", trials=len(self.trials))
 
     def _ask_surveys(self, at: str, block: int, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask the unanswered questions that are due after a block (0: none)."""
+        """Ask the questions that are due and have no answer in the journal.
+
+        block  number of the block that has ended, 0: none
+        """
         block_conditions = [
             trial.condition for trial, number in zip(self.trials, self._blocks, strict=True) if number == block
         ]
@@ -195,4 +201,5 @@ def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
 
 
 def is_right_answer(trial: PlannedTrial, answer: str | float) -> bool:
+    """Return True if the answer to a comparison names the test stimulus, not the reference."""
     return (answer == "first") == trial.test_first

@@ -150,6 +150,7 @@ class Forward:
         return counts
 
     def close(self) -> None:
+        """Disconnect all; may be called repeatedly."""
         self._files.close()
 
 

@@ -33,7 +33,10 @@ class Action(NamedTuple):
 
 
 class Ledger:
-    """Record of the installed files below `root` with a hash of each content, stored in the file `record`."""
+    """Record of the installed files below `root` with a hash of each content, stored in the file `record`.
+
+    Raises ConfigError if the record cannot be read.
+    """
 
     def __init__(self, root: Path, record: Path) -> None:
         self._root, self._record = root, record

@@ -50,7 +50,10 @@ SYSTEM: Final = InstallPaths(
 
 
 def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
-    """Return the places by the XDG base directories."""
+    """Return the places by the XDG base directories.
+
+    Raises ConfigError if one of them needs a home folder and there is none.
+    """
 
     def folder(name: str, fallback: str) -> Path:
         value = environment.get(name, "")
@@ -77,7 +80,10 @@ def install_paths(system: bool) -> InstallPaths:
 
 
 def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
-    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs."""
+    """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs.
+
+    Raises the errors of loading the rig or the scene.
+    """
     from softfinger.server.cli import completion
 
     load_scene(scene)
@@ -109,9 +115,9 @@ def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
 
 
 def first_private_folder(words: Sequence[str]) -> Path | None:
-    """Return the first folder that only its owner may enter, or None.
+    """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
 
-    Looks on the path of a program, its interpreter or its files.
+    Returns None if there is none.
     """
     for path in (Path(word) for word in (*words, os.path.realpath(sys.executable)) if word.startswith("/")):
         for folder in reversed(path.parents):

@@ -143,6 +143,7 @@ class Servo:
         return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
 
     def start(self) -> None:
+        """Start the thread and return at once."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -243,6 +244,7 @@ class Servo:
                 raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
 
     def check_running(self) -> None:
+        """Raise SafetyStop unless the loop is ticking."""
         if not self._armed or self._ended is not None:
             raise SafetyStop("the servo does not run: nothing can be replaced")
 

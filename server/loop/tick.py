@@ -75,6 +75,7 @@ class Output(NamedTuple):
 
 
 def begin(scene: Scene) -> Memory:
+    """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(
         FingerMemory(finger, INITIAL_GUARD_STATE, NO_ENERGY, INITIAL_LIMITS, no_reactions(scene.bodies, finger))

@@ -104,8 +104,16 @@ class FingerCounts:
 class MetricsCollector(Collector):
     """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    fingers               names of several fingers; one empty name for a single finger
-    wire, written, state  return the counts of the publisher and of the recordings, and the state of the daemon
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    wire
+        Returns the counts of the publisher.
+    written
+        Returns the counts of the recordings.
+    state
+        Returns the state of the daemon.
     """
 
     def __init__(

@@ -141,7 +141,10 @@ def make_touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
 def measure(
     scene: schema.Scene, poses: Array, blocks: int = 50, done: Callable[[int], None] = lambda number: None
 ) -> Cost:
-    """Measure the cost of a step of `scene` over `poses`; `done` gets the number of measured blocks."""
+    """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary.
+
+    `done` is called with the number of blocks that are measured.
+    """
     tree = build_scene(scene)
     parameters, state = packed(tree), packed(start_state(tree))
     stretches = max(1, len(poses) // STRETCH_STEPS)

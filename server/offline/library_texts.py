@@ -41,7 +41,10 @@ def library_table(kind: str, name: str) -> Any:
 
 
 def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
-    """Return rows for `check`, if any: the entry that a table of a scene names, and the values that differ from it."""
+    """Return rows for `check`: the entry that a table of a scene names, and the values that differ from it.
+
+    Returns no rows if the table names none.
+    """
     kind = "fingertip" if isinstance(table, Form) else "material"
     library, mapping = LIBRARIES[kind], describe(table)
     name = mapping.get(library.key)

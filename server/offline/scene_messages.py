@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 class SceneMessages:
     """Collects the messages of a run with simulated time.
 
+    scene    None: no messages
     pending  topics and messages, maps as on the wire, in order of time; the consumer removes them
     """
 

@@ -58,9 +58,20 @@ def tick_many(
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     """Run the servo's tick over poses, and return the records that the daemon would produce.
 
-    poses    (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers
-    returns  (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE); the timestamp is the tick times dt, and the fields of servo
-             timing and device are 0
+    Parameters
+    ----------
+    tuning
+        Scene and guard.
+    poses
+        (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers.
+    rate_hz
+        Ticks per second.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of servo
+        timing and device are 0.
     """
     finger_poses = poses[:, None] if poses.ndim < 3 else poses
     records, at = np.empty((*finger_poses.shape[:2], RECORD_SIZE)), 0
@@ -73,7 +84,10 @@ def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
 def simulate_poses(
     tuning: Tuning, poses: Array, rate_hz: float, messages: SceneMessages = NO_MESSAGES
 ) -> Iterator[Array]:
-    """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks.
+    """Simulate poses (n, fingers, 7), and yield the records in blocks (m, fingers, RECORD_SIZE).
+
+    A block has at most CHUNK ticks. A caller that processes each block at once needs the memory of one for a run of any
+    length.
 
     messages  receives the messages of the scene's topics; those of a block are complete when it is yielded
     """
@@ -178,10 +192,29 @@ def simulate_recordings(
 
 
 def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
-    """Load and resample the poses of all fingers (n, fingers, 7), as long as the shortest recording.
+    """Load and resample the poses of all fingers.
 
-    The empty name in `recordings` refers to the recording of a single finger, or to an MCAP recording of all fingers.
-    Raises ConfigError unless each finger has a recording.
+    Parameters
+    ----------
+    fingers
+        Names of the scene's fingers.
+    recordings
+        Recording of each finger by name. The empty name refers to the recording of a single finger, or to an MCAP
+        recording of all fingers.
+    rate_hz
+        Ticks per second of the result.
+
+    Returns
+    -------
+    Array
+        Poses (n, fingers, 7), as long as the shortest recording.
+
+    Raises
+    ------
+    ConfigError
+        Unless each finger has a recording.
+    RecordingError
+        If a recording is unusable.
     """
     has_fingers = len(fingers) > 1
     has_one_file = set(recordings) == {""} and (not has_fingers or Path(recordings[""]).suffix.lower() == ".mcap")
@@ -202,7 +235,10 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
 def simulate_devices(
     scene: schema.Scene, rig: schema.Rig, seconds: float, messages: SceneMessages = NO_MESSAGES
 ) -> Iterator[Array]:
-    """Simulate a scene with the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE)."""
+    """Simulate a scene with the rig's simulated devices, and yield records in blocks (m, fingers, RECORD_SIZE).
+
+    Raises ConfigError if a device is not simulated, or if a finger has no device.
+    """
     # Compiled on import, which a run over poses does not need.
     from softfinger.server.offline.closed_loop import run_closed_loop
 

@@ -92,6 +92,7 @@ def _size(item: ObjectBase) -> str:
 
 
 def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+    """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"
     if material.friction is not None:

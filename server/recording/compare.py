@@ -273,8 +273,16 @@ def compare(
 ) -> ReplayComparison:
     """Compare a replay with the recorded or other values.
 
-    against    values to compare with, (n,) or (n, size), by finger and key
-    tolerance  largest allowed difference of a component, N, N m or m; modes and objects must be equal
+    Parameters
+    ----------
+    run
+        Recording.
+    replayed
+        Its results with today's code.
+    against
+        Values to compare with, (n,) or (n, size), by finger and key.
+    tolerance
+        Largest allowed difference of a component, N, N m or m; modes and objects must be equal.
     """
     ticks = run.first["tick"].astype(np.int64)
     differs = np.zeros(len(ticks), dtype=bool)
@@ -370,6 +378,7 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
 
 
 def _rows_after(mask: Mask) -> list[int]:
+    """Return the row after each stretch of true values."""
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 

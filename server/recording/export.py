@@ -33,8 +33,21 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
     """Export every tick of a finger and return their number; the file appears only when it is complete.
 
     Columns are those of the recording, named as in telemetry, with components as `force[0]`. Poses have those of the
-    time, the tick, and the probe. Raises RecordingError if the recording cannot be read or has no ticks of this finger,
-    or the output cannot be written, and ConfigError if the suffix is unknown or its library is not installed.
+    time, the tick, and the probe.
+
+    Parameters
+    ----------
+    recording
+        File, or name of a shipped recording.
+    finger
+        Name of the finger; empty for a single finger.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, has no ticks of this finger, or the output cannot be written.
+    ConfigError
+        If the suffix is unknown or its library is not installed.
     """
     check_output(out)
     ticks = _read_finger(recording, finger)

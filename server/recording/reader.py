@@ -136,7 +136,13 @@ def translate_errors(path: str | Path, action: str = "written") -> Iterator[None
 
 
 def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
-    """Yield the contents of a recording in file order, followed by an End; report the progress."""
+    """Yield the contents of a recording in file order, followed by an End; report the progress.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a readable recording.
+    """
     with (
         translate_errors(path, "read"),
         open_input(path) as file,

@@ -71,7 +71,17 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
 
     The file appears complete or not at all. Long writes report their progress on stderr.
 
-    records  (n, RECORD_SIZE), or a mapping with records of equal length by finger name
+    Parameters
+    ----------
+    path
+        File to write or replace.
+    records
+        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
+
+    Raises
+    ------
+    RecordingError
+        If the records have another shape, or the file cannot be written.
     """
     by_finger = records if isinstance(records, Mapping) else {"": records}
     fingers = {name: np.asarray(each, dtype=np.float64) for name, each in by_finger.items()}
@@ -99,9 +109,24 @@ def write_blocks(
 
 
 def read_results(path: str | Path, finger: str = "") -> Array:
-    """Read records (n, RECORD_SIZE), equal bit for bit to those that `write_results` wrote.
+    """Read the records of a file from `write_results`.
 
-    An empty `finger` is that of a file of a single finger. Raises RecordingError also above RESULTS_MAX records.
+    Parameters
+    ----------
+    path
+        File with the ending .csv, .npz or .mcap.
+    finger
+        Name of the finger to read; empty for a file of a single finger.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())

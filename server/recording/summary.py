@@ -75,6 +75,11 @@ def summary(recording: str | Path) -> dict[str, Any]:
     dropped         ticks not written because the disk was too slow, if the file has a regular end
     events_dropped  events not written for the same reason
     lost            ticks that did not arrive over the wire
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a recording of this program.
     """
     path = find_recording(recording)
     fingers: dict[str, _Finger] = {}

@@ -37,7 +37,11 @@ _SEPARATORS: Final = {
 
 
 class _Dialect:
-    """Dialect of a table, from its rows so far: name of the separator, and whether it has decimal commas or points."""
+    """Dialect of a table, from its rows so far.
+
+    separator  name of the separator of cells, empty before the first row
+    commas     True for a decimal comma, False for a decimal point, as they occurred
+    """
 
     def __init__(self) -> None:
         self.separator = ""

@@ -84,9 +84,14 @@ class MessageSink(Protocol):
 class Topics:
     """Writer of a run's messages to their topics.
 
-    fingers        names of several fingers; one empty name for a single finger
-    scene          scene to draw in addition to the fingers; None: no scene
-    with_pictures  whether to write the topics for viewers
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    scene
+        Scene to draw in addition to the fingers; None: no scene.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(
@@ -124,6 +129,7 @@ class Topics:
             self.set_scene(driven_scene)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Write a message of a topic of the scene, a map as on the wire."""
         time_ns = event_time_ns(message)
         self._add(topic, TOPIC_TYPES[topic], time_ns, topic_message(topic, message))
         if self._with_pictures and topic == WORLD:
@@ -131,6 +137,7 @@ class Topics:
                 self._add(FRAME_TOPIC, FRAME, time_ns, frame)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
+        """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
         time_ns = event_time_ns({"timestamp": time_s})
         self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
 
@@ -160,7 +167,16 @@ class Topics:
 class RecordingFile(Topics):
     """Recording in an unbuffered file, which `close` closes; errors of the file are raised unchanged.
 
-    about  tables of metadata by name; the scene in `scene` is drawn
+    Parameters
+    ----------
+    file
+        Open, empty file.
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    about
+        Tables of metadata by name; the scene in `scene` is drawn.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(

@@ -47,6 +47,7 @@ class Worker(ABC):
 
     @property
     def native_id(self) -> int | None:
+        """Native id of the thread; None before it is started."""
         return self._thread.native_id
 
     def start(self) -> None:

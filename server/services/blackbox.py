@@ -33,6 +33,10 @@ class BlackBoxes(Worker):
     """Service that stores the latest records and events, and writes them to a file after a fault.
 
     No thread waits for it.
+
+    servo     source of the ticks
+    fingers   names of several fingers, an empty name for a single one
+    describe  returns the description of the run, for the file
     """
 
     def __init__(self, servo: Servo, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:

@@ -68,6 +68,9 @@ class CommandHandlers:
     """Handlers of all methods, each named as its method. They return the result or raise an exception.
 
     `set_scene` and `reset_world` return before the scene is compiled, and call `on_result` later.
+
+    endpoint    of the commands
+    scene_name  name of the initial scene
     """
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:

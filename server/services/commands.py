@@ -43,7 +43,10 @@ DEFERRED: Final = frozenset({"set_scene", "reset_world"})
 
 
 class CommandService:
-    """Service that answers the requests of an endpoint."""
+    """Service that answers the requests of an endpoint.
+
+    scene_name  name of the initial scene
+    """
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
         self.endpoint: Final = endpoint

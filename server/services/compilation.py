@@ -49,7 +49,12 @@ class NotCompiled(HapticError):
 
 
 class SceneRequest(NamedTuple):
-    """Request to replace the scene."""
+    """Request to replace the scene.
+
+    read  returns the validated scene
+    name  name of the scene
+    done  called with the first tick of the scene, or with the error
+    """
 
     read: Callable[[], schema.Scene]
     name: str

@@ -23,7 +23,9 @@ class Force:
     The loop applies the switch: it turns the force off within MAX_OFF_S, and on along the guard's ramp.
 
     unarmed  whether a person must arm first
+    states   updated with the reasons
     switch   memory of the servo's switch (`loop/force_switch.py`)
+    ticks    returns the number of ticks done
     """
 
     def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:

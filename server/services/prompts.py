@@ -17,6 +17,7 @@ class Prompts:
     """Current prompt, and whether it is open for an answer.
 
     publish  publishes a change made by a command: method, id of the request, change
+    ticks    returns the number of ticks started
     """
 
     def __init__(self, publish: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:
@@ -39,6 +40,7 @@ class Prompts:
         return self._current
 
     def answer(self, request: Request) -> wire.Applied:
+        """Store the answer; raises Declined if no question is open or the answer is not valid."""
         params: wire.Answer = request.params
         if not self._current.open or params.prompt not in (None, self._current.number):
             raise Declined("refused", "this question is not open, or not any more: answer the one that is shown")

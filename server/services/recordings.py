@@ -32,7 +32,13 @@ CLOSE_S: Final = 2.0
 
 
 class RecordingTotals(NamedTuple):
-    """Statistics of recordings; lost because the disk was too slow: `ticks_dropped`, `events_dropped`."""
+    """Statistics of recordings.
+
+    ticks, bytes    written
+    ticks_dropped   ticks lost because the disk was too slow
+    events_dropped  events lost because the disk was too slow
+    worst_write_s   duration of the longest write
+    """
 
     ticks: int
     bytes: int
@@ -52,7 +58,11 @@ class RecordingTotals(NamedTuple):
 
 
 class Recordings:
-    """Service that starts, feeds and ends recordings of a daemon."""
+    """Service that starts, feeds and ends recordings of a daemon.
+
+    fingers  names of several fingers, an empty name for a single one
+    event    publishes an event
+    """
 
     def __init__(self, rendering: Rendering, fingers: Sequence[str], event: Callable[..., Any]) -> None:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event

@@ -38,7 +38,12 @@ class Sink(NamedTuple):
 class RecordService(Worker):
     """Service that reads the relay's tap, from the servo's start to the last record after its end.
 
-    A sink that failed is not called again. The service also releases the servo, which must outlive its reader.
+    tap    source of the records
+    sinks  consumers, in the order of their calls; a sink that failed is not called again
+    fail   ends the run with an error
+    event  publishes an event
+
+    It also releases the servo, which must outlive its reader.
     """
 
     def __init__(

@@ -61,12 +61,16 @@ def _acquire(lock: threading.Lock) -> Iterator[None]:
 class Rendering:
     """Service of a servo and its devices, which are opened on construction and closed by `stop` in any case.
 
-    All changes to the running servo are made here; this class knows the scene and whether the force is on. A failure of
-    the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and ConfigError if the
-    rig has no device for a finger; no device remains open then.
+    All changes to the running servo are made here; this class knows the scene and whether the force is on.
 
-    faults  faults to inject between the devices and the loop
-    states  updated with the reasons that keep the force off
+    rig, scene      validated configuration
+    ticks, prepare  as for `Servo`
+    faults          faults to inject between the devices and the loop
+    states          updated with the reasons that keep the force off
+    switch          as for `Servo`
+
+    A failure of the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and
+    ConfigError if the rig has no device for a finger; no device remains open then.
     """
 
     def __init__(
@@ -169,11 +173,24 @@ class Rendering:
 
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        changes  values by dotted key, as for `load_scene`
-        where    origin of the changes, for messages
-        returns  scene before and after, and a lower bound of the number of ticks started without the change
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as for `load_scene`.
+        where
+            Origin of the changes, for messages.
 
-        Raises ConfigError if a value is out of its range or would need another loop, Replacing during another change.
+        Returns
+        -------
+        tuple[Scene, Scene, int]
+            Scene before and after, and a lower bound of the number of ticks started without the change.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of its range, or would need another loop.
+        Replacing
+            If another change is in progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
@@ -312,7 +329,10 @@ class Rendering:
         shutdown.stop_all(self.servo.devices)
 
     def _wait_ticks(self, count: int, timeout_s: float) -> bool:
-        """Wait for further ticks; False on a timeout. True if the loop ends, because the force is then zero."""
+        """Wait for a number of further ticks; return False on a timeout.
+
+        Returns True if the loop ends, because the force is then zero.
+        """
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
         while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:

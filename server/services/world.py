@@ -23,7 +23,11 @@ IDLE_S: Final = 0.2
 
 
 class WorldState(Worker):
-    """Service that reads the motion of the bodies from the servo."""
+    """Service that reads the motion of the bodies from the servo.
+
+    publish  publishes a message of a topic with the content of a tick
+    event    publishes an event
+    """
 
     def __init__(
         self, servo: Servo, publish: Callable[[str, int, dict[str, Any]], None], event: Callable[..., Any]

@@ -322,6 +322,7 @@ def publish(channel: Channel) -> None:
 
 
 def _setup(channel: Channel) -> ProcessSetup | None:
+    """Return the first message from the daemon; None if the daemon has exited."""
     while not channel.ended:
         select.select([channel], [], [])
         for message in channel.receive():

@@ -99,6 +99,7 @@ class Board:
 
     @property
     def silent_s(self) -> float:
+        """Time since the last message, s."""
         return time.monotonic() - self._arrived_s
 
     @property

@@ -28,6 +28,7 @@ class LowDofDevice(NamedTuple):
     offset: Array
 
     def displayed_force(self, row: Array) -> Array:
+        """Return the part (3,) N of a tick's force that the device displays."""
         position, force = (row[at : at + 3] for at in (AT.probe_position, AT.force))
         return self.freedom.project_force(position - self.offset, force)
 

@@ -248,6 +248,7 @@ class HandControls:
         return self._fingers[finger].radius
 
     def chosen_finger(self) -> str | None:
+        """Return the name of the chosen finger, which may be empty; None if no finger can be moved."""
         return self._chosen_finger() if self._fingers else None
 
     def send_target(self, finger: str, target: Target) -> None:

@@ -272,6 +272,7 @@ class LivePage:
 
 
 def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
+    """Return the visible part of a scene, without the poses of driven objects, which events report."""
     plain, driven = describe(scene), initial_poses(scene)
     objects = [
         {

@@ -91,8 +91,14 @@ AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, as
 class Page:
     """Page on `host`:`port`, or the next free port; a data source, such as `LivePage`, updates it.
 
-    allowed  further host names of the page
-    token    secret part of the address, reused from a previous page; None: a new one
+    Parameters
+    ----------
+    host, port
+        Address to listen on.
+    allowed
+        Further host names of the page.
+    token
+        Secret part of the address, reused from a previous page; None: a new one.
     """
 
     def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
@@ -136,6 +142,7 @@ class Page:
         self.server.gui.add_html(PROMPT_STYLE)
 
     def add_views(self) -> None:
+        """Add the tabs for view settings and plots; call after the data source has added its tabs."""
         gui, looks = self.server.gui, self.looks
         with self.tabs.add_tab("Show"):
             for name, text in (
@@ -151,7 +158,17 @@ class Page:
         self._plots = Plots(gui, self.tabs.add_tab("Plots"))
 
     def change(self, scene: schema.Scene, start: SceneStart, devices: Mapping[str, LowDofDevice] = NO_DEVICES) -> None:
-        """Replace the scene and all its nodes; `devices` display only a part of the force, by finger name."""
+        """Replace the scene and all its nodes.
+
+        Parameters
+        ----------
+        scene
+            New scene.
+        start
+            Start of the scene.
+        devices
+            Devices that display only a part of the force, by finger name.
+        """
         with self.server.atomic():
             for nodes in self.fingers.values():
                 nodes.remove()
@@ -225,6 +242,7 @@ class Page:
             self._set_camera()
 
     def show(self, ticks: dict[str, Array]) -> None:
+        """Show the new ticks (n, RECORD_SIZE) of each finger."""
         new_rows = {name: rows for name, rows in ticks.items() if name in self.fingers and len(rows)}
         for name, rows in new_rows.items():
             self._newest[name] = rows[-1]
@@ -261,6 +279,7 @@ class Page:
             client.add_notification(title, text, auto_close_seconds=NOTIFICATION_S, color="orange")
 
     def clear_message(self, text: str) -> None:
+        """Hide the message above the controls if it is `text`."""
         if self._message.content == text:
             self.show_message("")
 
@@ -329,10 +348,15 @@ def parse_scene(description: dict[str, Any]) -> schema.Scene:
 
 
 def run_frames(work: Callable[[float], None], stop_requests: list[bool], duration: float | None) -> None:
-    """Call `work(dt)` about 30 times per second for at most `duration` s, and no faster than the page is drawn.
+    """Call `work(dt)` about 30 times per second, and no faster than the page is drawn.
 
-    Stops once `stop_requests` has an element. It is a list, because a signal handler may add to it: the lock of an
-    Event could be locked by the interrupted thread.
+    Parameters
+    ----------
+    stop_requests
+        Stops the loop once it has an element. A list, because a signal handler may add to it: the lock of an Event
+        could be locked by the interrupted thread.
+    duration
+        Maximum duration, s; None: no limit.
     """
     gc.freeze()  # existing objects are permanent: exclude them from collections
     start_s = last = collected = time.monotonic()

@@ -68,6 +68,7 @@ class Play:
         self._rows[finger] = row
 
     def step(self, dt: float) -> None:
+        """Advance the gesture by `dt` s."""
         if self._queued and self._scene is not None and len(self._rows) == len(self._scene.fingers):
             name, self._queued = self._queued, ""
             obstacle = self._try_start(name)
@@ -96,6 +97,7 @@ class Play:
             self._queue(event.target.value)
 
     def _queue(self, name: str) -> None:
+        """Start a gesture after all hands have stopped at their goals."""
         self._hand.hold_then(partial(setattr, self, "_queued", name))
 
     def _try_start(self, name: str) -> str:

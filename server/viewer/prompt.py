@@ -85,6 +85,7 @@ class PromptPanel:
         self._received = prompted
 
     def step(self) -> None:
+        """Show the received prompt; from the thread that draws."""
         received, self._received = self._received, None
         if received is None or received == self._shown_prompt:
             return

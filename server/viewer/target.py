@@ -85,6 +85,7 @@ def move_towards(position: Array, centre: Array, distance_m: float) -> Array:
 
 
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
+    """Return the rotation about the world axes x, then y, then z; rad."""
     x, y, z = np.eye(3)
     return product(
         axis_angle_rotation(z, spin), product(axis_angle_rotation(y, roll_y), axis_angle_rotation(x, roll_x))

@@ -85,10 +85,12 @@ class Events:
         self._rate_hz = rate_hz
 
     def before(self, row: int) -> int | None:
+        """Return the row of the last event before a row."""
         index = bisect_left(self._rows, row)
         return self._rows[index - 1] if index else None
 
     def after(self, row: int) -> int | None:
+        """Return the row of the first event after a row."""
         index = bisect_right(self._rows, row)
         return self._rows[index] if index < len(self._rows) else None
 

@@ -86,6 +86,7 @@ class SceneControls:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
     def show(self) -> None:
+        """Show the current values, also after a command was refused."""
         if self._scene is None:
             return
         for knob in self._knobs.values():

@@ -249,6 +249,7 @@ def subscribe(
 
 
 def explain_no_telemetry(endpoint: str, waited_s: float) -> str:
+    """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
         "has it compiled its scene, and is this its [telemetry] endpoint?"

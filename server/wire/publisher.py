@@ -165,6 +165,7 @@ class Publisher(Closeable):
 
     @property
     def native_id(self) -> int | None:
+        """Native id of the thread that passes ticks on."""
         return self._relay.native_id
 
     @property

@@ -253,6 +253,8 @@ def test_invalid_forwarding_options_are_refused(
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
+    """With CLIENTS_MAX clients, another one ends the connection of the client with the oldest last request, not of the
+    one that connected first."""
     with contextlib.ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stack.callback(context.destroy, 0)

@@ -91,6 +91,10 @@ def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
 
 
 def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> None:
+    """`warmup` reuses the loop from a daemon's compiler; after it neither it nor a daemon compiles anything.
+
+    `step_many`, which `Engine` calls, and the loop have the same kernels of contact: the second of them adds none.
+    """
     scene, cache, told = fresh
     before = kept(cache)
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}

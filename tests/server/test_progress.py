@@ -134,6 +134,8 @@ def test_long_waits_show_their_share(
 
 
 def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share of an operation is added to the current step of the outer one, also over several levels, and never
+    decreases."""
     shown = collect_shares(monkeypatch)
     with display.progress("outer", 2) as done:
         with display.progress("inner", 4) as inner_done:

@@ -65,6 +65,10 @@ def rig(tmp_path: Path) -> str:
 
 
 def test_the_driver_contract() -> None:
+    """All tests of the contract pass over the node, without a skip.
+
+    They run on the bus, where an unread report delays the next: uhid drops reports beyond its queue without an error.
+    """
     with gadget("woodenhaptics", place=[0.0, 0.0, 0.02]) as arm:
         said, code = contract(Path(contract_hid.__file__), arm)
     assert code == 0, said

@@ -21,6 +21,8 @@ def listed() -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
 def test_the_fingertip_follows(reports: str, tmp_path: Path) -> None:
+    """A deflected puck is found and opened, the fingertip moves down and to the right into the plane, buttons are read,
+    and the lamp is switched on and off."""
     kept = tmp_path / "records.npy"
     with gadget("puck", reports=reports, push={"up": -200, "right": 100}, buttons=5) as puck:
         (found,) = listed()

@@ -85,7 +85,10 @@ def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices)
 
 
 def _ears(points: Points, corners: Indices) -> Indices:
-    """Return the triangles (k - 2, 3) of a concave face of k corners by cutting ears off, the last ones as a fan."""
+    """Return the triangles (k - 2, 3) of a concave face of k corners, by cutting ears off.
+
+    A face that crosses itself has no right division: a remainder without ears becomes a fan.
+    """
     outline = points[corners]
     normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
     axis = int(np.abs(normal).argmax())

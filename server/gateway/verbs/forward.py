@@ -27,6 +27,7 @@ log: Final = logging.getLogger(__name__)
 
 
 def run(args: argparse.Namespace) -> int:
+    """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: add --to, --commands-to or --lsl")
     upstream = None if args.server_key is None else keys.keys_from_options(args)

@@ -54,6 +54,7 @@ class Rings:
         wait_for_eventfd(self.wake_fd)
 
     def take(self, out: NDArray[np.float64]) -> int:
+        """Move the oldest records into `out` (n, width), a row per tick; returns the number of rows."""
         is_complete = len(self._rings) > 1  # read before the ring is emptied: a finished loop adds no record
         count = int(take(self._rings[0], out))
         if count == 0 and is_complete:

@@ -54,7 +54,15 @@ class RecordingJob(NamedTuple):
 
 
 def record_live(job: RecordingJob, path: Path) -> str:
-    """Record into a new file until the first of several causes ends the recording; return a report in one line."""
+    """Record into a new file until the first of several causes ends the recording; return a report in one line.
+
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
+    RecordingError
+        If the file exists or cannot be written.
+    """
     with subscribe_all(job) as wire:
         first_samples, fingers, about = receive_first(wire, job)
         with translate_errors(path):
@@ -107,6 +115,7 @@ class TickBatcher:
         self.end_reason = ""
 
     def take(self, sample: Sample) -> None:
+        """Process the next message; set `end_reason` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
             self.receiver.event(sample.data)
@@ -178,7 +187,13 @@ def subscribe_all(job: RecordingJob) -> Subscription:
 
 
 def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:
-    """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none."""
+    """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
+
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
+    """
     first_samples = _receive_full_tick(wire, job)
     fingers = list(dict.fromkeys(finger for sample in first_samples if (finger := finger_of(sample.topic)) is not None))
     return first_samples, fingers, _description(job) | {"every": first_samples[-1]["every"]}

@@ -121,7 +121,10 @@ def _from_file(path: Path, past: Run) -> Against:
 
 
 def _read_forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
-    """Read the forces written by the replay device: index of the read before each, and wrench; None for other files."""
+    """Read a file of forces written by the replay device: index of the read before each force, and wrench.
+
+    Returns None for other files.
+    """
     try:
         if path.suffix.lower() == ".npz":
             with open_input(path) as file:

@@ -63,8 +63,21 @@ class PageProcess:
     Waits for the address of the page and logs it. A page that prints no address within START_TIMEOUT_S is killed. A
     page that crashes is restarted at the same address, at most RESTARTS times, so that an open browser can continue.
 
-    log_options  options for the log level of the page
-    on_event     called with a sentence when the page has crashed or restarted
+    Parameters
+    ----------
+    telemetry, commands
+        Endpoints of the daemon.
+    log_options
+        Options for the log level of the page.
+    on_event
+        Called with a sentence when the page has crashed or restarted.
+    role
+        Role of the user.
+
+    Raises
+    ------
+    ConfigError
+        If `commands` is None.
     """
 
     def __init__(
@@ -122,6 +135,7 @@ class PageProcess:
             timer.cancel()
 
     def supervise(self) -> None:
+        """Restart a crashed page, or report its exit once."""
         if self._is_final or (code := self._process.poll()) is None:
             return
         text = f"the page has ended, with exit code {code}; the servo continues"
@@ -137,7 +151,10 @@ class PageProcess:
             self._on_event(text)
 
     def _restart(self) -> bool:
-        """Restart the page at its port, with its token; False if the system has no resources left for now."""
+        """Restart the page at its port, with its token, without opening a browser.
+
+        Returns False if the system has no file descriptor, process or memory left; the next `supervise` tries again.
+        """
         url = urlsplit(self._address)
         try:
             self._process = self._spawn(url.path.strip("/"), "--port", str(url.port), "--no-open")

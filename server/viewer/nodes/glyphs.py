@@ -59,6 +59,7 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
 
 
 def rotation_to(normal: Array) -> Quaternion:
+    """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
         return (0.0, 1.0, 0.0, 0.0)
@@ -113,10 +114,12 @@ class Trace:
 
     @property
     def segments(self) -> Array:
+        """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
         return self._segments[: self._padded_count()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
+        """Colours of the segments (n, 2, 3)."""
         return self._colours[: self._padded_count()]
 
     def _padded_count(self) -> int:

@@ -44,7 +44,10 @@ class Looks:
     patches: bool = True
 
     def arrow(self, largest_n: float) -> float:
-        """Return the scale of the arrows, N/cm: the setting, or a rounder one at which the largest force fits."""
+        """Return the scale of the arrows, N/cm.
+
+        It is the setting or, if the largest force (N) would not fit the screen, the next round number at which it does.
+        """
         least = largest_n / ARROW_MAX_CM
         if self.newtons_per_cm >= least:
             return self.newtons_per_cm

@@ -163,6 +163,7 @@ class Tap:
 
     @property
     def failed(self) -> bool:
+        """Whether the thread of the relay has failed."""
         return self._failed.is_set()
 
     @property
@@ -228,6 +229,7 @@ class Relay:
 
     @property
     def native_id(self) -> int | None:
+        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: RecordSource) -> None:
@@ -284,6 +286,7 @@ class Relay:
 
 @entry
 def pass_on_rows(state: RelayState, rows: NDArray[np.float64]) -> None:
+    """Call `pass_on` for rows (n, width) from Python."""
     pass_on(state, rows, len(rows))
 
 
