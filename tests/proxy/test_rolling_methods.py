@@ -27,11 +27,17 @@ from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.accuracy.reference import roll_in_frame
+from softfinger.tools.accuracy.reference import roll_path
 
 pytestmark = pytest.mark.plain
 
 CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
+
+
+def integrated(shape: Any, radius: float, center: Any, normal: Any, w: Any) -> tuple[Any, Any, float]:
+    """Return centre (3,) m, normal (3,) and spin (rad) after one second at the rate `w`."""
+    points, normals, spins = roll_path(shape, radius, center, normal, lambda _: w, 1.0).at(np.array([1.0]))
+    return points[0] + radius * normals[0], normals[0], float(spins[0])
 
 
 @pytest.mark.sampled(5)
@@ -43,7 +49,7 @@ def test_rotation_vector_is_exact(name: str) -> None:
         center, normal = touching(shape, rng)
         w = rotation(rng)
         out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
-        end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, n, spin = integrated(shape, RADIUS, center, normal, w)
         worst = max(worst, np.abs(np.array(out.center) - end).max(), RADIUS * np.abs(np.array(out.normal) - n).max())
         worst = max(worst, RADIUS * abs(out.spin - spin))
     # Rounding, the reference's error of 1e-13, and 1e-12 rad of integrated spin across the rim of a cylinder.
@@ -61,7 +67,7 @@ def test_rotation_vector_is_exact_from_barrel_and_end_of_a_cylinder(begins: str)
             center, normal = (rng.uniform(-1.0, 1.0) * shape.radius, 0.0, out_of[1]), (0.0, 0.0, 1.0)
         w = rotation(rng)
         out = rolled_by(METHODS["rotation_vector"], shape, center, normal, w)
-        end, n, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, n, spin = integrated(shape, RADIUS, center, normal, w)
         leaves = abs(out.normal[2] - normal[2]) > 1e-9  # the normal's z component changes only on the rim
         past = leaves and abs(out.normal[2]) in (0.0, 1.0)
         crossed += leaves
@@ -83,7 +89,7 @@ def test_rotation_vector_at_all_sizes(scale: float) -> None:
         out = roll(METHODS["rotation_vector"], shape, scale, center, n, rotations.exp(w))
         # The reference integrates in units of the fingertip radius, for which its tolerances are meant.
         unit = shape._replace(radius=shape.radius / scale)
-        end, _, _ = roll_in_frame(unit, 1.0, np.array(center) / scale, n, lambda _, w=w: w)
+        end, _, _ = integrated(unit, 1.0, np.array(center) / scale, n, w)
         assert np.abs(np.array(out.center) / scale - end).max() < 1e-11
 
 
@@ -95,7 +101,7 @@ def test_step_control_reaches_its_tolerance(name: str) -> None:
         center, normal = touching(shape, rng)
         w = rotation(rng)
         out = rolled_by(METHODS["montana_rk45"], shape, center, normal, w)
-        end, _, spin = roll_in_frame(shape, RADIUS, center, normal, lambda _, w=w: w)
+        end, _, spin = integrated(shape, RADIUS, center, normal, w)
         # 1e-10 of the radius; the error estimate is rougher at jumps of the curvature and does not cover the spin.
         assert np.abs(np.array(out.center) - end).max() < 1e-12
         assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
@@ -106,7 +112,7 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     rng = np.random.default_rng(seed)
     center, normal = touching(shape, rng)
     w = rotation(rng, 1.5, 1.5)
-    end, _, _ = roll_in_frame(shape, RADIUS, center, normal, lambda _: w)
+    end, _, _ = integrated(shape, RADIUS, center, normal, w)
     ends = [np.array(rolled_by(method, shape, center, normal, w, n).center) for n in ticks]
     return [float(np.linalg.norm(found - end)) for found in ends]
 
