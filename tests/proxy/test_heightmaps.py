@@ -355,6 +355,28 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
     np.testing.assert_allclose(over["force"], ball["force"], rtol=0, atol=2e-4)
 
 
+@pytest.mark.sampled(1)
+@pytest.mark.scaled
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]
+)
+def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
+    """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
+    and 25 000 on all in `make test-all`."""
+    pitch, heights = MAPS[name]
+    half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
+    poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
+    records = engine(part(tmp_path, heights, pitch)).run(poses)
+    touches = records[:, AT.contact_mode] > 0
+    gaps = nearest(kernel_heightmap(heights, pitch), records["proxy.position"][touches])[:, 0]
+    assert 0.1 < touches.mean() < 0.98
+    assert gaps.min() >= R * (1.0 - 1e-9)  # tolerance of contact, see sweep.TOUCHING
+    assert np.isfinite(records).all()
+    # Coulomb: the tangential force is within the friction cone.
+    normal = records[touches, AT.contact_normal_force]
+    assert (records[touches, AT.contact_tangential_force] <= 0.6 * normal + 1e-12).all()
+
+
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
     """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
     both."""

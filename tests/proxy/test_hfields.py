@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,8 @@ from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.scene import start_state
-from softfinger.server import cli
+from softfinger.server import cli, surface_meshes
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 
 pytestmark = pytest.mark.plain
 
@@ -164,7 +167,9 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
     assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in output
 
 
-def test_the_picture_has_a_vertex_for_each_height(tmp_path: Path) -> None:
+def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
+    """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
+    viser = pytest.importorskip("viser")
     path = str(written(tmp_path, joint="<freejoint/>"))
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
     (thing,) = scene.object
@@ -174,3 +179,40 @@ def test_the_picture_has_a_vertex_for_each_height(tmp_path: Path) -> None:
     x, y = (PITCH * (np.arange(n) - 0.5 * (n - 1)) for n in (COLUMNS, ROWS))
     expected = np.stack([*np.meshgrid(x, y), elevations_m()], axis=-1).reshape(-1, 3)
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
+    server = viser.ViserServer(port=0, verbose=False)
+    try:
+        bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
+        bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
+        half = math.sqrt(0.5)  # rotate the body so that the geom has the same orientation in the world as in its frame
+        turn, back = np.empty(4), np.empty(4)
+        mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
+        mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
+        offset = np.empty(3)
+        mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
+        bodies.move_bodies({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
+            foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
+            assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)
+    finally:
+        server.stop()
+
+
+@pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, the scene takes a minute")
+def test_a_recorded_contact_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A press and drag over the hills of a free body gives the same forces in every tick of a replay."""
+    written(tmp_path, joint="<freejoint/>")
+    scene, poses, file = (str(tmp_path / name) for name in ("hills.toml", "poses.csv", "run.mcap"))
+    material = "stiffness_n_per_m = 500.0, damping_ns_per_m = 2.0, friction = { static = 0.6, kinetic = 0.5 }"
+    Path(scene).write_text(
+        f'[fingertip]\nradius_m = {R}\n[rolling]\nmethod = "midpoint"\n'
+        f'[world]\nmodel = "hills.xml"\nmaterial = {{ {material} }}\n'
+    )
+    share = np.linspace(0.0, 1.0, 200)
+    way = np.zeros((200, 8))
+    way[:, 0], way[:, 1], way[:, 4] = 1e-3 * np.arange(200), 0.02 + 0.01 * share, 1.0
+    way[:, 2], way[:, 3] = 0.03, 0.09 - 0.03 * share
+    np.savetxt(poses, way, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    assert cli.main(["simulate", "--scene", scene, "--poses", poses, "--out", file]) == 0
+    assert "no contact" not in capsys.readouterr().out
+    assert cli.main(["replay", file, "--scene", scene, "--tolerance", "0", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["compared"] == 200

@@ -30,6 +30,8 @@ GRIP = {
 SLICK = {"stiffness_n_per_m": 1000.0}
 TURNED = [0.8, 0.36, 0.48, 0.0]
 HALF = np.array([0.02, 0.015, 0.01])
+quaternion = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
+shift = st.tuples(*[st.floats(0.1, 1.0)] * 3)  # never zero: a ball at the origin has no position to tune
 
 
 def numbers(rows, columns):
@@ -43,7 +45,7 @@ def numbers(rows, columns):
     )
 
 
-def scene(kind, material="grip"):
+def scene(kind, material="grip", at=(0.5, 0.5, 0.5)):
     stuff = {"grip": GRIP, "slick": SLICK, "springs": GRIP | {"damping_ns_per_m": 0.0}}[material]
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.02, "material": stuff}
     things = {
@@ -60,6 +62,7 @@ def scene(kind, material="grip"):
             },
         ],
         "ball": [ball],
+        "ball elsewhere": [ball | {"position_m": list(at)}],
         "hollow ball": [ball | {"radius_m": 0.05, "inside": True}],
         "rod": [ball | {"shape": "cylinder"}],
         "floor": [{"name": "floor", "shape": "plane", "material": stuff}],
@@ -240,6 +243,32 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
     moment = np.abs(K_Z * column(records, "contact.spin"))[1:]
     missed = np.cumsum((force * way + moment * turned) * way / reach + 0.5 * 1000.0 * (way**2 / reach) ** 2)
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
+
+
+@pytest.mark.scaled
+@examples(40)
+@given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
+def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
+    """Results move with a rigid motion of scene and hand."""
+    turned = np.asarray(q) / np.linalg.norm(q)
+    turn, center = matrix(turned), np.asarray(moved)
+    # Starts outside: a first pose at the centre of the ball has no normal except the coordinates'.
+    poses = visits((0.05, 0.02, 0.03), found[:count])
+    one = visit(engine("ball"), poses)
+    there = engine("ball elsewhere")
+    there.tune(scene("ball elsewhere", at=center.tolist()))
+    other = visit(there, np.hstack([poses[:, :3] @ turn.T + center, multiply(turned, poses[:, 3:])]))
+    modes = column(one, "contact.mode") == column(other, "contact.mode")
+    same = len(modes) if modes.all() else int(np.argmin(modes))
+    if same < len(modes):
+        # Modes differ only at a threshold to the last digit: that of contact, or the friction cone.
+        room = 0.6 * column(one, "contact.normal_force") - column(one, "contact.tangential_force")
+        assert abs(np.linalg.norm(poses[same, :3]) - 0.03) < 1e-9 or abs(room[same]) < 1e-9
+    one, other = one[:same], other[:same]
+    # Rounding of coordinates up to 1 m, relative to a radius of 10 mm, over a few ticks, times 1000 N/m.
+    for name, shifted, error in (("force", 0.0, 1e-9), ("torque", 0.0, 1e-9), ("proxy.position", center, 1e-12)):
+        expected = column(one, name, 3) @ turn.T + shifted
+        assert np.abs(column(other, name, 3) - expected).max() < error, name
 
 
 @pytest.mark.scaled

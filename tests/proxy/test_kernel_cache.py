@@ -204,6 +204,22 @@ def test_a_program_runs_on_a_full_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive
+@as_root
+def test_a_disk_without_room(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8k,mode=0700", "tmpfs", str(disk)]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("this sandbox may not mount")
+    try:
+        printed, log = start(PACKAGE_KERNELS, disk / "cache")
+        assert printed == "runs True" and log.count("not cached") == 1 and "No space left" in log
+        assert start(PACKAGE_KERNELS, disk / "cache")[0] == "runs True"
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.exhaustive
 def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     command = [sys.executable, "-B", str(scripts / "outer.py")]

@@ -11,9 +11,38 @@ import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
 from helpers.touching import SLIPPERY, R, engine, field, go, saved, spun, thing, wander
+from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
+
+
+@pytest.mark.plain
+@pytest.mark.scaled
+def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
+    """Pressed, dragged and turned over faces, edges and corners, a mesh gives the forces of the shape box.
+
+    On a face they agree to rounding. Round an edge the proxy lags by the remainder of two projections per tick, below 5
+    % of its step of 0.1 mm. If friction displaces the proxy, its position is on a chord, above the edge by e^2 / 2 r,
+    as is the contact point.
+    """
+    ticks = 4000
+    points = wander(1, ticks, 0.034)
+    points[:, 2] = 0.0295 + 0.1 * points[:, 2]
+    turned = spun((0.6, 0.0, 0.8), 0.8 * np.sin(np.arange(ticks) * 2e-3))
+    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
+    of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.025, 0.02)))
+    shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
+    some = slice(cases(1500, ticks))
+    mesh, solid = (go(engine(each, far), points[some], turned[some]) for each in (of_triangles, shape))
+    assert len(np.unique(field(solid, AT.contact_mode, 1))) == 3
+    for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 1e-4)):
+        np.testing.assert_allclose(field(mesh, at), field(solid, at), rtol=0.0, atol=left)
+    # On a single wall there is nothing to converge to, and the forces agree to rounding.
+    flat = (np.abs(field(solid, AT.contact_normal)) == 1.0).any(axis=1)
+    assert flat.mean() > 0.3
+    assert np.abs(field(mesh, AT.contact_normal_force, 1) - field(solid, AT.contact_normal_force, 1))[flat].max() < 1e-9
+
 
 METHODS = get_args(RollingMethod)
 
@@ -91,6 +120,19 @@ def test_a_faceted_sphere_converges_to_the_sphere(tmp_path):
     assert all(after < before / 3.0 for before, after in zip(coarse[:3], fine[:3], strict=True))
     shaded = errors_of_ball(tmp_path, 16, "normals")
     assert shaded[2] < 0.25 * coarse[2] and shaded[3] < 0.25 * coarse[3]
+
+
+def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
+    """In a hollow sphere just wider than the fingertip, all triangles are equally near: the proxy stays outside. It
+    follows when the hand moves."""
+    vertices, triangles = meshes.geodesic(60, 0.0101)
+    running = engine(thing("socket", "mesh", file=saved(tmp_path, vertices, triangles), inside=True))
+    out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
+    records = go(running, np.concatenate([np.zeros((50, 3)), out]))
+    assert np.isfinite(np.asarray(records)).all()
+    proxies = records["proxy.position"][::9]
+    assert brute_distances(balls_of(vertices, triangles), proxies).min() >= R * (1.0 - 1e-9)
+    assert records[-1, AT.force + 1] == pytest.approx(-2.9, abs=0.05)  # 3 mm less the clearance of 0.1 mm, at 1000 N/m
 
 
 def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):

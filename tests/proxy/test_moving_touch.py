@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from helpers.blocks import whole
 from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,8 +19,13 @@ from test_invariants import GRIP, HALF, SLICK, R, numbers, visits
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
+from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
+from softfinger.proxy.scene import build_scene
+from softfinger.server.loop.guard import Guard
+from softfinger.server.loop.tick import Tuning
+from softfinger.server.offline.closed_loop import run_closed_loop
 
 pytestmark = pytest.mark.plain
 
@@ -96,7 +102,7 @@ def test_a_rising_object_presses_on_the_finger(name: str, retreat: float) -> Non
     if name in ALONE:  # and with a motion of the object itself
         rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 4.0, "phase_rad": -np.pi / 2}
         records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (TICKS, 1))]), DT)
-        np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
+        np.testing.assert_allclose(column(records, "force", 3), expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
         assert causes(records) == ["touch", "release"]
 
 
@@ -152,6 +158,15 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
     step = driver.step(finger, ((0.0, 0.0, 0.001), UPRIGHT))
     np.testing.assert_allclose(step.force, [0.0, 0.0, K * 0.001], atol=ROUNDING_N)
     assert step.cause == "touch"
+
+
+def test_an_object_that_returns_touches_again() -> None:
+    """A plane that rises, sinks and rises again under a still finger makes two contacts, each from its first tick."""
+    driver = Driver(scene({"shape": "plane"}))
+    height = 0.002 * np.sin(2.0 * np.pi * np.arange(400) / 200.0)
+    steps = [driver.step((0.0, 0.0, R + 0.0005), ((0.0, 0.0, z), UPRIGHT)) for z in height]
+    np.testing.assert_allclose([s.force[2] for s in steps], K * np.maximum(height - 0.0005, 0.0), atol=ROUNDING_N)
+    assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"] * 2
 
 
 @pytest.mark.sampled(1)
@@ -230,5 +245,20 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
                 return
             for at, got in ((AT.force, step.force), (AT.torque, step.torque)):
                 assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8
+            assert step.rolled == pytest.approx(row[AT.contact_rolled], abs=1e-9)
 
     check()
+
+
+def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
+    """A table rises under a softly held simulated device; in every tick the force is K times the depth."""
+    rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
+    tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
+    options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
+    records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500))
+    z = column(records, "probe.position", 3)[:, 2]
+    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(column(records, "dt")))
+    expected = K * np.maximum(height + R - z, 0.0)
+    np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
+    assert expected.max() > 0.1 and np.ptp(z) > 1e-4
+    assert causes(records)[:2] == ["touch", "release"]

@@ -18,6 +18,8 @@ from softfinger.proxy.record import AT
 pytestmark = pytest.mark.plain
 
 STUFF = material(GRIP, LIMP)
+EVEN = material({"static": 0.5, "kinetic": 0.5}, LIMP)
+"""Equal static and kinetic friction, because a drop between them is a jump of the force."""
 YIELDING = material(LATE, {"stiffness_nm_per_rad": 0.02, "friction_length_m": 0.002}, stiffness_n_per_m=300.0)
 SHARP = (np.array([0.9, 0.0, np.sqrt(0.19)]), np.array([-0.9, 0.0, np.sqrt(0.19)]))
 
@@ -70,8 +72,8 @@ def unit(kind):
 
 
 @functools.cache
-def running(kind, back=False, unequal=False):
-    objects = things(kind, STUFF)
+def running(kind, even=False, back=False, unequal=False):
+    objects = things(kind, EVEN if even else STUFF)
     if unequal:
         objects[-1] = objects[-1] | {"material": YIELDING}
     return engine(*(objects[::-1] if back else objects))
@@ -206,6 +208,25 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
     # Rounding of lengths of 10 mm times 1000 N/m, summed over forty ticks.
     np.testing.assert_allclose(column(a, "force", 3), column(b, "force", 3), rtol=0, atol=1e-11)
     np.testing.assert_allclose(column(a, "torque", 3), column(b, "torque", 3), rtol=0, atol=1e-13)
+
+
+@pytest.mark.scaled
+@examples(15)
+@given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
+def test_force_is_continuous(kind, found, count):
+    """From tick to tick the force changes by no more than stiffness times motion, also if the contact changes object.
+
+    A step s changes the depth in a wall by at most s / sin(half the angle between two walls). Normal forces change by K
+    times that. Friction changes with its springs, with mu times the normal forces and with the shares transferred, each
+    no more than the normal force.
+    """
+    poses = handling(kind, found, count)
+    records = visit(running(kind, even=True), poses)
+    way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
+    jumps = np.linalg.norm(np.diff(column(records, "force", 3), axis=0), axis=1)
+    # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
+    steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)
+    assert (jumps <= 4.0 * steepest * 1000.0 * way + 1e-12).all()
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """Several objects, thin objects and moving objects: the proxy is the nearest point outside all of them."""
 
+import itertools
 from functools import partial
 
 import numpy as np
@@ -46,6 +47,18 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     inside = [R - n @ final for n in (n1, n2)]
     assert min(inside) > 0.0
     np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.003, height], atol=1e-12)
+
+
+def test_drag_along_a_groove_has_no_ripple():
+    """In a drag along a groove at constant depth, the force does not alternate between the walls from tick to tick."""
+    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    groove = engine(wall("one", n1), wall("two", n2))
+    height = R / 0.6
+    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
+    along = way((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
+    pushed = go(groove, np.vstack([down, along]))["force"][110:]
+    # 50 um of travel per tick would appear as 0.05 N if the walls were solved alternately.
+    assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
@@ -106,6 +119,30 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
     np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 
+def test_inside_of_a_box_is_a_corner_too():
+    """In the corner of a hollow box, three walls push with K times their depths."""
+    room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
+    records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
+    np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
+    np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
+    assert records[-1, AT.contact_object] == 0
+
+
+def test_friction_in_a_groove_carries_the_load_of_both_walls():
+    """In a groove the friction limit is the sum of the limits of both normal forces."""
+    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    grip = SLICK | {"friction": {"static": 0.6, "kinetic": 0.5}}
+    groove = engine(wall("one", n1, grip), wall("two", n2, grip))
+    height = R / 0.6
+    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
+    along = way((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
+    records = go(groove, np.vstack([down, along]))
+    # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
+    tangential = -records["force"][:, 1]
+    np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
+    np.testing.assert_allclose(np.median(tangential[-200:]), 0.5, rtol=1e-9)
+
+
 def test_turning_table_spins_the_contact():
     material = {
         "stiffness_n_per_m": 1000.0,
@@ -135,3 +172,23 @@ def test_proxy_never_oscillates_at_rest(cases):
         # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
         assert moved[-1] < 1e-6, target
+
+
+@pytest.mark.scaled
+def test_proxy_is_outside_every_object_on_random_walks(cases):
+    """For random walks of the probe between several objects, the proxy's distance to each is at least its radius."""
+    rng = np.random.default_rng(6)
+    balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
+    scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), offset=-0.02)]
+    scene += [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
+    running = engine(*scene)
+    count = cases(1000, 5000)
+    steps = rng.normal(0.0, 0.003, (count, 3)) * rng.choice([0.1, 1.0, 10.0], (count, 1))
+    points = np.array(
+        list(itertools.accumulate(steps, lambda p, s: np.clip(p + s, -0.06, 0.08), initial=np.full(3, 0.05)))
+    )
+    at = go(running, points)["proxy.position"]
+    planes = [((0, 0, 1), 0.0), ((1, 0.2, 1), 0.0), ((0, 1, 0.1), -0.02)]
+    gaps = [at @ (np.array(n) / np.linalg.norm(n)) - d for n, d in planes]
+    gaps += [np.linalg.norm(at - p, axis=1) - 0.015 for p in balls]
+    assert np.min(gaps) > R * (1.0 - 1e-9)

@@ -16,7 +16,7 @@ from references.rotation import matrix
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import FREE, ROLLING, SLIDING
+from softfinger.proxy.record import CAUSE_NAMES, FREE, ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
 
@@ -352,6 +352,13 @@ def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
     assert trace.tangential[-1] == pytest.approx(10.5, rel=1e-9)
 
 
+def test_letter_slides_a_finger_that_follows(plane_scene: SceneFactory) -> None:
+    """The literal rule counts the entire roll, so a finger that follows its roll perfectly slides at theta_max."""
+    hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
+
+
 def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
     """Friction is exactly mu_d f_N and drives a reversing hand, which creates energy."""
     hand = pressed().go(200, move=[0.01, 0, 0])
@@ -361,6 +368,13 @@ def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
     assert trace.force[turn:, 0] == pytest.approx(-0.5, rel=EXACT)
     work = -np.sum(trace.force[turn + 1 :, 0] * np.diff(trace.poses[turn:, 0]))
     assert work == pytest.approx(-0.5 * 0.01, rel=1e-9)
+
+
+def test_letter_never_sticks_after_an_exact_stop(plane_scene: SceneFactory) -> None:
+    """The force is on the cone and never inside it, so a finger at rest continues to slide."""
+    trace = drive(Engine(plane_scene(**LETTER)), pressed().go(200, move=[0.01, 0, 0]).go(500))
+    assert trace.causes == ["touch", "drag"]
+    assert (trace.mode[-400:] == SLIDING).all()
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -> None:
@@ -381,3 +395,41 @@ def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -
 def test_letter_requires_coulomb_friction(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         plane_scene(material=material, **LETTER)
+
+
+@pytest.mark.scaled
+def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases) -> None:
+    """Under random motion the force stays in the static cone, torsion within its limit, the proxy outside, and
+    transitions are valid."""
+    rng = np.random.default_rng(11)
+    lawful = {
+        "touch": (FREE, ROLLING),
+        "drag": (ROLLING, SLIDING),
+        "theta_max": (ROLLING, SLIDING),
+        "stop": (SLIDING, ROLLING),
+        "reverse": (SLIDING, ROLLING),
+    }
+    seen: set[str] = set()
+    for _ in range(cases(2, 12)):
+        hand = pressed(0.001)
+        for _ in range(30):
+            goal = [*(hand.x[:2] + rng.normal(0, 2e-3, 2)), R - rng.uniform(-0.0004, 0.003)]
+            moving = rng.random() < 0.7
+            turn = rng.normal(0, 0.2, 3)
+            hand.go(int(rng.integers(2, 80)), move=moving * (goal - hand.x), turn=moving * turn)
+        scene = plane_scene(material={"damping_ns_per_m": 1.0}, coupling={"damping_ns_per_m": 1.0})
+        trace = drive(Engine(scene), hand)
+        assert (trace.normal_force >= 0.0).all()
+        assert (trace.tangential <= 0.6 * trace.normal_force * (1 + EXACT)).all()
+        assert (np.abs(trace.torque[:, 2]) <= 0.004 * trace.normal_force * (1 + EXACT)).all()
+        assert (trace.proxy[:, 2] >= R - EXACT).all()
+        for before, step in zip([FREE, *trace.mode[:-1]], trace.steps, strict=True):
+            if step.cause == "none":
+                assert step.mode == before
+            elif step.cause == "release":
+                assert (before != FREE, step.mode) == (True, FREE)
+            else:
+                assert (before, step.mode) == lawful[step.cause]
+            seen.add(step.cause)
+    # Every cause must have occurred, otherwise the loop above would check less.
+    assert seen == set(CAUSE_NAMES) - {"restart"}  # which is for meshes

@@ -45,6 +45,7 @@ def test_moment_saturates_at_the_torsional_limit(
         trace = drive(engine, pressed(depth).go(175, turn=[0, 0, sign * 0.7]))
         expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 176), limit)
         assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
+        assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, load], (176, 1)), abs=1e-12)
         assert trace.causes == ["touch"]
 
 
