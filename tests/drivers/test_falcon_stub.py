@@ -6,23 +6,28 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
-from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, stub, usb_library, word
+from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, options, stub, usb_library, word
 
-from softfinger.config.errors import DeviceError, DeviceLost
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon.block import AT as WORDS
-from softfinger.drivers.falcon.device import Falcon
+from softfinger.drivers.falcon.device import Falcon, open_device
+from softfinger.drivers.system.claims import find_claim
+from softfinger.drivers.system.diagnosis import Diagnosis
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.verbs import devices
 
 __all__ = ["stub", "usb_library"]  # fixtures
 
@@ -97,6 +102,22 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     assert stub["opens"] == stub["closes"] and not any(stub.motors())
 
 
+def test_a_late_reply_costs_one_tick_and_not_the_loop(stub: UsbStub, bench: FalconBench) -> None:
+    """If every tenth reply is one tick late, that tick repeats the sample and the next has a new one."""
+    with bench.open() as device:
+        stub.update(late=1, late_every=10, lates=0, logged=0)
+        ended, records = run(device, 1000)
+        asked_anew = np.count_nonzero(stub.log()[:, 6])
+    assert ended == s.LoopEnd(s.FINISHED, OK)
+    stale = records[:, AT.servo_device] == STALE
+    # The last packets get no read; after a pause of the machine the read waits for late replies.
+    assert stub["lates"] - 2 - asked_anew <= np.count_nonzero(stale) <= stub["lates"] <= 102 + asked_anew
+    late = np.flatnonzero(stale)
+    assert len(late) > 50 and (np.diff(late) > 1).all()
+    position = columns(records, AT.probe_position)
+    np.testing.assert_array_equal(position[late], position[late - 1])
+
+
 @pytest.mark.parametrize(
     ("fault", "status"),
     [
@@ -125,6 +146,23 @@ def test_faults_leave_no_transfer_pending(
             stub[name] = -1
         assert stub["steps"] == steps
     else:
+        assert not any(stub.motors())
+
+
+def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
+    with open_device(options(), RATE_HZ) as device:
+        servo = Servo(device, arm=False)
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(stub.motors())
+        time.sleep(0.3)
+        device.arm()
+        assert any(servo.read()[0] >= 0 and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK for _ in range(10))
+        assert any(stub.motors())
+        device.stop()
+        device.arm()
+        servo.read()
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(stub.motors())
 
 
@@ -256,3 +294,63 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
         assert word(device, WORDS.garbled) > number
     assert not any(stub.motors())
     assert stub["misuse"] == 0
+
+
+def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
+    stub.update(z=0.03)
+    stub[1, "attached"] = 1
+    stub[1, "z"], stub[1, "x"] = 0.045, 0.02
+    stub.place(1)
+    with pytest.raises(DeviceNotFound, match="2 Falcons are attached: name one with serial: 'SN1', 'SN2'"):
+        bench.open()
+    assert stub["opens"] == stub["closes"] and stub[1, "opens"] == stub[1, "closes"]
+    with bench.open(serial="SN2") as second:
+        first = bench.open(serial="SN1")
+        servo = Servo(second)
+        servo.read()
+        servo.write(0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
+        assert any(stub.motors(1)) and not any(stub.motors(0))
+        servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        found: dict[str, Any] = {}
+        loops = [
+            threading.Thread(target=lambda name=name, device=device: found.update({name: run(device, 300)}))
+            for name, device in (("first", first), ("second", second))
+        ]
+        for loop in loops:
+            loop.start()
+        for loop in loops:
+            loop.join()
+        for name, height in (("first", 0.03), ("second", 0.045)):
+            ended, records = found[name]
+            assert ended == s.LoopEnd(s.FINISHED, OK)
+            assert np.mean(records[:, AT.servo_device] == OK) > 0.5
+            np.testing.assert_allclose(columns(records, AT.probe_position)[:, 2], height, rtol=0, atol=COUNT_M)
+        first.close()
+        assert stub["claimed"] == 0 and stub[1, "claimed"] == 1
+        statuses = []
+        for _ in range(5):
+            statuses.append(servo.read()[0])
+            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause, as since its loop ended
+    assert not any(stub.motors(1))
+    assert (stub["misuse"], stub["allocated"], stub["flying"], stub[1, "flying"]) == (0, 0, 0, 0)
+    assert stub[1, "opens"] == stub[1, "closes"]
+
+
+FALCON = SystemDevice("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/usb/001/005")
+
+
+def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
+    claim = find_claim(FALCON)
+    assert claim is not None
+    diagnosis, said = devices.identify_device(FALCON, claim)
+    assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})
+    assert devices.as_map(FALCON, claim, diagnosis, said)["said"] == {"firmware": True}
+    assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, said)])
+    stub.update(firmware=1000)
+    diagnosis, said = devices.identify_device(FALCON, claim)
+    assert (diagnosis.state, said) == ("firmware", {"firmware": False})
+    assert stub["opens"] == stub["closes"] and stub["loads"] == 0
+    stub["held"] = 1
+    diagnosis, said = devices.identify_device(FALCON, claim)
+    assert (diagnosis.state, said) == ("busy", None)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
 import threading
 import time
@@ -14,7 +17,7 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
-from helpers.programs import run_program
+from helpers.programs import Program, run_program
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -28,6 +31,7 @@ from softfinger.server.driver_contract import RATE_HZ, Servo, run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.wire.client import subscribe
 
 __all__ = ["bench", "stub", "stub_library"]  # fixtures
 
@@ -207,6 +211,29 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
             assert servo.join(10.0) == s.LoopEnd(s.STOPPED, OK)
             servo.close()
     assert stub["threads"] == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
+def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
+    rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
+    rig.write_text(
+        f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
+        f'[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n[servo]\nrealtime = "off"\n'
+    )
+    settings = ",".join(f"{name}={value}" for name, value in PRESSING.items())
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)]
+    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)}
+    with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        for sample in subscribe(f"ipc://{tmp_path}/t"):
+            if sample.force[2] > 0.5:
+                break
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 0, said
+    state = {name: float(value) for name, value in (line.split() for line in left.read_text().splitlines())}
+    assert state["peak"] > 0.5
+    assert state["motors"] == state["force_on"] == state["expert"] == state["unplugged"] == 0
+    assert state["opens"] == state["closes"] == 1
 
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -351,6 +351,23 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         fresh(servo)
 
 
+def test_no_force_for_late_poses(service: Service) -> None:
+    with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
+        servo = Servo(device)
+        fresh(servo)
+        service.set(late_s=0.1)
+        fresh(servo)
+        fresh(servo)
+        time.sleep(0.03)
+        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        service.set(late_s=0.0)
+        end = time.monotonic() + 5.0
+        while servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
+            servo.read()
+            assert time.monotonic() < end
+            time.sleep(0.001)
+
+
 @pytest.mark.parametrize(
     "place", ["null", "1e400", "100.0", "-1e300"], ids=["no number", "too large to read", "far away", "farther away"]
 )
@@ -465,7 +482,8 @@ def test_the_service_of_a_rig_is_queried_without_usb(
     assert devices.run(asked) == 0
     (found,) = json.loads(capsys.readouterr().out)["devices"]
     assert (found["bus"], found["state"], found["rigs"]) == ("service", "usable", [str(rig)])
-    assert found["said"]["devices"] == ["inverse3 049D"]
+    said = {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
+    assert found["said"] == said
     service.kill()
     assert devices.run(asked) == 0
     (found,) = json.loads(capsys.readouterr().out)["devices"]

@@ -17,6 +17,7 @@ from softfinger.server.driver_contract import Servo
 pytestmark = pytest.mark.real_time
 
 OTHER = "0A11"
+PUSH_N = {ID: 1.5, OTHER: 1.0}
 CONTINUATION, TEXT, BINARY, CLOSE, PING = 0x0, 0x1, 0x2, 0x8, 0x9
 MAX = 262_144
 """Maximum bytes of a message that the driver accepts."""
@@ -80,10 +81,11 @@ def service() -> Iterator[Service]:
 @pytest.fixture
 def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
     devices = [opened(service, device_id=name, models=None) for name in (ID, OTHER)]
-    for device, name in zip(devices, (ID, OTHER), strict=True):
+    for device, (name, force) in zip(devices, PUSH_N.items(), strict=True):
         servo = Servo(device)
         fresh(servo)
-        until(lambda servo=servo, name=name: servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0) < 0 or any(service.force(name)))
+        wrench = (0.0, 0.0, force, 0.0, 0.0, 0.0)
+        until(lambda servo=servo, name=name, wrench=wrench: servo.write(*wrench) < 0 or any(service.force(name)))
     yield devices
     service.set(raw=None, end=None, deaf=False, streams=False)
     for device in devices:
@@ -126,8 +128,8 @@ def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pus
 
 def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
     assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
-    for name in (ID, OTHER):
-        assert received(service, name)[-1] == (0.0, 0.0, 1.5)
+    for name, force in PUSH_N.items():
+        assert received(service, name)[-1] == (0.0, 0.0, force)
         assert not any(service.force(name))
 
 

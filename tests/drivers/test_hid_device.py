@@ -8,23 +8,30 @@ import math
 import os
 import shutil
 import socket
+import struct
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from math import isfinite
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
-from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, ends, rig_options, woody
+from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
-from softfinger.drivers.base import LOST, OK, STALE, WITHHELD, Device
-from softfinger.drivers.hid.device import HidDevice, open_device
+from softfinger.config.load import build
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, WITHHELD, Device
+from softfinger.drivers.hid.device import HidDevice, Options, open_device
 from softfinger.drivers.hid.link import find_device
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
+from softfinger.drivers.system.libc import write_fd
+from softfinger.proxy.kernels.jit.atomics import call_device
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.memory import uint8_at
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import RATE_HZ, Servo
 
@@ -224,6 +231,34 @@ def test_the_last_report_ends_the_force() -> None:
         assert not any(arm.sent[-1])
 
 
+def test_stop_while_the_loop_writes() -> None:
+    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
+    for _ in range(20):
+        with woody() as (device, arm, answering):
+            servo = Servo(device)
+            running = threading.Event()
+
+            def loop(servo: Servo = servo, running: threading.Event = running) -> None:
+                # After a stall of the machine a force is withheld until the next report.
+                while servo.read()[0] < 0 or servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
+                    pass
+                for n in range(200):  # after a stall during these, without a report, all are withheld
+                    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+                    if n == 50:
+                        running.set()
+
+            thread = threading.Thread(target=loop, daemon=True)
+            thread.start()
+            assert running.wait(10.0)
+            device.stop()
+            thread.join()
+            answering.settle(device)
+            forces = [any(words[:3]) for words in arm.sent]
+            first = forces.index(True)
+            assert False in forces[first:]  # the zero of the stop arrived
+            assert True not in forces[forces.index(False, first) :]
+
+
 def test_calibration_of_a_board_that_pauses() -> None:
     options = rig_options("woodenhaptics-polhem-v1", calibrate=True)
     itself = Arm(RIGS["woodenhaptics-polhem-v1"])
@@ -242,6 +277,47 @@ def test_calibration_of_a_board_that_pauses() -> None:
     with Answering(end, answer), HidDevice(options, fd) as device:
         assert time.monotonic() >= stored[0]
         np.testing.assert_allclose(Servo(device).read()[1][:3], resting, atol=COUNT_M)
+
+
+@entry
+def fuzz(fd: int, read: int, handle: int, stream: int, sizes: Any, sample: Any, out: Any) -> None:
+    """Read after each report of `sizes` (n,) bytes, the n-th from byte n of `stream` on, and count results.
+
+    out  (4,)  reads OK; STALE; samples that are not finite or whose quaternion is not of unit length; reads below 0
+    """
+    byte = uint8_at(stream)
+    for n in range(len(sizes)):
+        if n % 3 != 0:
+            byte[n] = 3
+        write_fd(fd, stream + n, sizes[n])
+        status = call_device(read, handle, sample)
+        out[status if status >= 0 else 3] += 1
+        if status >= 0:
+            norm = total = 0.0
+            for k in range(3, 7):
+                norm += sample[k] * sample[k]
+            for k in range(len(sample)):
+                total += sample[k]
+            if not isfinite(total) or not abs(norm - 1.0) < 1e-9:  # rounding of a normalisation
+                out[2] += 1
+
+
+@pytest.mark.scaled
+def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int]) -> None:
+    fd, end = ends()
+    generator = np.random.default_rng(11)
+    number = cases(20_000, 1_000_000)
+    stream = generator.integers(0, 256, number + 64, dtype=np.uint8)
+    sizes = np.where(np.arange(number) % 4 > 0, 31, generator.integers(1, 64, number))
+    good = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
+    with Answering(end, lambda _: good), HidDevice(build(Options, described(), "rig"), fd) as device:
+        assert Servo(device, arm=False).read()[0] == OK
+        io, sample, out = device.io(), np.zeros(SAMPLE_SIZE), np.zeros(4, np.int64)
+        fuzz(end.fileno(), io.read, io.handle, stream.ctypes.data, sizes, sample, out)
+        read, repeated, wrong, refused = out.tolist()
+        assert wrong == 0
+        assert read + repeated + refused == number
+        assert min(read, repeated, refused) > number // 100
 
 
 def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:

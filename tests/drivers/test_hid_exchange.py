@@ -90,9 +90,10 @@ def given(x: int, y: int, z: int) -> bytes:
     return b"\x04" + struct.pack("<3i", x, y, z)
 
 
-def test_a_report_is_a_pose_in_the_world(board: Board) -> None:
+@pytest.mark.parametrize("length", [1.0, 2.0])
+def test_a_report_is_a_pose_in_the_world(length: float, board: Board) -> None:
     q = (0.5, 0.1, -0.7, 0.5)
-    status, sample = board.read(report(250.0, 500.0, -125.0, *q, buttons=6, gripper=50))
+    status, sample = board.read(report(250.0, 500.0, -125.0, *(length * k for k in q), buttons=6, gripper=50))
     assert status == OK
     check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
     assert sample[7:].tolist() == [2.0, 6.0, 0.5]

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +13,8 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import COMPILE_S, assert_engine_agrees, records_of_daemon
-from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, touch
+from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
+from helpers.programs import Program
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -123,6 +128,30 @@ def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path
         assert np.isin(np.round(displayed, 9), np.round(sent[name], 9)).all(), name
     assert max(sent["left"]) > 1.2 * max(sent["right"])
     assert hd["misuse"] == hd["errors"] == 0
+
+
+def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -> None:
+    """After SIGKILL the motors retain a force, within the limit. Other signals are in test_ways_out_at_far_ends.py."""
+    rig, left = tmp_path / "rig.toml", tmp_path / "journal"
+    rig.write_text(
+        f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
+        f'[guard]\nforce_max_n = 1.5\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n'
+        '[servo]\nrealtime = "off"\n'
+    )
+    settings = ",".join(f"{name}={value}" for name, value in DEEP.items())
+    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"]
+    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)}
+    with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        pressed = 0
+        for sample in subscribe(f"ipc://{tmp_path}/t"):
+            pressed += sample.force[2] > 0.5
+            if pressed == 20:  # a published force reaches the motors a tick or two later
+                break
+        process.send_signal(signal.SIGKILL)
+        process.communicate(timeout=60)
+    last = np.linalg.norm(journal_in(left)["force"], axis=1)
+    assert last.max() > 0.5
+    assert 0.0 < last[-1] <= 1.5, "the stub's motors do not keep their force"
 
 
 def test_shipped_rig_opens_a_touch(hd: HdStub, touch: TouchBench) -> None:

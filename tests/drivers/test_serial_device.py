@@ -25,7 +25,7 @@ from helpers.waits import fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.server import driver_contract
@@ -133,6 +133,48 @@ def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
 
 def nonsense(text: bytes) -> Callable[[bytes], bytes]:
     return lambda _: text.ljust(FRAME_BYTES - 1) + b"\n"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        nonsense(b"nan nan nan 0 0 0 0 0"), nonsense(b"inf 0 0 0 0 0 0 0"), nonsense(b"1 2 3"), lambda f: f[:-1],
+        lambda f: f[1:], lambda f: f[:-1] + b" \n", lambda f: b" " + f, lambda f: f[:20] + f[21:], lambda f: 2 * f[:-1],
+        lambda f: bytes(FRAME_BYTES), lambda f: b"\n" * FRAME_BYTES, lambda f: b"9" * FRAME_BYTES,
+    ],
+    ids=[
+        "nan", "inf", "three numbers", "no newline", "cut in front", "a blank behind", "a blank in front",
+        "a byte lost", "two in one", "zeros", "newlines", "digits",
+    ],
+)  # fmt: skip
+def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
+    with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
+        servo = Servo(device)
+        known = fresh(servo)
+        itself.place = (0.05, 0.05, 0.05)
+        cable.spoil = spoil
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        settle(device, cable)
+        until = time.monotonic() + 0.03
+        while time.monotonic() < until:
+            status, sample = servo.read()
+            assert status in (STALE, WITHHELD, PROTOCOL)  # the second after a pause that a busy machine makes
+            assert status == PROTOCOL or sample[:3] == known[:3]
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+            time.sleep(0.001)
+        settle(device, cable)
+        assert itself.force == (0.0, 0.0, 0.0)
+        cable.spoil = bytes
+        cable.say(b"\n" + itself.frame())
+        assert fresh(servo)[:3] != known[:3]
+        assert device.reason() == ""
+        cable.spoil = spoil
+        device._block.word[BOARD.timeout_after] = 50_000_000  # ns: only from here on does the time-out matter
+        while (status := servo.read()[0]) >= 0:
+            cable.say(spoil(itself.frame()))
+            time.sleep(0.001)
+        assert status == PROTOCOL
+        assert device.reason().startswith("its last bytes are b'")
 
 
 def fill(device: SerialDevice) -> int:

@@ -85,6 +85,7 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
             assert re.search(
                 rf"{cable.path} is used by process {first.pid} \(python.*\): end that process", second.stderr
             )
+            until(lambda: board.force[2] >= 0.5)  # also after the second
             first.send_signal(signal.SIGINT)
             said = first.communicate(timeout=60)[1]
         assert first.returncode == 0, said

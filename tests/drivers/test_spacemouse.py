@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -232,6 +233,25 @@ def test_short_reports_and_foreign_ones() -> None:
         for cut in (emulated.combined(right=1)[0][:5], emulated.split(right=1)[1][:6]):
             end.send(cut)
             assert servo.read()[0] == PROTOCOL
+
+
+def test_random_reports_give_a_pose_or_a_fault() -> None:
+    """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
+    generator = np.random.default_rng(5)
+    seen = {OK: 0, PROTOCOL: 0}
+    with puck() as (_, servo, end):
+        for n in range(20_000):
+            data = bytearray(generator.bytes(int(generator.integers(1, 80)) if n % 2 else 13))
+            if n % 4:
+                data[0] = n % 5
+            end.send(data)
+            status, sample = servo.read()
+            seen[status] += 1
+            if status == OK:
+                assert all(map(math.isfinite, sample))
+                assert max(map(abs, sample[:3])) <= 0.1
+                assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-12)  # rounding of a normalisation
+    assert min(seen.values()) > 100
 
 
 @numba.njit

@@ -167,6 +167,7 @@ def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     rig = rig_file(folder, "falcon", counts_per_nm=10000.0, kick_s=0.15, timeout_s=2.0)
     with usb_stub.in_place_of_libusb(library):
         yield Far(rig, stub, given, press, unplug, usb_stub.FalconBench.force_step_n)
+    assert (stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
     stub.reset()
 
 

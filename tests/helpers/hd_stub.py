@@ -33,6 +33,11 @@ def rows_of(journal: NDArray[Any]) -> NDArray[Any]:
     return rows[:count].copy() if count <= ROWS else np.roll(rows, -(count % ROWS))
 
 
+def journal_in(file: Path) -> NDArray[Any]:
+    """Read the journal of a process with STUB_HD_LOG."""
+    return rows_of(np.fromfile(file, JOURNAL)[0])
+
+
 class HdStub(CStub):
     """Stub of 3D Systems' library."""
 
