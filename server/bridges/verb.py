@@ -14,14 +14,7 @@ from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.recording.verbs.live import (
-    RecordingJob,
-    TickBatcher,
-    TickReceiver,
-    receive_first,
-    record_until_end,
-    subscribe_all,
-)
+from softfinger.server.recording.verbs import live
 from softfinger.server.recording.writer import parse_scene
 
 log: Final = logging.getLogger(__name__)
@@ -60,15 +53,15 @@ def to_foxglove(args: argparse.Namespace) -> int:
         server.close()
 
 
-def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], TickReceiver]) -> int:
+def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], live.TickReceiver]) -> int:
     """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
     lock = keys.keys_from_options(args)
     addresses = find_addresses(args.endpoint, lock, args.commands)
-    job = RecordingJob(addresses, lock, args.duration, args.timeout, lambda: bool(stop))
-    with signals.stop_on_signal(lambda: stop.append(True)), subscribe_all(job) as wire:
-        first_samples, fingers, about = receive_first(wire, job)
-        batcher = TickBatcher(show(fingers, parse_scene(about)), fingers)
-        end_reason = record_until_end(wire, job, first_samples, batcher)
+    job = live.RecordingJob(addresses, lock, args.duration, args.timeout, lambda: bool(stop))
+    with signals.stop_on_signal(lambda: stop.append(True)), live.subscribe_all(job) as wire:
+        first_samples, fingers, about = live.receive_first(wire, job)
+        batcher = live.TickBatcher(show(fingers, parse_scene(about)), fingers)
+        end_reason = live.record_until_end(wire, job, first_samples, batcher)
     log.info("ticks %d to %d, %d lost; %s", batcher.first, batcher.last, batcher.lost, end_reason)
     return signals.stop_exit_code()

@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
-from softfinger.config.schema import DeviceConfig, Mesh, Object, Rig, Scene, Servo
+from softfinger.config.schema import DeviceConfig, Mesh, Rig, Scene, Servo
 from softfinger.server.offline.summary import object_rows
 
 
@@ -31,7 +31,7 @@ def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
             is_complete(item)
             and is_usable(item.shape)
             and not _has_complaint(item, "file")
-            and not _is_faulty_body(item)
+            and not (isinstance(item, Mesh) and item.elastic is not None and any(item.elastic.faults()))
         ):
             yield partial(object_rows, item, has_patch=False)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
@@ -57,11 +57,6 @@ def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
 def _has_complaint(table: Any, key: str) -> bool:
     """Return True if the check of a table itself reports a key."""
     return any(name == key for name, *_ in table.faults())
-
-
-def _is_faulty_body(item: Object) -> bool:
-    """Return True if the table of an elastic body is itself faulty, so that it cannot be solved."""
-    return isinstance(item, Mesh) and item.elastic is not None and any(item.elastic.faults())
 
 
 def _check_device(device: DeviceConfig, rate_hz: float, table: str, file: str) -> None:

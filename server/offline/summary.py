@@ -7,24 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.config.schema import (
-    DeviceConfig,
-    Elastic,
-    FingerParts,
-    Guard,
-    Heightmap,
-    Mesh,
-    Object,
-    ObjectBase,
-    Rig,
-    Scene,
-    Servo,
-    Texture,
-    Textured,
-    Workspace,
-    World,
-)
 from softfinger.config.words import format_value
 from softfinger.server.offline.library_texts import entry_rows
 
@@ -36,7 +20,7 @@ OVERSHOOT: Final = 0.02
 """Share of a map's height by which its surface may leave its pixels before the summary mentions it."""
 
 
-def scene_summary(scene: Scene) -> list[tuple[str, str]]:
+def scene_summary(scene: schema.Scene) -> list[tuple[str, str]]:
     """Return rows on the parts that the contact step models, and on the omitted ones."""
     tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
     rows = []
@@ -49,7 +33,7 @@ def scene_summary(scene: Scene) -> list[tuple[str, str]]:
     return rows + ([] if scene.world is None else _world_rows(scene.world))
 
 
-def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
+def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[str, str]]:
     coupling, probe = finger.coupling, finger.probe
     rolling = "left out: rotation moves no contact"
     if scene.rolling is not None:
@@ -75,7 +59,7 @@ def _finger_rows(scene: Scene, finger: FingerParts) -> list[tuple[str, str]]:
     ]
 
 
-def _form(finger: FingerParts) -> str:
+def _form(finger: schema.FingerParts) -> str:
     if finger.radii_m is None:
         return f"sphere, radius {finger.radius_m:g} m"
     turn = (
@@ -86,8 +70,8 @@ def _form(finger: FingerParts) -> str:
     return f"ellipsoid, radii {format_value(finger.radii_m)} m{turn}"
 
 
-def _size(item: ObjectBase) -> str:
-    own = [name for name in item.__struct_fields__ if name not in (*Textured.__struct_fields__, "elastic")]
+def _size(item: schema.ObjectBase) -> str:
+    own = [name for name in item.__struct_fields__ if name not in (*schema.Textured.__struct_fields__, "elastic")]
     return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
@@ -109,18 +93,18 @@ def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
     rows += [(f"  effect {effect.kind}", _values(effect)) for effect in item.effect]
     if item.motion is not None:
         rows.append((f"  motion {item.motion.kind}", _values(item.motion)))
-    if isinstance(item, Heightmap):
+    if isinstance(item, schema.Heightmap):
         rows += _heightmap_rows(item)
-    if isinstance(item, Textured) and item.texture is not None:
+    if isinstance(item, schema.Textured) and item.texture is not None:
         rows += _texture_rows(item, item.texture)
-    if isinstance(item, Mesh):
+    if isinstance(item, schema.Mesh):
         rows += [(f"  {name}", text) for name, text in mesh_report(item).rows(item.inside)]
         if item.elastic is not None:
             rows += _elastic_rows(item, item.elastic)
     return rows
 
 
-def mesh_report(item: Mesh) -> MeshReport:
+def mesh_report(item: schema.Mesh) -> MeshReport:
     from softfinger.proxy.meshes.prepared import about
     from softfinger.server.progress import progress
 
@@ -132,10 +116,10 @@ def mesh_report(item: Mesh) -> MeshReport:
         return about(item).report
 
 
-def _elastic_rows(item: Mesh, elastic: Elastic) -> list[tuple[str, str]]:
+def _elastic_rows(item: schema.Mesh, elastic: schema.Elastic) -> list[tuple[str, str]]:
     from softfinger.proxy.elastic.prepared import body_of
 
-    report, force = body_of(item).report, Guard().force_max_n
+    report, force = body_of(item).report, schema.Guard().force_max_n
     softest = max(report.compliances) / elastic.youngs_pa
     error = "not estimated: the file has one mesh" if report.error is None else f"{100.0 * report.error:.2g} %"
     rows = [
@@ -151,7 +135,7 @@ def _elastic_rows(item: Mesh, elastic: Elastic) -> list[tuple[str, str]]:
     return rows
 
 
-def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
+def _heightmap_rows(item: schema.Heightmap) -> list[tuple[str, str]]:
     from softfinger.proxy.heightmaps import overshoot, read_heights, tightest
 
     heights = read_heights(item)
@@ -170,7 +154,7 @@ def _heightmap_rows(item: Heightmap) -> list[tuple[str, str]]:
     return found
 
 
-def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
+def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[str, str]]:
     from softfinger.proxy.textures import FREQUENCY_MAX_HZ, REST, bounds, cutoff_m, make
 
     rows, columns = make(item).values.shape
@@ -185,7 +169,7 @@ def _texture_rows(item: Textured, texture: Texture) -> list[tuple[str, str]]:
     ]
     if texture.height_m is not None:
         left, slope, bend = bounds(item)
-        stiffness = item.material.stiffness_under(Guard().force_max_n) * slope**2
+        stiffness = item.material.stiffness_under(schema.Guard().force_max_n) * slope**2
         found.append(
             (
                 "    height",
@@ -206,7 +190,7 @@ def _values(table: Struct) -> str:
     )
 
 
-def rig_summary(rig: Rig) -> list[tuple[str, str]]:
+def rig_summary(rig: schema.Rig) -> list[tuple[str, str]]:
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     return [
@@ -222,14 +206,14 @@ def rig_summary(rig: Rig) -> list[tuple[str, str]]:
     ]
 
 
-def _hand_limits(guard: Guard) -> str:
+def _hand_limits(guard: schema.Guard) -> str:
     heat = "no heat limit"
     if guard.continuous_force_n is not None:
         heat = f"{guard.continuous_force_n:g} N for ever, heated in {guard.heat_time_s:g} s"
     return f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
 
 
-def _workspace(workspace: Workspace | None) -> str:
+def _workspace(workspace: schema.Workspace | None) -> str:
     if workspace is None:
         return "no soft wall"
     form = (
@@ -241,7 +225,7 @@ def _workspace(workspace: Workspace | None) -> str:
     return f"{form} about {format_value(workspace.center_m)} m of the device, {wall}"
 
 
-def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
+def _device(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
     options, tool = ", ".join(f"{key} = {format_value(value)}" for key, value in device.options.items()), device.tool
     rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
     if tool is not None:
@@ -250,7 +234,7 @@ def _device(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
     return rows
 
 
-def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
+def _driver_rows(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
     """Return the rows of a driver (`rows`), such as the effect of a maker's service on forces."""
     from softfinger.drivers import registry
 
@@ -259,7 +243,7 @@ def _driver_rows(table: str, device: DeviceConfig) -> list[tuple[str, str]]:
     return [] if rows is None else list(rows(build(driver.Options, device.options, f"[{table}]")))
 
 
-def _world_rows(world: World) -> list[tuple[str, str]]:
+def _world_rows(world: schema.World) -> list[tuple[str, str]]:
     """Return rows of the model, its time step and start, and of the geoms that differ from MuJoCo's."""
     from softfinger.config.mjcf import compile_model
     from softfinger.config.mjcf_geoms import convert_geoms
@@ -273,18 +257,18 @@ def _world_rows(world: World) -> list[tuple[str, str]]:
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
 
 
-def check_start(world: World, rate_hz: float = Servo().rate_hz) -> None:
+def check_start(world: schema.World, rate_hz: float = schema.Servo().rate_hz) -> None:
     """Raise ConfigError if the bodies of a world cannot begin at this rate."""
     from softfinger.proxy.bodies import RigidBodies
 
     RigidBodies(world).begin(1.0 / rate_hz)
 
 
-def _timestep(world: World, own: float) -> str:
+def _timestep(world: schema.World, own: float) -> str:
     if world.timestep == "file":
         return f"{own:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (own * world.substeps):g}"
-    step = 1.0 / (Servo().rate_hz * world.substeps)
-    text = f"a tick's, {step:g} s at {Servo().rate_hz:g} Hz; the model's own is {own:g} s"
+    step = 1.0 / (schema.Servo().rate_hz * world.substeps)
+    text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {own:g} s"
     if own < 0.999 * step:
         text += f": substeps = {math.ceil(step * world.substeps / own - 1e-3)} would keep to it"
     return text

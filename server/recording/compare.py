@@ -132,11 +132,6 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
 
     Raises ConfigError if the scene has other fingers.
     """
-    with progress("replaying", len(run.first["tick"])) as done:
-        return _replay(run, scene, rig, done)
-
-
-def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int], None]) -> Replayed:
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(
@@ -152,21 +147,22 @@ def _replay(run: Run, scene: schema.Scene, rig: schema.Rig, done: Callable[[int]
     bodies = np.full_like(run.bodies.poses, np.nan)
     comparable, left_out = np.zeros(len(ticks), dtype=bool), list[SkippedTicks]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
-    for part in _split_run(run, scene, ticks, ramp):
-        block = slice(part.start, part.stop)
-        tuning = make_tuning(part.scene, rig.guard, devices)
-        _simulate(run, part, tuning, poses[block], (columns[block], bodies), done)
-        start = part.start
-        if ticks[start] > 0:
-            modes, guards = (columns[block, :, _SLICES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
-            is_at_rest = free[block] & np.all((modes == FREE) & (guards == recorded_guards[block]), axis=1)
-            is_at_rest &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
-            is_at_rest[:settling_ticks] = False
-            if part.scene.world is not None:  # the poses of its bodies at this tick are not recorded
-                is_at_rest[:] = False
-            start += int(np.argmax(is_at_rest)) if is_at_rest.any() else len(is_at_rest)
-        comparable[start : part.stop] = True
-        left_out += _span(ticks, part.start, start, part.why)
+    with progress("replaying", len(ticks)) as done:
+        for part in _split_run(run, scene, ticks, ramp):
+            block = slice(part.start, part.stop)
+            tuning = make_tuning(part.scene, rig.guard, devices)
+            _simulate(run, part, tuning, poses[block], (columns[block], bodies), done)
+            start = part.start
+            if ticks[start] > 0:
+                modes, guards = (columns[block, :, _SLICES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
+                is_at_rest = free[block] & np.all((modes == FREE) & (guards == recorded_guards[block]), axis=1)
+                is_at_rest &= np.all((guards == 0.0) | (part.armed & (guards == RAMPING)), axis=1)
+                is_at_rest[:settling_ticks] = False
+                if part.scene.world is not None:  # the poses of its bodies at this tick are not recorded
+                    is_at_rest[:] = False
+                start += int(np.argmax(is_at_rest)) if is_at_rest.any() else len(is_at_rest)
+            comparable[start : part.stop] = True
+            left_out += _span(ticks, part.start, start, part.why)
     for row in _command_changes(run, scene, ticks, ramp):  # may be executed before its event
         first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
         comparable[first:row] = False

@@ -55,7 +55,8 @@ class Layout:
         parts, at, column = [], list[int](), 0
         # Sort by the order of a record, which the message may not have; unknown fields follow.
         for part in sorted(fields, key=lambda part: _ORDER.get(part.name, len(_ORDER))):
-            at += [encoded.index(_marker_bytes(part.at + i, part.is_integer)) for i in range(part.size)]
+            kind = "<i8" if part.is_integer else "<f8"
+            at += [encoded.index(np.array(_marker(part.at + i), kind).tobytes()) for i in range(part.size)]
             parts.append(part._replace(at=column))
             column += part.size
         self.parts: Final = parts
@@ -164,7 +165,3 @@ def _piece_dtype(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.vo
 def _marker(number: int) -> float:
     """Return a number that occurs only once in an encoded message and is exact as float64 and as integer."""
     return float(0x5AA5_3CC3_0000 + 0x0101 * (number + 1))
-
-
-def _marker_bytes(number: int, is_integer: bool) -> bytes:
-    return np.array(_marker(number), dtype="<i8" if is_integer else "<f8").tobytes()

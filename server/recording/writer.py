@@ -21,22 +21,9 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.proxy.record import AT, FIELDS
-from softfinger.server.recording import picture
+from softfinger.server.recording import picture, schemas
 from softfinger.server.recording.layout import tick_layout
 from softfinger.server.recording.mcapfile import McapFile
-from softfinger.server.recording.schemas import (
-    EVENT,
-    FRAME,
-    LOG,
-    POSE,
-    SCENE,
-    TICK,
-    TOPIC_TYPES,
-    descriptor_set,
-    event_message,
-    log_message,
-    topic_message,
-)
 from softfinger.server.wire.protocol import WORLD, contact_topic
 
 Array = NDArray[np.float64]
@@ -103,8 +90,8 @@ class Topics:
     ) -> None:
         self._sink = sink
         self._layout = tick_layout()
-        ticks = descriptor_set(TICK)
-        self._ticks = {finger: sink.channel(contact_topic(finger), TICK, ticks) for finger in fingers}
+        ticks = schemas.descriptor_set(schemas.TICK)
+        self._ticks = {finger: sink.channel(contact_topic(finger), schemas.TICK, ticks) for finger in fingers}
         self._topics: dict[str, int] = {}
         self._with_pictures = with_pictures
         self._last_pictures: dict[str, float] = {}
@@ -124,22 +111,22 @@ class Topics:
     def event(self, event: Mapping[str, Any]) -> None:
         """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
-        self._add(topic, EVENT, event_time_ns(event), event_message(event))
+        self._add(topic, schemas.EVENT, event_time_ns(event), schemas.event_message(event))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
             self.set_scene(driven_scene)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
         """Write a message of a topic of the scene, a map as on the wire."""
         time_ns = event_time_ns(message)
-        self._add(topic, TOPIC_TYPES[topic], time_ns, topic_message(topic, message))
+        self._add(topic, schemas.TOPIC_TYPES[topic], time_ns, schemas.topic_message(topic, message))
         if self._with_pictures and topic == WORLD:
             for frame in picture.body_messages(message["bodies"], time_ns):
-                self._add(FRAME_TOPIC, FRAME, time_ns, frame)
+                self._add(FRAME_TOPIC, schemas.FRAME, time_ns, frame)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
         """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
         time_ns = event_time_ns({"timestamp": time_s})
-        self._add(LOG_TOPIC, LOG, time_ns, log_message(time_ns, level, name, text))
+        self._add(LOG_TOPIC, schemas.LOG, time_ns, schemas.log_message(time_ns, level, name, text))
 
     def set_scene(self, scene: schema.Scene) -> None:
         self._scene, self._scene_due_s = scene, 0.0
@@ -149,18 +136,18 @@ class Topics:
         for row in rows:
             time_ns = int(times[row])
             at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
-            self._add(at, POSE, time_ns, picture.pose_message(records[row], time_ns))
+            self._add(at, schemas.POSE, time_ns, picture.pose_message(records[row], time_ns))
             for message in picture.frame_messages(records[row], time_ns, finger):
-                self._add(FRAME_TOPIC, FRAME, time_ns, message)
-            self._add(FORCE_TOPIC, SCENE, time_ns, picture.force_message(records[row], time_ns, finger))
+                self._add(FRAME_TOPIC, schemas.FRAME, time_ns, message)
+            self._add(FORCE_TOPIC, schemas.SCENE, time_ns, picture.force_message(records[row], time_ns, finger))
             now = float(records[row, AT.timestamp])
             if self._scene is not None and now >= self._scene_due_s:
                 self._scene_due_s = now + SCENE_PERIOD_S
-                self._add(SCENE_TOPIC, SCENE, time_ns, picture.scene_message(self._scene, time_ns))
+                self._add(SCENE_TOPIC, schemas.SCENE, time_ns, picture.scene_message(self._scene, time_ns))
 
     def _add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
         if topic not in self._topics:
-            self._topics[topic] = self._sink.channel(topic, kind, descriptor_set(kind))
+            self._topics[topic] = self._sink.channel(topic, kind, schemas.descriptor_set(kind))
         self._sink.message(self._topics[topic], time_ns, message)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import names
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import Servo
@@ -16,7 +16,11 @@ class TelemetryService:
     def __init__(self, publisher: Publisher, servo: Servo) -> None:
         self._publisher, self._servo = publisher, servo
         self._announced = False
-        self.sink = Sink("publisher", publisher.observe, _telemetry_error)
+        self.sink = Sink(
+            "publisher",
+            publisher.observe,
+            lambda error: SafetyStop(f"telemetry cannot be published: {error}; the rendered state would be invisible"),
+        )
 
     def start(self) -> None:
         self._publisher.attach(self._servo.records)
@@ -29,7 +33,3 @@ class TelemetryService:
     def _publish_stopped(self) -> None:
         if self._announced:
             self._publisher.event("lifecycle", "stopped", ticks=self._servo.ticks)
-
-
-def _telemetry_error(error: Exception) -> HapticError:
-    return SafetyStop(f"telemetry cannot be published: {error}; the rendered state would be invisible")

@@ -15,18 +15,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.pages import LOCAL, running
 
 from softfinger.config import schema
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import build, load_rig
-from softfinger.server.app import Daemon
 from softfinger.server.services.commands import CommandService
 from softfinger.server.wire.commands import Triangles
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import bind_rig
 
-ENDS = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
 WAIT_S = 120.0
 MATERIAL = {"stiffness_n_per_m": 500.0}
 BALL = meshes.geodesic(16, 0.04)
@@ -56,7 +55,7 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "table", "shape": "plane"},
     )
-    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", ENDS), scene=scene))
+    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene))
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
         doing = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
@@ -93,10 +92,8 @@ def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -
 @pytest.mark.exhaustive
 def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
     scene = scene_of({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
-    with Daemon(load_rig("replay", ENDS), scene) as running:
-        running.start()
-        with Control(str(running.commands_endpoint), timeout_s=WAIT_S) as control:
-            vertices, triangles = arrays(control.mesh("ball"))
+    with running("replay", scene) as daemon, Control(str(daemon.commands_endpoint), timeout_s=WAIT_S) as control:
+        vertices, triangles = arrays(control.mesh("ball"))
     np.testing.assert_array_equal(in_order(vertices[triangles]), in_order(BALL.vertices.astype("<f4")[BALL.triangles]))
 
 

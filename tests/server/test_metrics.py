@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.pages import running
 from helpers.telemetry_records import put, synthetic
 from prometheus_client.core import HistogramMetricFamily
 from prometheus_client.parser import text_string_to_metric_families
 
 from softfinger.config.errors import AddressInUse
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -120,12 +120,7 @@ def scraped(daemon: Daemon) -> dict:
 
 @pytest.fixture
 def daemon() -> Iterator[Daemon]:
-    rig = load_rig(
-        "replay",
-        {"telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": "127.0.0.1:0", "servo.realtime": "off"},
-    )
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
-        daemon.start()
+    with running("replay", "paper-plane", metrics__endpoint="127.0.0.1:0") as daemon:
         yield daemon
 
 
@@ -141,24 +136,16 @@ def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
     modes = sum(value for (name, _), value in stats.items() if name == "softfinger_mode_seconds_total")
     # Ticks of a recording are a period each; rounding of sums of thousands.
     assert modes == pytest.approx(1e-3 * stats["softfinger_ticks_total", ()], rel=1e-9)
-    rig = load_rig(
-        "replay",
-        {"telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": f"{host}:{port}", "servo.realtime": "off"},
-    )
-    with pytest.raises(AddressInUse, match=r"\[metrics\] endpoint"):
-        Daemon(rig, load_scene("paper-plane"))
+    with (
+        pytest.raises(AddressInUse, match=r"\[metrics\] endpoint"),
+        running("replay", "paper-plane", metrics__endpoint=f"{host}:{port}"),
+    ):
+        pass
 
 
 def test_recordings_add_up(tmp_path: Path) -> None:
-    rig = load_rig(
-        "replay",
-        {
-            "telemetry.endpoint": "tcp://127.0.0.1:*", "metrics.endpoint": "127.0.0.1:0", "servo.realtime": "off",
-            "recording.directory": str(tmp_path),
-        },
-    )  # fmt: skip
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
-        daemon.start()
+    ends = {"metrics__endpoint": "127.0.0.1:0", "recording__directory": str(tmp_path)}
+    with running("replay", "paper-plane", **ends) as daemon:
         files = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
         for file in files:
             before = scraped(daemon)["softfinger_recorded_ticks_total", ()]
@@ -189,16 +176,7 @@ def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
     }
 
 
-def test_names_follow_prometheus_rules() -> None:
-    for family in MetricsCollector(
-        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
-    ).collect():
-        for sample in family.samples:
-            name = re.sub("_(bucket|sum|count)$", "", sample.name)
-            assert name.endswith(UNITS) or name in ("softfinger_subscribers", "softfinger_state"), name
-
-
-def test_the_page_lists_every_name() -> None:
+def test_names_follow_prometheus_rules_and_are_on_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     stats: dict[str, set[str]] = {}
@@ -207,5 +185,6 @@ def test_the_page_lists_every_name() -> None:
     ).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
+            assert name.endswith(UNITS) or name in ("softfinger_subscribers", "softfinger_state"), name
             stats.setdefault(name, set()).update(sample.labels.keys() - {"le"})
     assert rows == stats

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.pages import daemon_of
 
 from softfinger.config.errors import CommandRefused
-from softfinger.config.load import load_rig, load_scene
-from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.commands import Prompt, PromptScreen
@@ -22,15 +19,7 @@ pytestmark = pytest.mark.real_time
 WAIT_S = 60.0
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    folder: Path = tmp_path_factory.mktemp("ends")
-    ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
-    rig = load_rig("simulated-hand", ends | {"servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
-        daemon.start()
-        with Client(ends["telemetry.endpoint"], ends["commands.endpoint"], timeout_s=WAIT_S) as made:
-            yield made
+daemon = daemon_of("simulated-hand", "paper-plane")
 
 
 def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:

@@ -53,10 +53,6 @@ Answer = Callable[[ServerConnection, Request], Response | None]
 Handler = Callable[[ServerConnection], Awaitable[None]]
 
 
-def new_token() -> str:
-    return secrets.token_urlsafe(TOKEN_BYTES)
-
-
 class Access:
     """Check of requests to a page on `host`.
 
@@ -75,7 +71,7 @@ class Access:
     def __init__(
         self, host: str, allowed: tuple[str, ...] = (), title: str = "softfinger", token: str | None = None
     ) -> None:
-        self.token: Final = new_token() if token is None else token
+        self.token: Final = secrets.token_urlsafe(TOKEN_BYTES) if token is None else token
         self._host, self._allowed, self._title = host, allowed, title
 
     def address(self, port: int) -> str:

@@ -16,21 +16,7 @@ from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT
 from softfinger.proxy.step_result import Step
 from softfinger.server.offline.closed_loop import DrivenPlant
-from softfinger.server.viewer.gestures import (
-    APPROACH_SPEED_M_PER_S,
-    GRIP_N,
-    HOVER_M,
-    LIFT_M,
-    ONE_FINGER,
-    PRESS_N,
-    ROLL_M,
-    SLIDE_M,
-    SPIN_RAD,
-    LiftedBox,
-    Stage,
-    half_width,
-    lift,
-)
+from softfinger.server.viewer import gestures
 from softfinger.server.viewer.nodes.glyphs import IDENTITY
 from softfinger.server.viewer.target import Target
 
@@ -39,7 +25,7 @@ pytestmark = pytest.mark.plain
 FRAME_S = 0.04
 START = (0.0, 0.0, 0.02)
 RADIUS, RATE_HZ = 0.01, 100.0
-STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
+STEP_N = 1000.0 * gestures.APPROACH_SPEED_M_PER_S / RATE_HZ
 """Change of force per frame on the plane of 1000 N/m."""
 
 
@@ -47,14 +33,14 @@ STEP_N = 1000.0 * APPROACH_SPEED_M_PER_S / RATE_HZ
 def played(name: str, start: tuple[float, float, float]) -> list[Step]:
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
-    stage = Stage(
+    stage = gestures.Stage(
         lambda finger: here[finger],
         lambda finger: here[finger].position,
         lambda finger: steps[-1].normal_force if steps else 0.0,
         lambda finger: RADIUS,
         lambda point: 0.0,
     )
-    gesture = ONE_FINGER[name](stage, "")
+    gesture = gestures.ONE_FINGER[name](stage, "")
     goals = next(gesture)
     while True:
         here.update(goals)
@@ -63,15 +49,15 @@ def played(name: str, start: tuple[float, float, float]) -> list[Step]:
         try:
             goals = gesture.send(1.0 / RATE_HZ)
         except StopIteration:
-            assert target.position[2] > RADIUS + HOVER_M  # it has left the plane
+            assert target.position[2] > RADIUS + gestures.HOVER_M  # it has left the plane
             return steps
 
 
-@pytest.mark.parametrize("name", ONE_FINGER)
+@pytest.mark.parametrize("name", gestures.ONE_FINGER)
 def test_a_gesture_presses_with_the_nominal_force(name: str) -> None:
     """The excess is at most the change within one frame."""
     most = max(step.normal_force for step in played(name, START))
-    assert PRESS_N <= most < PRESS_N + 1.01 * STEP_N
+    assert gestures.PRESS_N <= most < gestures.PRESS_N + 1.01 * STEP_N
 
 
 def test_each_gesture_causes_its_motion() -> None:
@@ -83,16 +69,16 @@ def test_each_gesture_causes_its_motion() -> None:
             max(float(np.linalg.norm(step.point[:2])) for step in steps if step.mode != ContactMode.FREE),
             max(abs(step.torsion) for step in steps),
         )
-        for name in ONE_FINGER
+        for name in gestures.ONE_FINGER
         for steps in [played(name, START)]
     }
     assert most["press"] == (0.0, 0.0, 0.0)
-    assert most["roll"][0] == pytest.approx(2.0 * ROLL_M / RADIUS, rel=0.01)
-    assert most["roll"][1] == pytest.approx(ROLL_M, rel=0.02) and most["roll"][2] < 1e-6
-    assert SLIDE_M - 1.5e-3 < most["slide"][1] < SLIDE_M
+    assert most["roll"][0] == pytest.approx(2.0 * gestures.ROLL_M / RADIUS, rel=0.01)
+    assert most["roll"][1] == pytest.approx(gestures.ROLL_M, rel=0.02) and most["roll"][2] < 1e-6
+    assert gestures.SLIDE_M - 1.5e-3 < most["slide"][1] < gestures.SLIDE_M
     assert most["slide"][0] < 0.02 and most["slide"][2] < 1e-6
-    assert most["spin"][1] < 1e-6 and 0.004 * PRESS_N <= most["spin"][2] < 0.004 * 1.3 * PRESS_N
-    assert most["spin"][2] < SPIN_RAD * 0.05  # it has slipped about the normal
+    assert most["spin"][1] < 1e-6 and 0.004 * gestures.PRESS_N <= most["spin"][2] < 0.004 * 1.3 * gestures.PRESS_N
+    assert most["spin"][2] < gestures.SPIN_RAD * 0.05  # it has slipped about the normal
 
 
 def test_a_slide_goes_towards_the_middle() -> None:
@@ -100,7 +86,7 @@ def test_a_slide_goes_towards_the_middle() -> None:
     for x, way in ((0.03, -1.0), (0.0, 1.0)):
         points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))
-        assert way * (farthest - x) == pytest.approx(SLIDE_M, abs=1.5e-3)
+        assert way * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
 
 
 class MovableFinger(SimulatedHands):
@@ -120,7 +106,7 @@ class MovableFinger(SimulatedHands):
 @pytest.mark.skipif(not PLAIN, reason="would compile a minute; plain Python plays it in half of that")
 def test_a_lift_raises_a_box_and_puts_it_down() -> None:
     hands, forces, passed = MovableFinger(), {"thumb": 0.0, "index": 0.0}, 0.0
-    stage = Stage(
+    stage = gestures.Stage(
         lambda finger: Target(hands.goals[finger][:3].copy(), IDENTITY),
         lambda finger: hands.goals[finger][:3],
         forces.__getitem__,
@@ -128,8 +114,8 @@ def test_a_lift_raises_a_box_and_puts_it_down() -> None:
         lambda point: 0.0,
     )
     back: list[bool] = []
-    box = LiftedBox(lambda: hands.data.qpos[:3].copy(), 0.02, lambda: back.append(True))
-    gesture, heights, tilts, most = lift(stage, "thumb", "index", box), [], [], 0.0
+    box = gestures.LiftedBox(lambda: hands.data.qpos[:3].copy(), 0.02, lambda: back.append(True))
+    gesture, heights, tilts, most = gestures.lift(stage, "thumb", "index", box), [], [], 0.0
     goals = next(gesture)
     with suppress(StopIteration):
         while True:
@@ -142,9 +128,9 @@ def test_a_lift_raises_a_box_and_puts_it_down() -> None:
             heights.append(float(hands.data.qpos[2]))
             tilts.append(abs(float(hands.data.qpos[3])))
             goals = gesture.send(FRAME_S)
-    assert back == [True] and GRIP_N <= most < 2.0 * GRIP_N
+    assert back == [True] and gestures.GRIP_N <= most < 2.0 * gestures.GRIP_N
     # 1 N of weight deflects two contacts and two hands of 1000 N/m each by 1 mm
-    assert max(heights) == pytest.approx(0.02 + LIFT_M, abs=2e-3)
+    assert max(heights) == pytest.approx(0.02 + gestures.LIFT_M, abs=2e-3)
     assert heights[-1] == pytest.approx(0.02, abs=5e-4) and min(tilts) > np.cos(np.radians(1.0))
     assert forces == {"thumb": 0.0, "index": 0.0}
 
@@ -153,4 +139,4 @@ def test_the_width_of_a_box_depends_on_its_rotation() -> None:
     """Edges of 20 and 40 mm, turned by 30 degrees: the sum of their projections."""
     size, turn = (0.02, 0.04, 0.01), (np.cos(np.pi / 12).item(), 0.0, 0.0, np.sin(np.pi / 12).item())
     wide = 0.5 * (0.02 * np.cos(np.pi / 6) + 0.04 * np.sin(np.pi / 6))
-    assert half_width(size, turn) == pytest.approx(wide, rel=1e-12)
+    assert gestures.half_width(size, turn) == pytest.approx(wide, rel=1e-12)

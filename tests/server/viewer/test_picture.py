@@ -18,21 +18,9 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.surface_meshes import SurfaceMesh, cone, surface_mesh
 from softfinger.server.viewer.inputs import Nudge
+from softfinger.server.viewer.nodes import glyphs
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingertip import finger, nail
-from softfinger.server.viewer.nodes.glyphs import (
-    ARC_MAX,
-    ARC_PIECES,
-    IDENTITY,
-    Trace,
-    arc,
-    axis_angle_rotation,
-    circles,
-    inverse,
-    product,
-    rotate,
-    rotation_to,
-)
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
 from softfinger.server.viewer.nodes.unlit import squares
@@ -92,10 +80,10 @@ def test_an_unknown_shape_has_no_mesh() -> None:
 
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
 def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
-    line = arc(angle, radius)[:ARC_PIECES]
-    drawn = min(abs(angle), ARC_MAX)
-    chord = 2.0 * radius * sin(drawn / ARC_PIECES / 2.0)
-    assert np.linalg.norm(line[:, 1] - line[:, 0], axis=1).sum() == pytest.approx(ARC_PIECES * chord, abs=1e-9)
+    line = glyphs.arc(angle, radius)[: glyphs.ARC_PIECES]
+    drawn = min(abs(angle), glyphs.ARC_MAX)
+    chord = 2.0 * radius * sin(drawn / glyphs.ARC_PIECES / 2.0)
+    assert np.linalg.norm(line[:, 1] - line[:, 0], axis=1).sum() == pytest.approx(glyphs.ARC_PIECES * chord, abs=1e-9)
     assert np.cross(line[:, 0], line[:, 1])[:, 2].sum() * angle >= 0.0
     np.testing.assert_allclose(np.linalg.norm(line[:, 1], axis=1), radius, rtol=1e-12)
 
@@ -106,14 +94,14 @@ def test_a_cone_has_the_slope_of_the_friction() -> None:
 
 
 def test_marks_are_on_the_surface_of_the_fingertip() -> None:
-    points = circles((0.8, 0.7, 1.2)).reshape(-1, 3)
+    points = glyphs.circles((0.8, 0.7, 1.2)).reshape(-1, 3)
     np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
 
 
 @given(units)
 def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
     normal = normal / np.linalg.norm(normal)
-    np.testing.assert_allclose(rotate(rotation_to(normal), UP), normal, atol=2e-3)  # limited near -z
+    np.testing.assert_allclose(glyphs.rotate(glyphs.rotation_to(normal), UP), normal, atol=2e-3)  # limited near -z
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
@@ -122,12 +110,12 @@ def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
 
 
 def test_a_rotation_times_its_inverse_is_the_identity() -> None:
-    q = axis_angle_rotation(np.array([1.0, 2.0, 3.0]), 0.7)
-    np.testing.assert_allclose(product(q, inverse(q)), IDENTITY, atol=1e-15)
+    q = glyphs.axis_angle_rotation(np.array([1.0, 2.0, 3.0]), 0.7)
+    np.testing.assert_allclose(glyphs.product(q, glyphs.inverse(q)), glyphs.IDENTITY, atol=1e-15)
 
 
 def test_a_trace_drops_its_oldest_segments() -> None:
-    way = Trace(0.1, segments=3)
+    way = glyphs.Trace(0.1, segments=3)
     zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
     drawn = [way.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
     assert drawn == [False, False, True, True, True, True]
@@ -139,7 +127,7 @@ def test_a_trace_drops_its_oldest_segments() -> None:
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ...]]) -> None:
-    way = Trace(0.01, segments=80)
+    way = glyphs.Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
     for point in points:
         way.add(point, (1, 2, 3))
@@ -148,14 +136,14 @@ def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ..
         np.testing.assert_array_equal(drawn[1:, 0], drawn[:-1, 1])
     for point in points:
         assert min((beside(point, *segment) for segment in drawn), default=0.0) < 0.02
-    line = Trace(0.01)
+    line = glyphs.Trace(0.01)
     for x in np.arange(0.0, 0.2, 0.01):
         line.add(np.array([x, 0.0, 0.0]), (1, 2, 3))
     assert np.count_nonzero(np.linalg.norm(line.segments[:, 1] - line.segments[:, 0], axis=1)) == 1
 
 
 def test_a_trace_of_two_colours_has_two_segments() -> None:
-    way = Trace(0.1)
+    way = glyphs.Trace(0.1)
     for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
         way.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
     assert way.segments[:3, 1, 0].round(6).tolist() == [0.2, 0.6, 0.0]
@@ -211,7 +199,7 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
 
 @given(units, st.floats(-0.05, 0.05))
 def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float) -> None:
-    turn = rotation_to(normal / np.linalg.norm(normal))
+    turn = glyphs.rotation_to(normal / np.linalg.norm(normal))
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     floor = [0.0, 0.0, -0.1]
     planes = [
@@ -221,7 +209,7 @@ def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float
     planes = [{"shape": "plane", "material": material} | plane for plane in planes]
     scene = build(schema.Scene, paper_mapping() | {"object": planes}, "test scene")
     bodies, point = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
-    up = rotate(turn, UP)
+    up = glyphs.rotate(turn, UP)
     slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
     expected = slope if -0.1 < slope <= point[2] else -0.1
     found = bodies.below(point)
@@ -236,7 +224,7 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball, which is 0.28
     mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees."""
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
-    turned = axis_angle_rotation(axis, turn)
+    turned = glyphs.axis_angle_rotation(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
     material = {"stiffness_n_per_m": 1000.0}
     scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
@@ -322,7 +310,7 @@ def test_an_arrow_fits_on_the_screen(force: float, asked: float) -> None:
 
 
 EYE = np.array([0.3, -0.4, 0.5])
-START = Target(np.array([0.01, 0.0, 0.02]), IDENTITY)
+START = Target(np.array([0.01, 0.0, 0.02]), glyphs.IDENTITY)
 GRABBED = np.array([0.01, -0.01, 0.02])
 
 
@@ -336,7 +324,7 @@ def pointer(to: np.ndarray) -> np.ndarray:
 def test_a_drag_moves_horizontally() -> None:
     to = GRABBED + np.array([0.02, 0.01, 0.0])
     target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
-    assert target is not None and target.orientation == IDENTITY
+    assert target is not None and target.orientation == glyphs.IDENTITY
     np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
@@ -358,7 +346,7 @@ def test_a_drag_rolls_like_a_ball() -> None:
 def test_a_nudge_moves_rolls_and_spins() -> None:
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
-    assert on.orientation == pytest.approx(IDENTITY)
+    assert on.orientation == pytest.approx(glyphs.IDENTITY)
     way = 0.5 * pi * 0.01
     by_mouse = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, way, 0.0])), "roll", 0.01)
     by_key = nudge_target(START, Nudge(roll_y=way), 0.01)
@@ -388,7 +376,7 @@ def test_a_view_along_a_plane_gives_no_target() -> None:
 
 
 def test_angles_are_about_the_axes_of_the_world() -> None:
-    rolled = rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
+    rolled = glyphs.rotate(from_angles(radians(30.0), 0.0, radians(90.0)), UP)
     np.testing.assert_allclose(rolled, (sin(radians(30.0)), 0.0, cos(radians(30.0))), atol=1e-12)
 
 
