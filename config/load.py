@@ -196,12 +196,10 @@ def _resolve_path(folder: Path, obj: Object) -> Object:
     if isinstance(obj, Heightmap | Mesh) and is_usable(obj.file, obj.root):
         root = None if obj.root is None else str(folder / obj.root)
         return msgspec.structs.replace(obj, file=str(folder / obj.file), root=root)
-    if not isinstance(obj, Textured) or not is_usable(obj.texture) or obj.texture is None:
-        return obj
-    if not is_usable(obj.texture.file):
-        return obj
-    texture = msgspec.structs.replace(obj.texture, file=str(folder / obj.texture.file))
-    return msgspec.structs.replace(obj, texture=texture)
+    if isinstance(obj, Textured) and is_usable(obj.texture) and obj.texture is not None and is_usable(obj.texture.file):
+        texture = msgspec.structs.replace(obj.texture, file=str(folder / obj.texture.file))
+        return msgspec.structs.replace(obj, texture=texture)
+    return obj
 
 
 def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:

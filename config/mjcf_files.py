@@ -58,11 +58,7 @@ def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Pa
 
 def _find_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
     name = os.path.basename(asset.file)
-    matching = {
-        os.path.abspath(candidate)
-        for candidate in listed
-        if os.path.basename(candidate) == name and os.path.exists(candidate)
-    }
+    matching = {os.path.abspath(file) for file in listed if os.path.basename(file) == name and os.path.exists(file)}
     if path in matching or not matching:
         matching = {path}
     if len(matching) > 1:

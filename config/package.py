@@ -18,24 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from softfinger.config.errors import (
-        AddressInUse,
-        CommandRefused,
-        ConfigError,
-        DeviceBusy,
-        DeviceError,
-        DeviceLost,
-        DeviceNotFound,
-        DevicePermission,
-        DeviceTimeout,
-        Different,
-        Exhausted,
-        HapticError,
-        RealtimeError,
-        RecordingError,
-        SafetyStop,
-        Unfit,
-    )
+    from softfinger.config.errors import *
     from softfinger.config.load import load_scene
     from softfinger.proxy.engine import Engine
     from softfinger.proxy.pose_checks import PoseError

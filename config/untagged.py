@@ -45,12 +45,7 @@ def read_untagged(
         if field.name in values:
             continue
         if name in table:
-            types = [
-                struct_field.type
-                for kind in kinds.meant
-                for struct_field in kind.fields
-                if struct_field.encode_name == name
-            ]
+            types = [same.type for kind in kinds.meant for same in kind.fields if same.encode_name == name]
             values[field.name] = _read_as_one(types, table[name], dotted, report, read)
         elif field.required:
             values[field.name] = UNSET

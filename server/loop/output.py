@@ -8,6 +8,7 @@ from math import inf
 from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import FREE
@@ -118,13 +119,7 @@ def output_wrench(
         nothing = (0.0, 0.0, 0.0)
         guard_state, changed = GuardState(nothing, nothing, 0.0), changed | TOO_FAST
     heat = update_heat(limits, limit_state.heat, guard_state.force, instant.dt)
-    velocity, work, energy_given, touching = (
-        limit_state.velocity,
-        limit_state.work,
-        limit_state.energy_given,
-        limit_state.touching,
-    )
-    return OutputState(guard_state, LimitState(velocity, wait, heat, work, energy_given, touching)), changed | bits
+    return OutputState(guard_state, replace(limit_state, "wait", wait, "heat", heat)), changed | bits
 
 
 @jit
@@ -134,8 +129,6 @@ def cool_limits(guard: Guard, limit_state: LimitState, dt: float) -> LimitState:
     The motors cool, and the wait after excess speed continues.
     """
     nothing = (0.0, 0.0, 0.0)
-    heat, energy_given = (
-        update_heat(guard.limits, limit_state.heat, nothing, dt),
-        decay_energy(limit_state.energy_given, limit_state.work, dt),
-    )
+    heat = update_heat(guard.limits, limit_state.heat, nothing, dt)
+    energy_given = decay_energy(limit_state.energy_given, limit_state.work, dt)
     return LimitState(nothing, limit_state.wait, heat, limit_state.work, energy_given, 0.0)

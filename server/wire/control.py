@@ -25,6 +25,7 @@ import zmq.asyncio
 from softfinger.config.errors import CommandRefused
 from softfinger.drivers.closing import Closeable
 from softfinger.server.keys import ClientKeys
+from softfinger.server.wire import commands
 from softfinger.server.wire.client_requests import (
     RESEND_S,
     RESENT,
@@ -39,36 +40,6 @@ from softfinger.server.wire.client_requests import (
     or_unset,
     result_of,
     timeout_for,
-)
-from softfinger.server.wire.commands import (
-    METHODS,
-    Alive,
-    Answer,
-    Applied,
-    Armed,
-    Changed,
-    Drive,
-    Empty,
-    Hand,
-    Held,
-    Hold,
-    Mark,
-    OfObject,
-    Prompt,
-    Prompted,
-    PromptScreen,
-    Quaternion,
-    RecordStart,
-    RecordStarted,
-    RecordStopped,
-    SceneSet,
-    SetScene,
-    State,
-    Stopping,
-    Triangles,
-    Vector,
-    Zero,
-    Zeroed,
 )
 from softfinger.server.wire.waits import milliseconds
 
@@ -109,9 +80,9 @@ class Control(Closeable):
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: commands on {self.endpoint}>"
 
-    def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
+    def ask(self, method: str, params: Any = commands.Empty()) -> Any:  # noqa: B008 - frozen
         """Call a method by name; return the decoded result."""
-        return self._ask(method, params, METHODS[method].result if method in METHODS else dict)
+        return self._ask(method, params, commands.METHODS[method].result if method in commands.METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
@@ -139,54 +110,56 @@ class Control(Closeable):
     def post(self, method: str) -> None:
         """Send a request without parameters and ignore its answer."""
         with contextlib.suppress(zmq.Again):
-            self._socket.send_multipart(encode_request(method, Empty(), TIMEOUT_S)[1], zmq.NOBLOCK)
+            self._socket.send_multipart(encode_request(method, commands.Empty(), TIMEOUT_S)[1], zmq.NOBLOCK)
 
     def _check_answers(self, method: str) -> None:
         """Raise NoAnswer if a short request gets no answer, instead of waiting for as long as `method` may take."""
         try:
-            self._ask("get_state", Empty(), State)
+            self._ask("get_state", commands.Empty(), commands.State)
         except CommandRefused:  # this is an answer, too
             return
         except NoAnswer as error:
             raise no_answer_error(method, self.endpoint, TIMEOUT_S) from error
 
-    def get_state(self) -> State:
+    def get_state(self) -> commands.State:
         """Return the latest tick of the first finger: position, velocity, force, contact."""
-        return self._ask("get_state", Empty(), State)
+        return self._ask("get_state", commands.Empty(), commands.State)
 
-    def heartbeat(self) -> Alive:
+    def heartbeat(self) -> commands.Alive:
         """Send a sign of life, for a rig with `heartbeat_s`; restores the force that a missed heartbeat removed."""
-        return self._ask("heartbeat", Empty(), Alive)
+        return self._ask("heartbeat", commands.Empty(), commands.Alive)
 
-    def set_params(self, values: Mapping[str, Any]) -> Changed:
+    def set_params(self, values: Mapping[str, Any]) -> commands.Changed:
         """Change parameters of the scene by dotted key, all between the same two ticks or none; return the changes."""
-        return self._ask("set_params", values, Changed)
+        return self._ask("set_params", values, commands.Changed)
 
     def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
-    ) -> SceneSet:
+    ) -> commands.SceneSet:
         """Replace the scene, starting from zero force: a shipped scene by name, or a mapping like a file.
 
         The new scene is compiled first.
         """
         source = scene if isinstance(scene, str) else dict(scene)
-        return self._ask("set_scene", SetScene(source, dict(overrides or {}), name), SceneSet)
+        return self._ask("set_scene", commands.SetScene(source, dict(overrides or {}), name), commands.SceneSet)
 
-    def reset_world(self) -> Applied:
+    def reset_world(self) -> commands.Applied:
         """Reset the bodies of the scene's [world] to their initial poses, at zero force."""
-        return self._ask("reset_world", Empty(), Applied)
+        return self._ask("reset_world", commands.Empty(), commands.Applied)
 
-    def drive(self, what: str | int, position_m: Vector, orientation_wxyz: Quaternion | None = None) -> Applied:
+    def drive(
+        self, what: str | int, position_m: commands.Vector, orientation_wxyz: commands.Quaternion | None = None
+    ) -> commands.Applied:
         """Set the pose of a driven object, by name or index: position (m, world) and orientation (w, x, y, z)."""
-        return self._ask("drive", Drive(what, position_m, or_unset(orientation_wxyz)), Applied)
+        return self._ask("drive", commands.Drive(what, position_m, or_unset(orientation_wxyz)), commands.Applied)
 
     def hand(
         self,
-        position_m: Vector | None = None,
-        orientation_wxyz: Quaternion | None = None,
+        position_m: commands.Vector | None = None,
+        orientation_wxyz: commands.Quaternion | None = None,
         finger: str | int | None = None,
         release: bool = False,
-    ) -> Applied:
+    ) -> commands.Applied:
         """Set the goal pose of the fingertip for the hand on a simulated device.
 
         Refused for any other device, and for a hand that is moved by a puck.
@@ -203,37 +176,39 @@ class Control(Closeable):
             Return the hand to the motion of its rig.
         """
         return self._ask(
-            "hand", Hand(or_unset(position_m), or_unset(orientation_wxyz), or_unset(finger), release), Applied
+            "hand",
+            commands.Hand(or_unset(position_m), or_unset(orientation_wxyz), or_unset(finger), release),
+            commands.Applied,
         )
 
-    def hold(self, finger: str | int | None = None) -> Held:
+    def hold(self, finger: str | int | None = None) -> commands.Held:
         """Hold the hand on a simulated device at its present goal, with its grip force; return that goal."""
-        return self._ask("hold", Hold(or_unset(finger)), Held)
+        return self._ask("hold", commands.Hold(or_unset(finger)), commands.Held)
 
-    def arm(self) -> Armed:
+    def arm(self) -> commands.Armed:
         """Let the force fade in along the guard's ramp."""
-        return self._ask("arm", Empty(), Armed)
+        return self._ask("arm", commands.Empty(), commands.Armed)
 
-    def disarm(self) -> Armed:
+    def disarm(self) -> commands.Armed:
         """Turn off the force of all fingers until `arm`; ticks continue. Not an emergency stop."""
-        return self._ask("disarm", Empty(), Armed)
+        return self._ask("disarm", commands.Empty(), commands.Armed)
 
     def zero(
-        self, position_m: Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
-    ) -> Zeroed:
+        self, position_m: commands.Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
+    ) -> commands.Zeroed:
         """Define the present position (m, world) of the probe; `reset` removes the offset.
 
         `finger` is a name or an index. Refused while the force may be on: `disarm` first.
         """
-        return self._ask("zero", Zero(position_m, or_unset(finger), reset), Zeroed)
+        return self._ask("zero", commands.Zero(position_m, or_unset(finger), reset), commands.Zeroed)
 
-    def mark(self, label: str, data: Mapping[str, Any] | None = None) -> Applied:
+    def mark(self, label: str, data: Mapping[str, Any] | None = None) -> commands.Applied:
         """Publish an event with a label, which is also part of every recording."""
-        return self._ask("mark", Mark(label, dict(data or {})), Applied)
+        return self._ask("mark", commands.Mark(label, dict(data or {})), commands.Applied)
 
-    def get_prompt(self) -> Prompted:
+    def get_prompt(self) -> commands.Prompted:
         """Return the prompt that pages show the participant, and its answer."""
-        return self._ask("get_prompt", Empty(), Prompted)
+        return self._ask("get_prompt", commands.Empty(), commands.Prompted)
 
     def set_prompt(
         self,
@@ -243,39 +218,39 @@ class Control(Closeable):
         choices: Sequence[str] = (),
         number: tuple[float, float] | None = None,
         text_length: int = 0,
-        **screen: Unpack[PromptScreen],
-    ) -> Prompted:
+        **screen: Unpack[commands.PromptScreen],
+    ) -> commands.Prompted:
         """Show a title, a text, progress (done, total) and a question on all pages.
 
         The answer is one of `choices`, a number in the range `number`, or a text of at most `text_length` characters.
         `screen` is what the participant's page adds: `colour`, `image`, `masking_noise`, `volume`, as in `Prompt`.
         """
-        prompt = Prompt(title, text, *progress, tuple(choices), number, text_length, **screen)
-        return self._ask("set_prompt", prompt, Prompted)
+        prompt = commands.Prompt(title, text, *progress, tuple(choices), number, text_length, **screen)
+        return self._ask("set_prompt", prompt, commands.Prompted)
 
-    def answer(self, value: str | float, prompt: int | None = None) -> Applied:
+    def answer(self, value: str | float, prompt: int | None = None) -> commands.Applied:
         """Answer the question with this prompt number, by default the present one; refused if none is open."""
-        return self._ask("answer", Answer(value, prompt), Applied)
+        return self._ask("answer", commands.Answer(value, prompt), commands.Applied)
 
-    def record_start(self, file: str) -> RecordStarted:
+    def record_start(self, file: str) -> commands.RecordStarted:
         """Record every tick and event into a new .mcap file below the rig's [recording] directory."""
-        return self._ask("record_start", RecordStart(file), RecordStarted)
+        return self._ask("record_start", commands.RecordStart(file), commands.RecordStarted)
 
-    def record_stop(self) -> RecordStopped:
+    def record_stop(self) -> commands.RecordStopped:
         """End the recording; return its number of ticks and other statistics."""
-        return self._ask("record_stop", Empty(), RecordStopped)
+        return self._ask("record_stop", commands.Empty(), commands.RecordStopped)
 
     def describe(self) -> dict[str, Any]:
         """Return rig, scene, device, fingers, versions, and the protocol as data."""
-        return self._ask("describe", Empty(), dict)
+        return self._ask("describe", commands.Empty(), dict)
 
-    def mesh(self, what: str | int) -> Triangles:
+    def mesh(self, what: str | int) -> commands.Triangles:
         """Return the triangles of an object that is a mesh or a height map, by name or index, for display."""
-        return self._ask("mesh", OfObject(what), Triangles)
+        return self._ask("mesh", commands.OfObject(what), commands.Triangles)
 
-    def stop(self) -> Stopping:
+    def stop(self) -> commands.Stopping:
         """End the daemon in order."""
-        return self._ask("stop", Empty(), Stopping)
+        return self._ask("stop", commands.Empty(), commands.Stopping)
 
     def close(self) -> None:
         """Disconnect; may be called repeatedly."""
@@ -311,9 +286,9 @@ class AsyncControl:
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 
-    async def ask(self, method: str, params: Any = Empty()) -> Any:  # noqa: B008 - frozen
+    async def ask(self, method: str, params: Any = commands.Empty()) -> Any:  # noqa: B008 - frozen
         """Call a method by name; return the decoded result."""
-        return await self._ask(method, params, METHODS[method].result if method in METHODS else dict)
+        return await self._ask(method, params, commands.METHODS[method].result if method in commands.METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if self._process != os.getpid():  # as in Control
@@ -338,7 +313,7 @@ class AsyncControl:
     async def _check_answers(self, method: str) -> None:
         """Raise NoAnswer as in Control."""
         try:
-            await self._ask("get_state", Empty(), State)
+            await self._ask("get_state", commands.Empty(), commands.State)
         except CommandRefused:
             return
         except NoAnswer as error:

@@ -158,13 +158,7 @@ def event_map(moment: tuple[int, float], kind: str, name: str, fields: Mapping[s
 
 
 def _head(record: NDArray[np.float64], kind: str, name: str) -> Map:
-    return {
-        "schema": SCHEMA,
-        "timestamp": float(record[AT.timestamp]),
-        "tick": int(record[AT.tick]),
-        "kind": kind,
-        "name": name,
-    }
+    return event_map((int(record[AT.tick]), float(record[AT.timestamp])), kind, name, {})
 
 
 def _vector(record: NDArray[np.float64], at: int) -> list[float]:
