@@ -16,10 +16,9 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-def test_every_driver_is_measured(tmp_path: Path) -> None:
+def test_every_driver_is_measured() -> None:
     """Each tick reads and writes completely; its time is that of the direct calls plus the driver's own."""
-    figure = tmp_path / "cost.png"
-    command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
+    command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
     done = run_program(command)
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
@@ -39,4 +38,3 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
         assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # other threads answer these
         assert one["driver"] == pytest.approx(one["bare"] + one["own"], rel=1e-9)
         assert one["bare"] > 0.0 and one["least"] <= one["most"]
-    assert figure.stat().st_size > 1000
