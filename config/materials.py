@@ -112,7 +112,6 @@ FINGERTIPS: Final = Library("pad", fingertips, MappingProxyType({"radii_m": "rad
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the values of a table and of the tables in it, with their dotted keys."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{before}{key}.")

@@ -68,7 +68,6 @@ def check_number(
 
 
 def check_text(kind: inspect.StrType, value: object, key: str, report: FaultCollector) -> Any:
-    """Return a text of the length and pattern of `kind`."""
     if not isinstance(value, str):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
     short = kind.min_length is not None and len(value) < kind.min_length
@@ -81,7 +80,6 @@ def check_text(kind: inspect.StrType, value: object, key: str, report: FaultColl
 
 
 def check_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
-    """Return one of the values of `kind`."""
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value
     hint = near(value, kind.values)

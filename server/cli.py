@@ -177,7 +177,6 @@ def report_failure(message: str, code: int) -> int:
 
 
 def reason(error: OSError | MemoryError) -> str:
-    """Return a message with the error of the system and a hint."""
     reason = "out of memory"
     if isinstance(error, OSError):
         reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
@@ -225,7 +224,6 @@ def check_descriptors() -> None:
 
 
 def make_parser() -> Parser:
-    """Return the parser; its `complete` adds the options of all verbs, which are otherwise added when one is used."""
     from importlib.metadata import version
 
     from softfinger.server.arguments import Parser

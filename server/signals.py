@@ -72,7 +72,6 @@ def signal_name(number: int) -> str:
 
 
 def exit_code(number: int) -> int:
-    """Return the exit code that shells use for a process killed by a signal."""
     return 128 + number
 
 

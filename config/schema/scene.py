@@ -129,7 +129,6 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
-    """Check that there are objects, and that objects on bodies have a world and no effects."""
     if not is_usable(scene.world, scene.object):
         return
     if scene.world is None and not scene.object:
@@ -340,7 +339,6 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
-    """Check that an elastic object is the only one, and touched by one or two fingers."""
     if not is_usable(scene.object, scene.finger, scene.world):
         return
     for scene_index, item in enumerate(scene.object):

@@ -133,7 +133,6 @@ class Servo:
 
     @staticmethod
     def with_tuning(loop: Loop, tuning: Tuning) -> Loop:
-        """Return a loop that has not started yet, with other parameters of the same structure."""
         publish(loop.shared.tuning, flatten_tuning(tuning))
         return loop._replace(tuning=tuning)
 
@@ -185,7 +184,6 @@ class Servo:
             self._switch_loop(handover)
 
     def _switch_loop(self, handover: Handover) -> None:
-        """Switch from one loop to the next, with the devices at zero."""
         if not handover.keeps_devices:
             self._armed = False  # no tick is due until the next devices are armed
             shutdown.stop_all(self.devices)
@@ -205,7 +203,6 @@ class Servo:
         handover.loop_started.set()
 
     def _with_continued_limits(self, loop: Loop) -> Loop:
-        """Return the loop with the state of the limits after the last tick."""
         start = continue_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
         return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 

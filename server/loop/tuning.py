@@ -70,7 +70,6 @@ def estimate_kernels(scene: schema.Scene) -> int:
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
-    """Return the tuning with other parameters of its scene, and the same guard."""
     return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
 
 

@@ -61,7 +61,6 @@ class Channel:
         return True
 
     def flush(self) -> None:
-        """Send queued messages, as far as there is room."""
         with self._lock:
             self._flush()
 

@@ -81,13 +81,11 @@ class Messages:
         self.set_state_info(state_info)
 
     def set_state_info(self, state_info: StateInfo) -> None:
-        """Set the contents of `state` that do not come from the tick."""
         self._state_every = max(1, round(state_info.rate_hz / self._state_hz))
         self._epoch_s = state_info.epoch_s
         self._state.content["active_field"] = state_info.scene
 
     def encode_row(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
-        """Yield topic and body of each message of a tick."""
         tick = to_int(row[_TICK])
         if tick % self._every == 0:
             for index, topic in enumerate(self._topics):

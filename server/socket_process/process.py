@@ -266,10 +266,7 @@ class _DaemonLogHandler(logging.Handler):
 
 
 def request_priority(priority: int) -> bool:
-    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted.
-
-    Threads created later inherit it.
-    """
+    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:  # for the reason reported for the servo

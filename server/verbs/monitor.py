@@ -40,10 +40,6 @@ _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb; return 0.
-
-    Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
-    """
     try:
         if args.json:
             _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
@@ -134,7 +130,6 @@ class Board:
 
 
 def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
-    """Receive messages and redraw the dashboard every `period_s`, until `--once` or `--duration` ends it."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     first = math.inf  # time of the first message: the daemon may start later
@@ -233,7 +228,6 @@ def _dashboard(args: argparse.Namespace) -> None:
 
 
 def render(board: Board, width: int, height: int) -> RenderableType:
-    """Return the dashboard for a terminal of `width` columns and `height` rows, with the latest events that fit."""
     from rich.console import Group
     from rich.panel import Panel
     from rich.table import Table

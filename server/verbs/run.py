@@ -91,7 +91,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
-    """Log scene, device and endpoints; `is_page_open`: a page is open."""
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
     if not is_page_open:
         log.info(
@@ -123,10 +122,7 @@ def report_settings(settings: list[Setting]) -> None:
 
 
 def start_watchers(daemon: Daemon) -> list[Watcher]:
-    """Start a watcher for each device of a daemon.
-
-    Raises ConfigError if no other process can remove the force of a device.
-    """
+    """Start a watcher for each device of a daemon."""
     zero_commands = []
     for device in daemon.devices:
         zero_command = device.last_word()

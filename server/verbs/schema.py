@@ -115,7 +115,6 @@ def markdown(kind: str) -> str:
 
 
 def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
-    """Return the tables of a struct at the key `name` of the file, as Markdown."""
     return "\n\n".join(f"### {heading}\n\n{body}" for heading, body in sections(struct_type, name))
 
 
@@ -176,7 +175,6 @@ def _format_variants(variants: list[TableRows]) -> str:
 
 
 def _keys(rows: Iterable[Row], suffixes: Mapping[Row, str] = MappingProxyType({})) -> str:
-    """Format keys as Markdown; `suffixes` names the kinds that have a key."""
     lines = [[f"`{row.key}`{suffixes.get(row, '')}", _describe_allowed(row), row.meaning] for row in rows]
     return grid(["key", "allowed (default)", "meaning"], lines)
 

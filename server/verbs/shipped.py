@@ -66,7 +66,6 @@ def list_shipped(verb: str) -> list[dict[str, Any]]:
 
 
 def first_sentence(text: str) -> str:
-    """Return the first sentence of the comment at the start of a file."""
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     comment = " ".join(line.lstrip("# ") for line in lines)
     match = _SENTENCE.match(comment)

@@ -207,7 +207,6 @@ class SocketProcess:
         return waited_s if has_request else 0.0
 
     def _take(self, message: Message) -> bool:
-        """Handle a message; return whether it was a request."""
         match message.kind:
             case Kind.READY:
                 self._ready = True

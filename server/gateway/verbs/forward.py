@@ -99,7 +99,6 @@ def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> 
 
 
 def bind(endpoint: str, flag: str, stack: ExitStack) -> BoundSocket:
-    """Bind the endpoint; `stack` frees it."""
     bound = listen(endpoint, flag, public=True)
     stack.enter_context(bound.files)
     return bound
