@@ -25,7 +25,7 @@ from helpers.waits import fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.server import driver_contract
@@ -186,18 +186,6 @@ def test_an_empty_port_is_not_read() -> None:
             os.dup2(terminal, fd)
             for each in (terminal, out, into):
                 os.close(each)
-
-
-def test_unplugging_is_a_loss() -> None:
-    with board() as (device, _, cable):
-        servo = Servo(device)
-        fresh(servo)
-        cable.pull()
-        assert servo.read()[0] == LOST
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
-        device.stop()
-        device.close()
-        assert servo.read()[0] == LOST
 
 
 def test_stop_while_the_loop_writes() -> None:
