@@ -20,7 +20,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
-from softfinger.tools.doctor.axes_picture import picture
+from softfinger.tools.doctor.probe import picture
 
 __all__ = ["hd", "hd_library", "home"]  # fixtures
 
