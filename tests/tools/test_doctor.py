@@ -22,7 +22,6 @@ from softfinger.config.errors import Unfit
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.server.cli import main
 from softfinger.server.loop import realtime
 from softfinger.server.progress import progress
 from softfinger.tools.doctor import attached, loop, machine
@@ -273,22 +272,3 @@ def test_the_text_has_a_remedy() -> None:
     good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
     assert len(lines([good])) == 1
     assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "remedy: do this"]
-
-
-@pytest.mark.parametrize(
-    ("words", "pieces"),
-    [
-        (["--seconds", "0"], ["--seconds 0", "0.1 to 60"]),
-        (["--rig", "nothing"], ["nothing", "replay"]),
-        (["--scene", "moon"], ["moon", "paper-plane"]),
-        (["--with-force", "1"], ["--with-force", "--device-report"]),
-        (["--no-prompts"], ["--no-prompts", "--device-report"]),
-    ],
-)
-def test_bad_words_give_one_clear_error(
-    words: list[str], pieces: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["doctor", *words]) == 2
-    output, errors = capsys.readouterr()
-    assert output == ""
-    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors

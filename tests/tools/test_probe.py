@@ -104,24 +104,6 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     assert not force[-1].any()
 
 
-@pytest.mark.parametrize(
-    ("words", "pieces"),
-    [
-        (["--push"], ["--push belongs to a probe"]),
-        (["--probe", "/no/such/folder/x.json", "--rig", "simulated"], ["--probe /no/such/folder", "no folder"]),
-        (["--probe", "--rig", "no-such-rig"], ["no-such-rig"]),
-    ],
-)
-def test_bad_words_give_one_clear_error(
-    words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(home)
-    assert main(["devices", *words]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
-    assert list(home.iterdir()) == []
-
-
 def test_a_rig_with_a_limit_below_the_push_is_refused(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
