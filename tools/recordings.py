@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from softfinger.drivers import quaternions
 from softfinger.tools import motions
-from softfinger.tools.moves import ABOVE_M, RATE_HZ, Move, Quaternion, Vector
+from softfinger.tools.motions import ABOVE_M, RATE_HZ, Move, Quaternion, Vector
 
 HEADER: Final = "t,x,y,z,qw,qx,qy,qz"
 OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)

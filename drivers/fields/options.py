@@ -17,7 +17,7 @@ FIELDS: Final = Range(1, 32, "more than any haptic device has")
 SCALE: Final = Range(-1e9, 1e9, "beyond this a 32-bit field has no digits left")
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]
-TYPES: Final[tuple[str, ...]] = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32")
+TYPES: Final[tuple[str, ...]] = get_args(Type)
 """Types of a field; kernels use the index in this tuple."""
 TYPE_BYTES: Final = {name: struct.calcsize(code) for name, code in zip(TYPES, "bBhHiIf", strict=True)}
 
@@ -29,10 +29,7 @@ Commanded = Literal[
     "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
     "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
 ]  # fmt: skip
-COMMANDED: Final[tuple[str, ...]] = (
-    "current_a", "current_b", "current_c", "force_x", "force_y", "force_z",
-    "torque_a", "torque_b", "torque_c", "preset_a", "preset_b", "preset_c", "constant",
-)  # fmt: skip
+COMMANDED: Final[tuple[str, ...]] = get_args(Commanded)
 """Meanings of a field to a device: currents (A), forces (N), torques (N m), counts to preset, or a constant `scale`."""
 
 

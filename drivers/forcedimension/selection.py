@@ -4,15 +4,41 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
+from pathlib import Path
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
-from softfinger.drivers.forcedimension import library, usb
+from softfinger.drivers.forcedimension import library
 from softfinger.drivers.forcedimension.models import Model, find_model
 from softfinger.drivers.forcedimension.options import Options
-from softfinger.drivers.system import discovery
+from softfinger.drivers.system import discovery, rules
+from softfinger.drivers.system.discovery import SystemDevice
+
+VENDOR: Final = 0x1451
+PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
+"""Names of known product numbers; every device of the vendor is listed."""
+
+NODES: Final = Path("/dev/bus/usb")
 
 log: Final = logging.getLogger(__name__)
+
+
+def list_attached() -> list[SystemDevice]:
+    """Return every device of the vendor; none without USB, or without libusb."""
+    devices: list[SystemDevice] = []
+    for device in discovery.find_usb(idVendor=VENDOR):
+        name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
+        node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
+        devices.append(SystemDevice("usb", VENDOR, device.idProduct, name, "", str(node)))
+    return devices
+
+
+def refusal(device: SystemDevice) -> str:
+    """Return the message for a device that this user may not write to; "" if it may, or if there is no node."""
+    if not os.path.exists(device.node) or discovery.is_permitted(device.node):
+        return ""
+    return f"{device} may not be opened by this user: {rules.how_to_permit(VENDOR, 0)}"
 
 
 def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
@@ -52,7 +78,7 @@ def load(named: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(named)
     except DeviceNotFound as error:
-        devices = [usb.refusal(device) or str(device) for device in usb.list_attached()]
+        devices = [refusal(device) or str(device) for device in list_attached()]
         attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
         raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
@@ -69,10 +95,10 @@ def read_serial(call: ctypes.CDLL, device: int) -> int:
 
 
 def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
-    devices = usb.list_attached()
+    devices = list_attached()
     for device in devices:
-        if refusal := usb.refusal(device):
-            raise DevicePermission(refusal)
+        if message := refusal(device):
+            raise DevicePermission(message)
     if count < 0:
         raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
     if devices:
@@ -83,15 +109,15 @@ def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
 def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.error_text(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        holders = [str(holder) for device in usb.list_attached() if (holder := discovery.holder(device.node))]
+        holders = [str(holder) for device in list_attached() if (holder := discovery.holder(device.node))]
         by = ", ".join(holders) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
-        for device in usb.list_attached():
-            if refusal := usb.refusal(device):
-                return DevicePermission(refusal)
+        for device in list_attached():
+            if message := refusal(device):
+                return DevicePermission(message)
     if code == library.ERROR_TIMEOUT:
         return DeviceTimeout(f"device {number} did not answer when opened ({text}): switch it off and on")
     return DeviceError(f"device {number} cannot be opened: {text}: check cable and power, then start again")

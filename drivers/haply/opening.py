@@ -1,8 +1,11 @@
-"""Search of a device at the service, and setup of the service's filters on its forces."""
+"""Search of a device at the service, lock on it, and setup of the service's filters on its forces."""
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
+import struct
 import time
 from contextlib import ExitStack
 from math import isclose
@@ -12,8 +15,7 @@ from urllib.parse import quote
 import msgspec
 from msgspec import Struct
 
-from softfinger.config.errors import DeviceError, DeviceNotFound, DeviceTimeout
-from softfinger.drivers.haply.claim import claim
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.dial import START, request
 from softfinger.drivers.haply.link import WebSocketLink, library
 from softfinger.drivers.haply.messages import (
@@ -36,12 +38,15 @@ from softfinger.drivers.haply.messages import (
     read_state,
 )
 from softfinger.drivers.haply.options import Filters, Options
+from softfinger.drivers.system import discovery
 
 PORT: Final = 10001
 """Default port of the service."""
 OPEN_S: Final = 2.0
 """Maximum time for version, inventory, filters and the first state together."""
 _ZERO: Final = (0.0, 0.0, 0.0)
+_CREDENTIALS: Final = struct.Struct("3i")
+"""Process, user and group of a peer."""
 
 
 class Version(Struct):
@@ -279,3 +284,39 @@ def _config_requests_before_3_5(
 
 def _gravity(filters: Filters) -> tuple[bool, float]:
     return filters.gravity_compensation, filters.gravity_scale
+
+
+def claim(port: int, device: DeviceRef) -> socket.socket:
+    """Lock a device of the service on `port`, until the returned socket is closed or this process ends.
+
+    The lock is the name of an abstract Unix socket. Such names belong to a network namespace, like the service's port,
+    and the system releases them however a process ends.
+    """
+    address = f"\0softfinger/haply/{port}/{device.group}/{device.name}"
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        lock.bind(address)
+        lock.listen()
+    except OSError as error:
+        lock.close()
+        if error.errno != errno.EADDRINUSE:
+            raise DeviceError(f"{device} cannot be locked for this program: {error.strerror or error}") from error
+        raise DeviceBusy(
+            f"{device} at the Inverse Service on port {port} is in use by {_holder(address)}, and the forces of two "
+            "programs would add up: end that one first, or name another device with device_id"
+        ) from None
+    return lock
+
+
+def _holder(address: str) -> str:
+    """Return the process that listens on a Unix socket, as text for messages."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(address)
+            pid, _, _ = _CREDENTIALS.unpack(probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+        except OSError:  # it has exited, or its connection queue is full
+            pid = 0
+    if pid <= 0:  # in another namespace
+        return "another process"
+    return "this program" if pid == os.getpid() else str(discovery.process(pid))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -37,7 +37,7 @@ RESYNC: Final = Range(1, 256, "the longest frame")
 Order = Literal["little", "big"]
 Mode = Literal["answer", "stream"]
 Check = Literal["sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus"]
-CHECKS: Final[tuple[str, ...]] = ("sum8", "xor8", "crc8", "crc16-ccitt", "crc16-modbus")
+CHECKS: Final[tuple[str, ...]] = get_args(Check)
 """Kinds of checksum; kernels use the index in this tuple."""
 CHECK_BYTES: Final = {name: 2 if name.startswith("crc16") else 1 for name in CHECKS}
 Baud = Literal[9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 921600, 1000000, 2000000]

@@ -216,22 +216,6 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "pieces"),
-    [
-        (["--seconds", "1000"], 2, ["--seconds 1000", "0.1 to 60"]),
-        (["--rig", "nothing"], 2, ["nothing", "simulated"]),
-        (["--rig", "omega-3"], 4, ["libdrd"]),
-    ],
-)
-def test_bad_words_give_one_clear_error(
-    words: list[str], code: int, pieces: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bench", "device", *words]) == code
-    errors = capsys.readouterr().err
-    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
-
-
 def test_the_device_is_armed_right_before_its_first_exchange() -> None:
     compile_exchange()
     before = len(exchange_loop.signatures)  # type: ignore[attr-defined]

@@ -11,10 +11,12 @@ import pytest
 from helpers.compiled_code import called_in, functions
 from numba import types
 
+from softfinger.drivers import wrench_log
 from softfinger.drivers.falcon import exchange as falcon
 from softfinger.drivers.forcedimension import exchange as forcedimension
 from softfinger.drivers.haply import exchange as haply
 from softfinger.drivers.hid import exchange as hid
+from softfinger.drivers.replay import device as replay
 from softfinger.drivers.serial import exchange as serial
 from softfinger.drivers.simulated import device as simulated
 from softfinger.drivers.spacemouse import device as spacemouse
@@ -64,3 +66,16 @@ def test_exchange_calls_only_libc(function: Any, signature: Any, allowed: set[st
     assert "write" in outside or function is not serial._send
     assert outside and ("clock_gettime" in outside or signature is not IO_SIGNATURE)
     assert {name for name in outside if not UNIT.match(name)} <= EVERY | allowed
+
+
+@pytest.mark.parametrize(
+    ("function", "allowed"),
+    [(replay._read, set()), (wrench_log.write, set()), (wrench_log.silence, set()), (simulated._read, {"atan2"})],
+)
+def test_devices_without_hardware_neither_allocate_nor_raise(function: Any, allowed: set[str]) -> None:
+    code = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc).inspect_llvm()
+    bodies = [part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0]]
+    assert bodies
+    for body in bodies:
+        assert set(re.findall(r"\bret (.*)", body)) == {"i32 0"}
+        assert {name for name in re.findall(r"call [^@\n]*@([\w.]+)", body) if not name.startswith("llvm.")} <= allowed

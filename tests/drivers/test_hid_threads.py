@@ -208,6 +208,7 @@ def test_stop_returns_after_the_zero() -> None:
                 linked.push(1.0)
                 time.sleep(0.0005)
             linked.device.stop()
+            assert linked.device.zero_failure() == ""
             assert any(written[0][1:])
             assert not any(written[-1][1:])
             count = len(written)

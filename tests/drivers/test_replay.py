@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.replay import device as replay
 from softfinger.drivers.replay.device import Options, Replay, open_device
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
@@ -161,16 +157,3 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
         opened(forces="forces.txt")
     with pytest.raises(RecordingError, match="there is no folder"):
         opened(forces=str(tmp_path / "no" / "forces.csv"))
-
-
-@pytest.mark.parametrize("function", [replay._read, wrench_log.write, wrench_log.silence])
-def test_c_functions_neither_allocate_nor_raise(function: Any) -> None:
-    fresh = numba.cfunc(function._sig, error_model="numpy")(function._pyfunc)
-    code = fresh.inspect_llvm()
-    bodies = re.findall(r"^define [^\n]*?@(\S+?)\(.*?^}", code, re.M | re.S)
-    assert bodies
-    assert not re.search(r"NRT|malloc|_alloc", code)
-    body = next(part for part in re.findall(r"^define .*?^}", code, re.M | re.S) if "%retptr" in part.split("\n")[0])
-    assert set(re.findall(r"\bret (.*)", body)) == {"i32 0"}
-    calls = re.findall(r"call [^@\n]*@([\w.]+)", body)
-    assert all(name.startswith("llvm.mem") for name in calls)

@@ -17,7 +17,6 @@ from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import fresh
 
 from softfinger.config.errors import DeviceNotFound
-from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
@@ -232,15 +231,6 @@ def test_a_described_rig_without_a_port_is_rejected() -> None:
     for rig in ("haply-2diy", "hapkit"):
         with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
             open_device(rig_options(rig), 1000.0)
-
-
-def test_a_board_that_never_answers_raises_an_error() -> None:
-    """The error for a port without answers contains the time and the checks to make."""
-    board = Firmware()
-    with Port(board) as port:
-        port.mute.set()
-        with pytest.raises(NoAnswer, match=r"sends no frame within 0.5 s: check its power"):
-            opened("haply-2diy", port.path, wake_s=0.5)
 
 
 def test_the_sketch_switches_off_by_itself(library: Path) -> None:

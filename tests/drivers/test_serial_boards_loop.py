@@ -125,6 +125,17 @@ def test_a_watcher_ends_the_force_of_a_killed_program(watched: bool, tmp_path: P
             assert any(board.torques)
 
 
+def push(board: Hapkit, process: subprocess.Popen[str], down: float) -> float:
+    """Turn the handle down from an angle (rad) until it is pushed back; return the angle."""
+    until = time.monotonic() + LIMIT_S
+    while board.torque() < 0.02:
+        assert process.poll() is None and time.monotonic() < until
+        down = max(down - 0.004, -0.2)
+        board.turn(down)  # counted from the position at the opening of the port, or at the start of the board
+        time.sleep(0.01)
+    return down
+
+
 UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 
@@ -134,26 +145,17 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
         board.turn(0.3)
         with command("hapkit", line.path, tmp_path, environment=line.environment(stub)) as process:
-            until, down = time.monotonic() + LIMIT_S, 0.3
-
-            def pushed() -> None:
-                nonlocal down
-                while board.torque() < 0.02:
-                    assert process.poll() is None and time.monotonic() < until
-                    down = max(down - 0.004, -0.2)
-                    board.turn(down)
-                    time.sleep(0.01)
 
             def stall() -> None:
                 line.stalled.set()
                 assert settled(line.queued, lambda waiting: waiting == ZEROS) == ZEROS
 
-            pushed()
+            down = push(board, process, 0.3)
             stall()  # after 0.25 s the run would end; the board switches its motor off after 50 ms
             assert settled(board.torque, lambda torque: torque == 0.0) == 0.0
             begun = len(board.changes())
             line.stalled.clear()
-            pushed()
+            push(board, process, down)
             back = [torque for _, torque in board.changes()[begun:]]
             assert abs(back[0]) < 0.005 and max(map(abs, np.diff(back))) < 0.01  # N m at the motor: it fades in
             stall()
@@ -174,13 +176,7 @@ def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
     with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board:
         board.turn(0.3)  # to the right is up: 27 mm, and the fingertip has a radius of 10
         with command("hapkit", board.path, tmp_path) as process:
-            until = time.monotonic() + 120.0
-            down = 0.3
-            while board.torque() < 0.02:
-                assert process.poll() is None and time.monotonic() < until
-                down = max(down - 0.004, -0.2)
-                board.turn(down)  # counted from the position at the opening of the port, or at the start of the board
-                time.sleep(0.01)
+            push(board, process, 0.3)
             process.kill()
             killed = time.monotonic()
             process.wait()

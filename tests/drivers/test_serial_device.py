@@ -230,18 +230,6 @@ def test_an_empty_port_is_not_read() -> None:
                 os.close(each)
 
 
-def test_unplugging_is_a_loss() -> None:
-    with board() as (device, _, cable):
-        servo = Servo(device)
-        fresh(servo)
-        cable.pull()
-        assert servo.read()[0] == LOST
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
-        device.stop()
-        device.close()
-        assert servo.read()[0] == LOST
-
-
 def test_stop_while_the_loop_writes() -> None:
     for _ in range(20):
         with board() as (device, itself, cable):

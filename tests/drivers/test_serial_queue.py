@@ -43,7 +43,7 @@ class Port:
         self.waiting: list[tuple[int, int, int]] = []
         """Queued bytes: time of the write (ns), number of the write, value."""
         self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
-        self._credit, self._sent_ms = 0.0, 0
+        self._credit = 0.0
 
     def advance(self, now: int) -> None:
         self._credit += self.per_ms

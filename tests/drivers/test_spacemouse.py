@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from emulators import puck as emulated
 from helpers.blocks import whole
+from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
 
@@ -26,8 +27,7 @@ from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
 from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
-from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
@@ -313,16 +313,7 @@ def test_a_puck_touches_a_scene() -> None:
         assert servo.records.take(records) == 900
         servo.close()
         assert not device.read_log().wrench[-1].any()
-    engine, compared = Engine(scene), 0
-    for row in records:
-        position, orientation = row[AT.probe_position :], row[AT.probe_orientation :]
-        step = engine.step(position[:3], orientation[:4], float(row[AT.dt]))
-        assert step.mode == row[AT.contact_mode]
-        if row[AT.servo_guard] == 0:
-            # same arithmetic, compiled into the loop and into the engine
-            np.testing.assert_allclose(row[AT.force : AT.force + 3], step.force, rtol=0, atol=1e-12)
-            compared += step.mode != 0
-    assert compared > 100
+    assert assert_engine_agrees(records, scene, RATE_HZ) > 100
 
 
 FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "resolution_m": 0.0, "delay_ticks": 0}

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
 from softfinger.drivers.forcedimension import device as forcedimension
-from softfinger.drivers.forcedimension import usb as fd_usb
+from softfinger.drivers.forcedimension import selection
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
@@ -93,10 +93,10 @@ class UsbBus(usb.backend.IBackend):
 def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
     """Let pyusb find these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a user
     without privileges."""
-    get_backend, root = usb.backend.libusb1.get_backend, fd_usb.NODES
+    get_backend, root = usb.backend.libusb1.get_backend, selection.NODES
     usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
     if nodes is not None:
-        fd_usb.NODES = nodes
+        selection.NODES = nodes
         (nodes / "001").mkdir(exist_ok=True)
         for number in range(len(products)):
             node = nodes / "001" / f"{5 + number:03d}"
@@ -110,7 +110,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
     finally:
         if drop:
             os.seteuid(0)
-        usb.backend.libusb1.get_backend, fd_usb.NODES = get_backend, root
+        usb.backend.libusb1.get_backend, selection.NODES = get_backend, root
 
 
 class StubBench(Bench):

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softfinger.config.errors import ConfigError
 from softfinger.server import cli
 from softfinger.tools.bench.soak import Soaked, evaluate, growth
 
@@ -41,10 +40,6 @@ def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
     step[4000:] += 10.0
     away[3000:3050] = np.nan
     assert evaluate(soaked(step))["faults"] == evaluate(soaked(away))["faults"] == []
-
-
-def test_a_length_that_is_none_is_refused() -> None:
-    assert cli.main(["bench", "soak", "--minutes", "0"]) == ConfigError.exit_code
 
 
 @pytest.mark.exhaustive

@@ -20,7 +20,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
-from softfinger.tools.doctor.axes_picture import picture
+from softfinger.tools.doctor.probe import picture
 
 __all__ = ["hd", "hd_library", "home"]  # fixtures
 
@@ -102,24 +102,6 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     assert force.max(axis=0) == pytest.approx([0.2] * 3, rel=0.02)
     assert force.min(axis=0) == pytest.approx([-0.2] * 3, rel=0.02)
     assert not force[-1].any()
-
-
-@pytest.mark.parametrize(
-    ("words", "pieces"),
-    [
-        (["--push"], ["--push belongs to a probe"]),
-        (["--probe", "/no/such/folder/x.json", "--rig", "simulated"], ["--probe /no/such/folder", "no folder"]),
-        (["--probe", "--rig", "no-such-rig"], ["no-such-rig"]),
-    ],
-)
-def test_bad_words_give_one_clear_error(
-    words: list[str], pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(home)
-    assert main(["devices", *words]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
-    assert list(home.iterdir()) == []
 
 
 def test_a_rig_with_a_limit_below_the_push_is_refused(

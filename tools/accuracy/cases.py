@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.drivers.quaternions import conjugate, exp, multiply
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.tools.accuracy.options import MOTIONS, Motion
@@ -205,28 +206,17 @@ def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
     roll_rate, spin_rate = rates(track)
     if track.motion == "constant":
         w = roll_rate * e + spin_rate * n
-        size = float(np.linalg.norm(w))
-        return about(w / size, size * times)
+        return exp(times[:, None] * w)
     a, b = roll_rate / TILT_RAD, spin_rate / SPIN_RAD
-    tilt, spin = about(e, TILT_RAD * np.sin(a * times)), about(n, SPIN_RAD * np.sin(b * times))
-    sway = about(np.cross(n, e), SWAY_RAD * (1.0 - np.cos(a * times)))
-    return product(sway, product(spin, tilt))
-
-
-def about(axis: Array, angles: Array) -> Array:
-    """Return the quaternions (n, 4) of rotations by `angles` (n,) rad about a unit axis (3,)."""
-    return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * axis])
-
-
-def product(p: Array, q: Array) -> Array:
-    """Return quaternion products (n, 4): rotate by q, then by p."""
-    (a, u), (b, v) = (p[:, :1], p[:, 1:]), (q[:, :1], q[:, 1:])
-    return np.hstack([a * b - np.sum(u * v, axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
+    at = times[:, None]
+    tilt, spin = exp(TILT_RAD * np.sin(a * at) * e), exp(SPIN_RAD * np.sin(b * at) * n)
+    sway = exp(SWAY_RAD * (1.0 - np.cos(a * at)) * np.cross(n, e))
+    return multiply(sway, multiply(spin, tilt))
 
 
 def turns(q: Array) -> Array:
     """Return the shortest rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next."""
-    steps = product(q[1:], q[:-1] * (1.0, -1.0, -1.0, -1.0))
+    steps = multiply(q[1:], conjugate(q[:-1]))
     return np.ascontiguousarray(np.where(steps[:, :1] < 0.0, -steps, steps))
 
 

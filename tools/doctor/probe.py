@@ -22,14 +22,14 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.server.loop.guard import Guard
 from softfinger.tools.doctor import motions
-from softfinger.tools.doctor.axes_picture import picture
-from softfinger.tools.doctor.report import begun, pushing, record, report_file, write_report
+from softfinger.tools.doctor.report import Report, begun, pushing, record, report_file, write_report
 from softfinger.tools.doctor.session import TRANSLATIONS, DeviceSession
 from softfinger.tools.exchange import START, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 from softfinger.tools.options import PUSH_N
 
+WORDS: Final = {"+x": "right", "+y": "away from you", "+z": "up", "-x": "left", "-y": "towards you", "-z": "down"}
 PART_S: Final = 2.0
 """Duration of each of five parts: at rest, to the right, away, up, buttons. Ten seconds in all."""
 PUSH_S: Final = 1.5
@@ -155,3 +155,32 @@ def glance(report: Mapping[str, Any]) -> list[str]:
     if (exchange := report["exchange"]) is not None:
         text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
     return text
+
+
+def picture(report: Report) -> list[str]:
+    """Draw arrows of x, y and z with the range of the handle along each, and list the motions seen along each axis."""
+    span = report["range"]
+    reach = ["not seen"] * 3
+    if span is not None:
+        pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
+        reach = [f"{low * 1e3:.1f} to {high * 1e3:.1f} mm" for low, high in pairs]
+    x, y, z = (f"{name}  {WORDS[f'+{name}']}: {reach[k]}" for k, name in enumerate("xyz"))
+    return [
+        f"    ^ {z}",
+        "    |",
+        f"    |    7 {y}",
+        "    |   /",
+        "    |  /",
+        "    | /",
+        f"    +----------> {x}",
+        *_motions(report),
+    ]
+
+
+def _motions(report: Report) -> list[str]:
+    motions = []
+    for move in report["moves"]:
+        if move["kind"] == "translation":
+            right = "as it has to be" if move["agrees"] else f"WRONG: it has to be {move['expected']}"
+            motions.append(f"    {WORDS[move['expected']]:>14} --> {move['seen']}   {right}")
+    return motions

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.load import build
+from softfinger.drivers.quaternions import exp
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
@@ -90,8 +91,7 @@ UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
     """Return the quaternions (n, 4) of the angles (n,) rad about an axis."""
-    unit = np.asarray(axis, float) / np.linalg.norm(axis)
-    return np.column_stack([np.cos(angles / 2), np.sin(angles / 2)[:, None] * unit])
+    return exp(angles[:, None] * np.asarray(axis, float) / np.linalg.norm(axis))
 
 
 def press(depth: float = 0.001, radius: float = R, distance: float = 0.0, q: Array = UPRIGHT) -> Array:
