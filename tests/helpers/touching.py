@@ -105,7 +105,3 @@ def wander(seed: int, ticks: int, reach: float, speed: float = 1e-4) -> Array:
     for k, a in enumerate(waves):
         way += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
     return reach * way / np.abs(way).max()
-
-
-def field(records: ArrayLike, at: int, count: int = 3) -> Array:
-    return np.asarray(records)[:, at : at + count]

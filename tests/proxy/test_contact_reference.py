@@ -15,7 +15,7 @@ from references.rotation import matrix, quaternion, rodrigues
 
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT, CAUSE_NAMES
+from softfinger.proxy.record import CAUSE_NAMES
 
 pytestmark = pytest.mark.plain
 
@@ -125,7 +125,7 @@ def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: 
         rng = np.random.default_rng(seed)
         scene, q = random_case(rng, plane_scene)
         records = Engine(scene).run(np.array(random_motion(rng, q).poses), DT)
-        for cause in records[:, AT.contact_cause]:
+        for cause in records["contact.cause"]:
             seen[CAUSE_NAMES[int(cause)]] = seen.get(CAUSE_NAMES[int(cause)], 0) + 1
     of_one_object = set(CAUSE_NAMES) - {"restart"}  # restarts occur only on meshes
     assert all(seen.get(cause, 0) >= 5 for cause in of_one_object), seen

@@ -28,7 +28,6 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import FORCE_CEILING_N, Situation, apply_effects, start_states
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.jit.pack import flatten
-from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
@@ -444,7 +443,7 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
     records = Engine(scene).run(posed(path), DT)
-    force = records[:, AT.force : AT.force + 3]
+    force = records["force"]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
     # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
@@ -458,7 +457,7 @@ def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> 
     x = np.arange(1001) * 5e-6
     path = np.stack([x, 0.0 * x, np.full_like(x, 0.009)], axis=1)
     records = Engine(scene).run(posed(path), DT)
-    force = records[:, AT.force : AT.force + 3]
+    force = records["force"]
     moments = (moment(tuple(p), touched=1.0) for p in path)
     texture = run(model.StickSlip(1000.0, 0.5), moments)
     assert force == pytest.approx(texture + np.array([0.0, 0.0, 1.0]), abs=1e-9)

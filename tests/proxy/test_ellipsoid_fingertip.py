@@ -13,7 +13,7 @@ import pytest
 from helpers.examples import Cases
 from numpy.typing import ArrayLike, NDArray
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
-from references.laws import axis_angles, column, stored_energy
+from references.laws import axis_angles, stored_energy
 from references.rotation import matrix, multiply, quaternion
 from scipy.special import ellipeinc
 
@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest, curvature
-from softfinger.proxy.record import AT, ROLLING
+from softfinger.proxy.record import ROLLING
 from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import normal_and_curvature
 
@@ -116,8 +116,8 @@ def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
     ball = Engine(scene({"radius_m": 0.01}, *things, damping_ns_per_m=1.0)).run(poses)
     tip = {"radii_m": [0.01] * 3, "orientation_wxyz": list(TURN)}
     same = Engine(scene(tip, *things, damping_ns_per_m=1.0)).run(poses)
-    assert len(things) == 1 or (same[:, AT.contacts1_object] >= 0).any()
-    assert set(ball[:, AT.contact_mode]) == {0.0, 1.0, 2.0}
+    assert len(things) == 1 or (same["contacts1.object"] >= 0).any()
+    assert set(ball["contact.mode"]) == {0.0, 1.0, 2.0}
     np.testing.assert_allclose(same, ball, rtol=0.0, atol=1e-12)
 
 
@@ -190,13 +190,13 @@ def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
     x = np.stack([a * theta, 0.0 * theta, 0.0 * theta + a - 1e-3], axis=1)
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
     rows = Engine(scene({"radii_m": [a, 0.005, a]}, TABLES["plane"])).run(np.hstack([x, q]))
-    np.testing.assert_allclose(column(rows, "contact.point", 3)[:, 0], a * theta, rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(column(rows, "proxy.position", 3)[:, 2], a, rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(column(rows, "force", 3) - [0.0, 0.0, 1.0], 0.0, rtol=0.0, atol=1e-11)
-    np.testing.assert_allclose(column(rows, "torque", 3), 0.0, rtol=0.0, atol=1e-13)
-    np.testing.assert_allclose(column(rows, "contact.rolled"), theta, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(rows["contact.point"][:, 0], a * theta, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(rows["proxy.position"][:, 2], a, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(rows["force"] - [0.0, 0.0, 1.0], 0.0, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(rows["torque"], 0.0, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(rows["contact.rolled"], theta, rtol=0.0, atol=1e-12)
     spot = np.stack([a * np.sin(theta), 0.0 * theta, -a * np.cos(theta)], axis=1)
-    np.testing.assert_allclose(column(rows, "contact.finger_point", 3), spot, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(rows["contact.finger_point"], spot, rtol=0.0, atol=1e-15)
 
 
 def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
@@ -208,21 +208,21 @@ def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
     made = scene({"radii_m": list(AXES)}, TABLES["plane"], friction=STICKY)
     rows = Engine(made).run(np.hstack([x, q]))
-    assert set(rows[:, AT.contact_mode]) == {ROLLING}
+    assert set(rows["contact.mode"]) == {ROLLING}
     height = np.hypot(a * np.sin(theta), c * np.cos(theta))
     # The contact point is (a sin u, -c cos u) with tan u = a / c tan theta, measured from the lowest point.
     u = np.arctan2(a * np.sin(theta), c * np.cos(theta))
     arc = a * ellipeinc(u, 1.0 - (c / a) ** 2)
     # 600 Runge-Kutta steps of 2 mrad leave an error of some 1e-14.
-    np.testing.assert_allclose(column(rows, "contact.point", 3)[:, 0], arc, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(rows["contact.point"][:, 0], arc, rtol=0.0, atol=1e-12)
     load = K * (height - x[:, 2])
-    np.testing.assert_allclose(rows[:, AT.contact_normal_force], load, rtol=1e-12)
+    np.testing.assert_allclose(rows["contact.normal_force"], load, rtol=1e-12)
     # The centre is ahead of the contact by the lever arm, which reduces the stretch of the spring.
     aside = arc - (a * a - c * c) * np.sin(theta) * np.cos(theta) / height
-    np.testing.assert_allclose(column(rows, "force", 3)[:, 0], K * aside, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rows["force"][:, 0], K * aside, rtol=0.0, atol=1e-9)
     # dh / dtheta = (a^2 - c^2) sin cos / h, and the centre moves by h dtheta.
     moment = -load * (a * a - c * c) * np.sin(theta) * np.cos(theta) / height - K * aside * height
-    np.testing.assert_allclose(column(rows, "torque", 3)[:, 1], moment, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(rows["torque"][:, 1], moment, rtol=0.0, atol=1e-11)
 
 
 def test_rolling_round_a_parallel_turns_the_finger() -> None:
@@ -240,7 +240,7 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
             about = multiply(quaternion([0.0, 0.0, np.cos(beta) * angle]), about)
             poses.append(np.concatenate([[0.0, 0.0, height - 1e-3], about]))
         made = scene({"radii_m": [a, a, c]}, TABLES["plane"], friction=STICKY)
-        points = column(Engine(made).run(np.array(poses)), "contact.point", 3)
+        points = Engine(made).run(np.array(poses))["contact.point"]
         found.append((points - points[0])[:: ticks // 250])
     turned = np.cos(beta) * np.linspace(0.0, 2.0 * np.pi, 251)
     circle = rho / np.cos(beta) * np.stack([np.cos(turned) - 1.0, np.sin(turned), 0.0 * turned], axis=1)
@@ -252,9 +252,9 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
 
 def work(rows: Array) -> Array:
     """Work (n,) J of the hand up to each tick, by the trapezoidal rule, of second order in the step."""
-    moved = np.diff(column(rows, "probe.position", 3), axis=0)
-    turned = axis_angles(column(rows, "probe.orientation", 4))
-    force, torque = column(rows, "force", 3), column(rows, "torque", 3)
+    moved = np.diff(rows["probe.position"], axis=0)
+    turned = axis_angles(rows["probe.orientation"])
+    force, torque = rows["force"], rows["torque"]
     mean = 0.5 * (force[1:] + force[:-1]), 0.5 * (torque[1:] + torque[:-1])
     return np.concatenate([[0.0], -np.cumsum(np.sum(mean[0] * moved, axis=1) + np.sum(mean[1] * turned, axis=1))])
 
@@ -279,7 +279,7 @@ def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) 
     for ticks in (few, 2 * few):
         engine.reset()
         rows = engine.run(handled(ticks, lowest))
-        assert set(rows[:, AT.contact_mode]) == {ROLLING}
+        assert set(rows["contact.mode"]) == {ROLLING}
         stored = stored_energy(rows)
         off.append(np.abs(work(rows) - (stored - stored[0])).max())
     assert off[1] < 1e-4 * (1000 / few) ** 2 * stored.max() and off[0] / off[1] == pytest.approx(4.0, abs=0.5)
@@ -292,7 +292,7 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     ticks = cases(200, 1000)
     once = handled(ticks, lowest)
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
-    shared = column(rows, "contacts1.object") >= 0
+    shared = rows["contacts1.object"] >= 0
     assert shared.any() and not shared.all()
     per_cycle = np.diff(work(rows)[::ticks])
     assert (per_cycle[1:] > 0.0).all()

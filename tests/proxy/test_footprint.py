@@ -14,7 +14,7 @@ from conftest import SceneFactory, paper_mapping
 from helpers.examples import Cases
 from numpy.typing import NDArray
 from references.hand import Hand, drive, pressed
-from references.laws import Array, axis_angles, check_random_handling, column, work_of_the_hand
+from references.laws import Array, axis_angles, check_random_handling, work_of_the_hand
 from references.rotation import matrix
 from scipy.integrate import quad
 
@@ -62,7 +62,7 @@ def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_radius_is_the_closed_form(name: str) -> None:
     records = run(soft(PATCHES[name]), Hand([0, 0, R + 0.001]).go(90, [0, 0, -0.009]))
-    load, found = column(records, "contact.normal_force"), column(records, "contact.patch_radius")
+    load, found = records["contact.normal_force"], records["contact.patch_radius"]
     touching = load > 0.0
     assert touching.sum() == 80 and (found[~touching] == 0.0).all()
     # Rounding of r - z limits the depth to five digits less than float64.
@@ -77,14 +77,14 @@ def test_an_elastic_object_adds_its_compliance() -> None:
     records = run(engine, pressed(0.002).go(10, turn=[0, 0, 1e-3]))
     effective = 1.0 / (0.75 * (1.0 / (3.0 * G) + 1.0 / (3.0 * other)))
     a = (3.0 * 2.0 * R / (4.0 * effective)) ** (1.0 / 3.0)
-    assert column(records, "contact.patch_radius")[-1] == pytest.approx(a, rel=1e-12)
+    assert records["contact.patch_radius"][-1] == pytest.approx(a, rel=1e-12)
     stiffness = 16.0 / 3.0 * a**3 / (1.0 / G + 1.0 / other)
-    assert column(records, "contact.torsion")[-1] == pytest.approx(-stiffness * 1e-3, rel=1e-9)
+    assert records["contact.torsion"][-1] == pytest.approx(-stiffness * 1e-3, rel=1e-9)
 
 
 def test_it_is_no_larger_than_the_fingertip() -> None:
     records = run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))
-    assert column(records, "contact.patch_radius")[-1] == R
+    assert records["contact.patch_radius"][-1] == R
 
 
 @pytest.mark.parametrize(("k", "published"), [(2.0, 1.5), (3.0, 1.24), (4.0, 1.1441), (100.0, 1.0)])
@@ -108,8 +108,8 @@ def test_torsion_is_elastic_up_to_the_friction_of_the_patch(name: str, depth: fl
     load = K * depth
     a = radius(name, load)
     expected = np.minimum(16.0 / 3.0 * G * a**3 * np.linspace(0.0, 2.0, 401), MU * LEVER[name] * a * load)
-    assert column(records, "contact.torsion")[1:] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
-    assert column(records, "torque", 3)[:, 2] == pytest.approx(column(records, "contact.torsion"), abs=1e-18)
+    assert records["contact.torsion"][1:] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
+    assert records["torque"][:, 2] == pytest.approx(records["contact.torsion"], abs=1e-18)
 
 
 def test_torsional_stiffness_of_a_hertzian_patch_is_load_times_radius() -> None:
@@ -129,8 +129,8 @@ def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -
     force, moment = 0.5, MU * LEVER[name] * float(radius(name, 1.0))
     size = np.hypot(force * v, moment * omega)
     # The steady state is approached over deflections of 0.5 mm; the slide is twenty times as long.
-    assert column(records, "contact.tangential_force")[-1] == pytest.approx(force**2 * v / size, rel=1e-6)
-    assert column(records, "contact.torsion")[-1] == pytest.approx(-(moment**2) * omega / size, rel=1e-6)
+    assert records["contact.tangential_force"][-1] == pytest.approx(force**2 * v / size, rel=1e-6)
+    assert records["contact.torsion"][-1] == pytest.approx(-(moment**2) * omega / size, rel=1e-6)
 
 
 @pytest.mark.scaled
@@ -144,7 +144,7 @@ def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     for _ in range(cases(300, 1000)):
         hand.go(3, move=[0, 0, -4e-4]).go(3, move=[0, 0, 4e-4])
     records = run(soft(HERTZ), hand)
-    moment = column(records, "contact.torsion")
+    moment = records["contact.torsion"]
     assert moment[wound] == pytest.approx(-2.0 * R * 0.02, rel=1e-9)
     assert moment[hard] == pytest.approx(moment[wound] * 3.0**0.5, rel=1e-9)
     # At most six thousand roots and products, each rounded.
@@ -162,7 +162,7 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     records = run(engine, hand.go(500, turn=[-1.0, 0, 0]))
     limit = 3.0 / 16.0 * alpha * float(radius("Hertz", load)) * load
     rolled = np.linspace(0.0, 1.0, 501)
-    torque = column(records, "torque", 3)
+    torque = records["torque"]
     expected = np.minimum(3.0 / 16.0 * alpha * R * load * rolled, limit)
     assert torque[1 : there + 1, 0] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
     assert np.ptp(torque[there : rest + 1, 0]) == 0.0
@@ -187,9 +187,9 @@ def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> No
     hand = Hand([0, 0, R + 0.001]).go(1, turn=[0, 0, pi / 2]).go_to(1, [0, 0, R - 0.001]).go(30, move=[3e-4, 0, 0])
     records = run(soft(HERTZ, coupling={"damping_ns_per_m": 0.0}), hand)
     # World -x is fingertip +y; rounding of 30 steps of positions of 10 mm, 1e-18 m each.
-    assert column(records, "contact.patch_stretch", 3)[-1] == pytest.approx([0.0, 3e-4, 0.0], abs=1e-16)
-    assert column(records, "contact.patch_normal", 3)[-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
-    assert column(records, "contact.tangential_force")[-1] == pytest.approx(K * 3e-4, rel=1e-9)
+    assert records["contact.patch_stretch"][-1] == pytest.approx([0.0, 3e-4, 0.0], abs=1e-16)
+    assert records["contact.patch_normal"][-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+    assert records["contact.tangential_force"][-1] == pytest.approx(K * 3e-4, rel=1e-9)
 
 
 @pytest.mark.scaled
@@ -198,16 +198,16 @@ def test_patch_in_the_fingertips_frame_is_the_rotated_world_frame() -> None:
     engine = soft(HERTZ, table={"shape": "sphere", "radius_m": 0.05, "position_m": [0.0, 0.0, -0.05]})
 
     def check(records: Array) -> None:
-        records = records[column(records, "contact.mode") != 0]
-        to_world = np.array([matrix(q) for q in column(records, "probe.orientation", 4)]).reshape(-1, 3, 3)
-        normal, inside = column(records, "contact.normal", 3), column(records, "contact.patch_normal", 3)
-        behind = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
+        records = records[records["contact.mode"] != 0]
+        to_world = np.array([matrix(q) for q in records["probe.orientation"]]).reshape(-1, 3, 3)
+        normal, inside = records["contact.normal"], records["contact.patch_normal"]
+        behind = records["proxy.position"] - records["probe.position"]
         tangent = behind - np.sum(behind * normal, axis=1)[:, None] * normal
-        stretch = column(records, "contact.patch_stretch", 3)
+        stretch = records["contact.patch_stretch"]
         # Rounding of a dozen products of numbers of order 1, and of lengths of 10 mm.
         assert np.allclose(np.einsum("nij,nj->ni", to_world, inside), normal, rtol=0.0, atol=1e-14)
         assert np.allclose(np.einsum("nij,nj->ni", to_world, stretch), tangent, rtol=0.0, atol=1e-15)
-        assert np.allclose(column(records, "contact.finger_point", 3), -R * inside, rtol=0.0, atol=1e-16)
+        assert np.allclose(records["contact.finger_point"], -R * inside, rtol=0.0, atol=1e-16)
 
     check_random_handling(engine, 8, 300, check)
 
@@ -230,17 +230,17 @@ def test_contact_creates_no_energy_under_changing_loads(name: str, kind: str) ->
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
     def check(records: Array) -> None:
-        stretch = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
-        a = column(records, "contact.patch_radius")
+        stretch = records["proxy.position"] - records["probe.position"]
+        a = records["contact.patch_radius"]
         k_z = 16.0 / 3.0 * G * a**3
-        touching = column(records, "contact.mode") != 0
-        stored = K * np.sum(stretch**2, axis=1) + k_z * column(records, "contact.spin") ** 2
+        touching = records["contact.mode"] != 0
+        stored = K * np.sum(stretch**2, axis=1) + k_z * records["contact.spin"] ** 2
         # Rounding of several hundred terms of up to 1e-2 J.
         assert (work_of_the_hand(records) - 0.5 * touching * stored).min() >= -1e-15 * len(records)
-        turned = axis_angles(column(records, "probe.orientation", 4))[:, 2]
-        spun = np.concatenate([[0.0], -np.cumsum(column(records, "contact.torsion")[1:] * turned)])
+        turned = axis_angles(records["probe.orientation"])[:, 2]
+        spun = np.concatenate([[0.0], -np.cumsum(records["contact.torsion"][1:] * turned)])
         # The same for terms of up to 1e-4 J.
-        assert (spun - 0.5 * k_z * column(records, "contact.spin") ** 2).min() >= -1e-17 * len(records)
+        assert (spun - 0.5 * k_z * records["contact.spin"] ** 2).min() >= -1e-17 * len(records)
 
     check_random_handling(engine, 8, 300, check)
 
@@ -252,10 +252,10 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
 
     def check(records: Array) -> None:
-        torque = column(records, "torque", 3)
-        turned = axis_angles(column(records, "probe.orientation", 4))
+        torque = records["torque"]
+        turned = axis_angles(records["probe.orientation"])
         work = np.concatenate([[0.0], -np.cumsum(np.sum(torque[1:] * turned, axis=1))])
-        stiffness = 3.0 / 16.0 * alpha * R * column(records, "contact.normal_force")
+        stiffness = 3.0 / 16.0 * alpha * R * records["contact.normal_force"]
         stored = 0.5 * np.sum(torque**2, axis=1) / np.where(stiffness > 0.0, stiffness, 1.0)
         # Rounding of several hundred terms of up to 1e-4 J.
         assert (work - stored).min() >= -1e-17 * len(records)

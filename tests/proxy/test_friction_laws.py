@@ -17,7 +17,6 @@ from references.laws import (
     SPEED,
     Array,
     check_random_handling,
-    column,
     rolling,
     stored_energy,
     work_of_the_hand,
@@ -77,7 +76,7 @@ def test_steady_slide_has_no_ripple(plane_scene: SceneFactory, law: str) -> None
     hand = pressed().go(700, move=[0.035, 0.021, 0], turn=[0, 0, 0.7])
     records = Engine(plane_scene(material=LAWS[law], rolling=rolling(law))).run(np.array(hand.poses))
     # The low-passed speeds have settled to 1e-13 after thirty time constants.
-    steady = column(records, "force", 3)[-350:, :2]
+    steady = records["force"][-350:, :2]
     assert np.abs(np.diff(steady, axis=0)).max() < 1e-11
     assert np.abs(np.fft.rfft(steady - steady.mean(axis=0), axis=0))[-1].max() / len(steady) < 1e-11
 
@@ -230,7 +229,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
 
     # 90 hands of about 130 ticks are 10^4 cases.
     def check(records: Array) -> None:
-        force, normal = column(records, "force", 3)[:, :2], column(records, "contact.normal_force")
+        force, normal = records["force"][:, :2], records["contact.normal_force"]
         assert np.isfinite(records).all()
         assert (normal >= 0.0).all()
         size = np.linalg.norm(force / scale, axis=1)
@@ -243,7 +242,7 @@ def test_force_stays_in_the_cone(plane_scene: SceneFactory, law: str) -> None:
         assert (size <= limit * (1 + EXACT)).all()
         # The torsional limit scales with the load: 1 N at a depth of 1 mm.
         largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
-        assert (np.abs(column(records, "torque", 3)[:, 2]) <= largest * (1 + EXACT)).all()
+        assert (np.abs(records["torque"][:, 2]) <= largest * (1 + EXACT)).all()
 
     check_random_handling(engine, 8, 90, check)
 

@@ -347,8 +347,8 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
     poses = stroke(4, 750, 0.006, 0.0085, 0.0105)
     ball = engine(thing("ball", "sphere", radius_m=0.06, position_m=[0.0, 0.0, -0.06])).run(poses)
     over = engine(part(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
-    assert {0.0, 1.0, 2.0} <= set(ball[:, AT.contact_mode])
-    np.testing.assert_array_equal(over[:, AT.contact_mode], ball[:, AT.contact_mode])
+    assert {0.0, 1.0, 2.0} <= set(ball["contact.mode"])
+    np.testing.assert_array_equal(over["contact.mode"], ball["contact.mode"])
     # While sliding, both leave the remainder of two iterations to the next tick: 40 nm, and 40 uN of a spring of 1
     # N/mm.
     np.testing.assert_allclose(over["proxy.position"], ball["proxy.position"], rtol=0, atol=2e-7)
@@ -416,7 +416,7 @@ def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], 
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]
     floors = part(tmp_path, np.zeros((40, 40)), 1e-3, **grip), thing("plane", "plane", **grip)
     level, plane = (engine(floor, wall, rolling=None).run(poses) for floor in floors)
-    assert (plane[:, AT.contacts1_object] >= 0).any()
+    assert (plane["contacts1.object"] >= 0).any()
     np.testing.assert_allclose(level["force"], plane["force"], rtol=0, atol=1e-9)
     np.testing.assert_allclose(level["proxy.position"], plane["proxy.position"], rtol=0, atol=1e-11)
 

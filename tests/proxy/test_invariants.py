@@ -7,7 +7,7 @@ import pytest
 from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from references.laws import K_Z, axis_angles, column, stored_energy, work_of_the_hand
+from references.laws import K_Z, axis_angles, stored_energy, work_of_the_hand
 from references.rotation import matrix, multiply
 
 from softfinger.config.load import build
@@ -110,7 +110,7 @@ ABOVE = (0.0, 0.0, 0.055)
 def test_proxy_is_never_inside_any_object(found, count):
     records = visit(engine("zoo"), visits(ABOVE, found[:count]))
     # The solver stops at 1e-10 of the radius; these formulas round, too.
-    assert gaps(column(records, "proxy.position", 3)).min() > R * (1.0 - 1e-9)
+    assert gaps(records["proxy.position"]).min() > R * (1.0 - 1e-9)
 
 
 @pytest.mark.scaled
@@ -120,10 +120,10 @@ def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
     """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
     limit."""
     records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
-    normal = column(records, "contact.normal_force")
+    normal = records["contact.normal_force"]
     assert (normal >= 0.0).all()
-    assert (column(records, "contact.tangential_force") <= 0.6 * normal * (1.0 + 1e-9) + 1e-15).all()
-    moment = np.sum(column(records, "torque", 3) * column(records, "contact.normal", 3), axis=1)
+    assert (records["contact.tangential_force"] <= 0.6 * normal * (1.0 + 1e-9) + 1e-15).all()
+    moment = np.sum(records["torque"] * records["contact.normal"], axis=1)
     assert (np.abs(moment) <= 0.004 * normal * (1.0 + 1e-9) + 1e-15).all()
 
 
@@ -155,7 +155,7 @@ def legs_of_force(running, corners, which, reach):
     poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (shares.size, 1))
     poses[:, :3] = (corners[sides, None] + shares[:, :, None] * ways[sides, None]).reshape(-1, 3)
     running.reset()
-    force = column(running.run(poses), "force", 3).reshape(*shares.shape, 3)
+    force = running.run(poses)["force"].reshape(*shares.shape, 3)
     work = np.einsum("pni,n,pi->p", force, WEIGHTS, 0.5 * (ends - begins)[:, None] * ways[sides])
     return np.bincount(sides, work, len(corners))
 
@@ -237,10 +237,10 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
     outward /= np.linalg.norm(outward, axis=1)[:, None]
     goals = outward * (reach - 0.001 + 0.002 * found[:count, 2:3])
     records = running.run(cycle(np.array([0.0, 0.0, reach + 0.002]), goals, 0.3 * found[:count, 3:]))
-    turned = np.linalg.norm(axis_angles(column(records, "probe.orientation", 4)), axis=1)
-    way = np.linalg.norm(np.diff(column(records, "proxy.position", 3), axis=0), axis=1) + R * turned
-    force = np.linalg.norm(column(records, "force", 3), axis=1)[1:]
-    moment = np.abs(K_Z * column(records, "contact.spin"))[1:]
+    turned = np.linalg.norm(axis_angles(records["probe.orientation"]), axis=1)
+    way = np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1) + R * turned
+    force = np.linalg.norm(records["force"], axis=1)[1:]
+    moment = np.abs(K_Z * records["contact.spin"])[1:]
     missed = np.cumsum((force * way + moment * turned) * way / reach + 0.5 * 1000.0 * (way**2 / reach) ** 2)
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
 
@@ -277,14 +277,11 @@ def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
 def test_finger_side_point_follows_exactly_from_the_orientation(found, count):
     """The contact point on the fingertip is -r R^T n, so it cannot drift."""
     records = visit(engine("zoo"), visits(0.06 * found[0, :3], found[:count]))
-    for record in records[column(records, "contact.mode") > 0.0]:
-        (normal,), (finger,) = (column(record[None], f"contact.{name}", 3) for name in ("normal", "finger_point"))
-        (orientation,), (proxy,), (point,) = (
-            column(record[None], *field)
-            for field in (("probe.orientation", 4), ("proxy.position", 3), ("contact.point", 3))
-        )
-        assert np.abs(finger + R * matrix(orientation).T @ normal).max() <= 1e-16 * 10
-        assert np.abs(proxy + matrix(orientation) @ finger - point).max() <= 1e-15
+    for record in records[records["contact.mode"] > 0.0]:
+        normal, finger = record["contact.normal"], record["contact.finger_point"]
+        turn = matrix(record["probe.orientation"])
+        assert np.abs(finger + R * turn.T @ normal).max() <= 1e-16 * 10
+        assert np.abs(record["proxy.position"] + turn @ finger - record["contact.point"]).max() <= 1e-15
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-14
 
 
@@ -402,7 +399,7 @@ def test_contact_directions_stay_normalised_over_many_ticks(found, deep):
     poses = np.tile([0.0, 0.0, R + 0.02 - deep, 0.0, 0.0, 0.0, 0.0], (200, 1))
     poses[:, 3:], _ = walk(0.3 * found, 200)
     records = running.run(poses)
-    assert column(records, "contact.mode").all()
-    assert np.abs(np.linalg.norm(column(records, "contact.normal", 3), axis=1) - 1.0).max() <= 16 * ULP
-    finger = np.linalg.norm(column(records, "contact.finger_point", 3), axis=1)
+    assert records["contact.mode"].all()
+    assert np.abs(np.linalg.norm(records["contact.normal"], axis=1) - 1.0).max() <= 16 * ULP
+    finger = np.linalg.norm(records["contact.finger_point"], axis=1)
     assert np.abs(finger - R).max() <= 16 * ULP * R

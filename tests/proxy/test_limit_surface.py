@@ -14,7 +14,7 @@ from helpers.examples import Cases, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 from references.hand import drive, pressed
-from references.laws import ANISOTROPIC, Array, check_random_handling, column
+from references.laws import ANISOTROPIC, Array, check_random_handling
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
@@ -75,8 +75,8 @@ def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, 
     records = Engine(scene).run(np.array(poses))
     norm = np.hypot(F * speed, TAU * rate)
     # If the slip is almost all spin, the force turns slowly: an error of 1e-6 of F remains in the slowest case.
-    assert column(records, "force", 3)[-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
-    assert column(records, "torque", 3)[-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-8)
+    assert records["force"][-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
+    assert records["torque"][-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-8)
 
 
 @pytest.mark.sampled(1)
@@ -124,8 +124,8 @@ def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
 
     # 90 hands of about 130 ticks: 10^4 cases.
     def check(records: Array) -> None:
-        normal = column(records, "contact.normal_force")
-        force, moment = column(records, "contact.tangential_force"), column(records, "torque", 3)[:, 2]
+        normal = records["contact.normal_force"]
+        force, moment = records["contact.tangential_force"], records["torque"][:, 2]
         pushed = normal > 0.0
         assert (force[~pushed] == 0.0).all()
         assert (moment[~pushed] == 0.0).all()
@@ -169,9 +169,9 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
     hand = pressed().go(200, move=[0.01, 0.003, 0], turn=[0, 0, 1.0]).go(50, move=[0, 0, 0.0009999]).go(3)
     records = Engine(plane_scene(material=material)).run(np.array(hand.poses))
     assert np.isfinite(records).all()
-    normal = column(records, "contact.normal_force")
-    assert (column(records, "contact.tangential_force") <= 1.2 * kinetic * normal * (1 + 1e-12)).all()
-    assert (np.abs(column(records, "torque", 3)[:, 2]) <= length * normal * (1 + 1e-12)).all()
+    normal = records["contact.normal_force"]
+    assert (records["contact.tangential_force"] <= 1.2 * kinetic * normal * (1 + 1e-12)).all()
+    assert (np.abs(records["torque"][:, 2]) <= length * normal * (1 + 1e-12)).all()
 
 
 def test_limit_surface_needs_friction() -> None:

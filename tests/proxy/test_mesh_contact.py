@@ -63,8 +63,8 @@ def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
     mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
     on_mesh, on_plane = (go(each, points, turned) for each in (mesh, engine(thing("a", "plane"), **rolling)))
     assert on_plane[-1, AT.contact_rolled] > 0.05
-    np.testing.assert_allclose(on_mesh[:, AT.force : AT.force + 3], on_plane[:, AT.force : AT.force + 3], atol=1e-9)
-    np.testing.assert_allclose(on_mesh[:, AT.contact_rolled], on_plane[:, AT.contact_rolled], atol=1e-9)
+    np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
+    np.testing.assert_allclose(on_mesh["contact.rolled"], on_plane["contact.rolled"], atol=1e-9)
 
 
 @pytest.mark.plain
@@ -100,10 +100,10 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     mesh = go(engine(faceted), points, turned)[150:]
     height = np.linalg.norm(points, axis=1)[150:, None]
     normals = points[150:] / height
-    forces, expected = field(mesh, AT.force), 1000.0 * (0.05 + R - height) * normals
+    forces, expected = mesh["force"], 1000.0 * (0.05 + R - height) * normals
     along = forces / np.linalg.norm(forces, axis=1)[:, None]
     true = expected / np.linalg.norm(expected, axis=1)[:, None]
-    points_off = field(mesh, AT.contact_point) - 0.05 * normals
+    points_off = mesh["contact.point"] - 0.05 * normals
     return [
         np.linalg.norm(each, axis=1).max()
         for each in (forces - expected, points_off, along - true, np.diff(along, axis=0))
@@ -162,7 +162,7 @@ def test_a_finger_at_rest_may_touch_to_rounding(tmp_path):
     """The gap is smaller than the radius by rounding, and the path of the tick has no length."""
     mesh = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.02)), position_m=[0.0, 0.0, -0.02])
     records = go(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
-    assert not field(records, AT.force).any() and np.isfinite(records).all()
+    assert not records["force"].any() and np.isfinite(records).all()
 
 
 def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
@@ -185,5 +185,5 @@ def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
     shape = thing("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
     points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
     mesh, solid = (go(engine(each, far), points) for each in (of_triangles, shape))
-    assert np.abs(field(solid, AT.force)).max() > 1.0
-    np.testing.assert_allclose(field(mesh, AT.force), field(solid, AT.force), rtol=0.0, atol=1e-9)
+    assert np.abs(solid["force"]).max() > 1.0
+    np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)

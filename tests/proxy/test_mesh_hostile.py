@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import SLIPPERY, R, engine, field, go, saved, thing, wander
+from helpers.touching import SLIPPERY, R, engine, go, saved, thing, wander
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
@@ -16,7 +16,6 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.contact.first_pose import GRAZE
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.record import AT
 
 TICKS = 3000
 STIFFNESS = 1000.0
@@ -64,8 +63,7 @@ def test_it_is_touched_safely(tmp_path, name):
     assert (
         rubbed["contact.normal_force"] <= STIFFNESS * (behind + rounding) + rubbed["contact.tangential_force"]
     ).all()
-    patches = (AT.contacts0_force, AT.contacts1_force, AT.contacts2_force)
-    loads = sum(np.linalg.norm(field(rubbed, at), axis=1) for at in patches)
+    loads = sum(np.linalg.norm(rubbed[f"contacts{i}.force"], axis=1) for i in range(3))
     assert (rubbed["contact.tangential_force"] <= STATIC * loads * (1.0 + 1e-9)).all()
     assert largest_query(smooth, np.concatenate([even["proxy.position"], poses[:, :3]])) <= BUDGET + LANES
 

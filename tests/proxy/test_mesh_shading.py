@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.touching import SLIPPERY, Array, R, engine, field, go, saved, thing
+from helpers.touching import SLIPPERY, Array, R, engine, go, saved, thing
 
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT
 
 BALL = 0.05
 DEPTH = 1e-3
@@ -34,7 +33,7 @@ def turned(running: Engine, speed: float) -> Array:
     ahead /= np.linalg.norm(ahead)
     ways = np.cos(angles)[:, None] * begin + np.sin(angles)[:, None] * ahead
     running.reset()
-    forces = field(go(running, ways * heights[:, None]), AT.force)[PRESSED:]
+    forces = go(running, ways * heights[:, None])["force"][PRESSED:]
     return np.linalg.norm(np.diff(forces / np.linalg.norm(forces, axis=1)[:, None], axis=0), axis=1)
 
 

@@ -13,7 +13,6 @@ from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from references.laws import column
 from references.rotation import matrix, multiply
 from test_invariants import GRIP, HALF, SLICK, R, numbers, visits
 
@@ -65,7 +64,7 @@ class Driver:
 
 
 def causes(records: Array) -> list[str]:
-    return [CAUSE_NAMES[int(cause)] for cause in column(records, "contact.cause") if cause != 0]
+    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
@@ -118,7 +117,7 @@ def test_a_swinging_paddle_pushes_a_still_finger() -> None:
     depth = np.maximum(0.0005 + R - h * np.cos(angle) + length * np.sin(angle), 0.0)
     normal = np.column_stack([-np.sin(angle), np.zeros(500), np.cos(angle)])
     assert depth.max() > 0.02
-    np.testing.assert_allclose(column(records, "force", 3), K * depth[:, None] * normal, atol=ROUNDING_N)
+    np.testing.assert_allclose(records["force"], K * depth[:, None] * normal, atol=ROUNDING_N)
     assert causes(records) == ["touch"]
 
 

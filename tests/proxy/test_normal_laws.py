@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from references.laws import Array, check_random_handling, column, work_of_the_hand
+from references.laws import Array, check_random_handling, work_of_the_hand
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -75,7 +75,7 @@ def poses(depths: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> NDArray[np.float64]:
     running.reset()
-    return column(running.run(poses(depths), dt), "contact.normal_force")
+    return running.run(poses(depths), dt)["contact.normal_force"]
 
 
 @pytest.mark.parametrize("name", list(LAWS))
@@ -205,9 +205,9 @@ def test_a_finger_that_leaves_fast_is_not_pulled(name: str) -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 def test_it_never_pulls_and_never_jumps(name: str) -> None:
     def check(records: Array) -> None:
-        depths = R - column(records, "probe.position", 3)[:, 2]
+        depths = R - records["probe.position"][:, 2]
         inwards = np.concatenate([[0.0], np.diff(depths) / 0.001])
-        found = column(records, "contact.normal_force")
+        found = records["contact.normal_force"]
         assert found.min() >= 0.0
         crossed = LAWS[name].get("normal", {}).get("damping_s_per_m")
         most = 2.0 if crossed is None else 1.0 + crossed * np.maximum(inwards, 0.0)
@@ -223,7 +223,7 @@ def test_it_never_pulls_and_never_jumps(name: str) -> None:
 def test_it_creates_no_energy(name: str) -> None:
     def check(records: Array) -> None:
         exponent = LAWS[name].get("normal", {}).get("exponent", 1.0)
-        depth = column(records, "contact.penetration")
+        depth = records["contact.penetration"]
         stored = spring(LAWS[name], depth) * depth / (exponent + 1.0)
         # Sums of some hundred terms of at most 1e-2 J, rounded.
         assert (work_of_the_hand(records) - stored).min() >= -1e-15 * len(records)
@@ -250,7 +250,7 @@ def test_no_law_in_its_range_gives_energy_in_a_closed_cycle() -> None:
         running.reset()
         records = running.run(poses(np.concatenate([[-1e-3], np.repeat(depths, 3), [-1e-3]])))
         # Sums of a dozen products of the force and displacements of 4 mm, rounded.
-        assert work_of_the_hand(records)[-1] >= -1e-16 * column(records, "contact.normal_force").max()
+        assert work_of_the_hand(records)[-1] >= -1e-16 * records["contact.normal_force"].max()
 
     check()
 
@@ -261,7 +261,7 @@ def test_friction_follows_the_force_of_the_law(plane_scene: SceneFactory) -> Non
     way[:, 0] = np.linspace(0.0, 0.015, 300)
     records = running.run(way)
     load = K * D * 2.0**1.5
-    tangential = column(records, "contact.tangential_force")
+    tangential = records["contact.tangential_force"]
     assert tangential.max() == pytest.approx(0.6 * load, rel=1e-12)
     assert tangential[-1] == pytest.approx(0.5 * load, rel=1e-12)
 
@@ -274,7 +274,7 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     running = Engine(build(Scene, mapping, "corner"))
     way = np.zeros((40, 7))
     way[:, 0], way[:, 2], way[:, 3] = R - np.linspace(-1e-3, 3e-3, 40), R - np.linspace(-1e-3, 2e-3, 40), 1.0
-    found = column(running.run(way), "force", 3)
+    found = running.run(way)["force"]
     depths = R - way[:, [0, 2]]
     # The equilibrium position between two planes is accurate to 1e-13 of the radius.
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2

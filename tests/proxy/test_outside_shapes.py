@@ -20,7 +20,6 @@ import pytest
 from conftest import merged
 from helpers.faulty_device import FaultyDevice, Options
 from numpy.typing import NDArray
-from references.laws import column
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -162,8 +161,8 @@ def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None
     tilted = {"shape": "plane", "orientation_wxyz": [np.cos(turn / 2), 0.0, np.sin(turn / 2), 0.0]}
     on_cone = Engine(scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})).run(poses)
     on_plane = Engine(scene(tilted)).run(poses)
-    assert {0, 1, 2} <= set(column(on_cone, "contact.mode").ravel().astype(int))
-    assert column(on_cone, "contact.rolled").max() > 0.9 * RADIUS * 0.3
+    assert {0, 1, 2} <= set(on_cone["contact.mode"].ravel().astype(int))
+    assert on_cone["contact.rolled"].max() > 0.9 * RADIUS * 0.3
     # Forces of about 1 N at 1000 N/m: 1e-9 N is a picometre, far above rounding and below any modelling error.
     np.testing.assert_allclose(on_cone, on_plane, atol=1e-9)
 
@@ -277,7 +276,7 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
         engine.reset()
         expected = Engine(scene(sphere)).run(poses)
         records = engine.run(poses)
-        assert (column(records, "contact.mode") != FREE).mean() > 0.5
+        assert (records["contact.mode"] != FREE).mean() > 0.5
         np.testing.assert_allclose(records, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
 
 

@@ -87,11 +87,6 @@ def line(start, end, ticks):
     return np.linspace(start, end, ticks + 1)[1:]
 
 
-def part(records, name, size=3):
-    at = getattr(AT, name)
-    return records[:, at : at + size]
-
-
 def pressing(goal, ticks=20):
     above = np.add(goal, [0.0, 0.0, 0.003])
     return np.vstack([above, line(above, goal, ticks)])
@@ -117,7 +112,7 @@ def test_friction_along_a_groove_is_the_sum_of_both_laws(order, laws, expected):
     """Friction along the groove is mu_d1 f1 + mu_d2 f2 in either order: 0.354 N if one wall is frictionless, 0.424 N
     for 0.5 and 0.1."""
     running = engine(*groove(order, [material(law) for law in laws]))
-    force = part(in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400)), "force")
+    force = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))["force"]
     # Dragged by 20 mm; the component across decays by a factor e per 0.7 mm of slip.
     np.testing.assert_allclose(force[-1], [0.0, -expected, 1.0], atol=1e-9)
 
@@ -129,7 +124,7 @@ def test_a_drag_does_not_depend_on_the_first_wall_touched(order, shifted):
     running = engine(*groove(order, [material(None), material()]))
     begin = np.add(ABOVE, [shifted, 0.0, 0.0])
     running.run(poses(np.vstack([begin, line(begin, IN_GROOVE, 100)])))
-    force = part(running.run(poses(line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))), "force")
+    force = running.run(poses(line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400)))["force"]
     np.testing.assert_allclose(force[-1, 1], -0.5 * F, atol=1e-9)
 
 
@@ -137,15 +132,15 @@ def test_each_patch_is_in_the_record():
     running = engine(*groove(stuff=[material(), material(LATE)]))
     record = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))[-1:]
     for i in (0, 1):
-        number = int(part(record, f"contacts{i}_object", 1)[0, 0])
+        number = int(record[f"contacts{i}.object"][0])
         rubbing, n = (0.5, 0.1)[number], WALLS[number]
-        np.testing.assert_allclose(part(record, f"contacts{i}_normal")[0], n, atol=1e-15)
-        np.testing.assert_allclose(part(record, f"contacts{i}_force")[0], F * n - [0.0, rubbing * F, 0.0], atol=1e-9)
-        np.testing.assert_allclose(part(record, f"contacts{i}_point")[0] @ n, 0.0, atol=1e-15)
-        assert part(record, f"contacts{i}_mode", 1)[0, 0] == 2.0
-    assert {part(record, f"contacts{i}_object", 1)[0, 0] for i in range(3)} == {0.0, 1.0, -1.0}
-    both = part(record, "contacts0_force") + part(record, "contacts1_force")
-    np.testing.assert_allclose(both, part(record, "force"), atol=1e-15)
+        np.testing.assert_allclose(record[f"contacts{i}.normal"][0], n, atol=1e-15)
+        np.testing.assert_allclose(record[f"contacts{i}.force"][0], F * n - [0.0, rubbing * F, 0.0], atol=1e-9)
+        np.testing.assert_allclose(record[f"contacts{i}.point"][0] @ n, 0.0, atol=1e-15)
+        assert record[f"contacts{i}.mode"][0] == 2.0
+    assert {record[f"contacts{i}.object"][0] for i in range(3)} == {0.0, 1.0, -1.0}
+    both = record["contacts0.force"] + record["contacts1.force"]
+    np.testing.assert_allclose(both, record["force"], atol=1e-15)
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -153,16 +148,16 @@ def test_the_first_patch_has_the_largest_load(order):
     running = engine(*groove(order, [material(stiffness_n_per_m=3000.0), material()]))
     record = in_groove(running, np.tile(IN_GROOVE, (3, 1)))[-1:]
     for i in (0, 1):
-        number = int(part(record, f"contacts{i}_object", 1)[0, 0])
-        force = np.linalg.norm(part(record, f"contacts{i}_force"))
+        number = int(record[f"contacts{i}.object"][0])
+        force = np.linalg.norm(record[f"contacts{i}.force"])
         assert order[number] == i and force == pytest.approx((3.0, 1.0)[i] * F, rel=1e-12)
 
 
 def test_equal_walls_give_no_moment_about_the_bisector():
     records = in_groove(engine(*groove()), line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))
-    assert np.abs(part(records, "torque")[:, 2]).max() < 1e-15
+    assert np.abs(records["torque"][:, 2]).max() < 1e-15
     # About the axis across: both friction forces act r sin 45 below the centre.
-    np.testing.assert_allclose(part(records, "torque")[-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(records["torque"][-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.sampled(1)
@@ -172,9 +167,9 @@ def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
     running = engine(*groove(order))
     spin = turning(2, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
-    assert np.abs(part(records, "force")[:, :2]).max() < 1e-12
+    assert np.abs(records["force"][:, :2]).max() < 1e-12
     # Each patch rubs with mu_d f at a distance r sin 45 from the bisector.
-    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
+    np.testing.assert_allclose(records["torque"][-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
 
 
 @pytest.mark.sampled(1)
@@ -185,8 +180,8 @@ def test_rotation_about_the_groove_rubs_on_both_walls(order):
     running = engine(*groove(order))
     turn = turning(1, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
-    np.testing.assert_allclose(part(records, "torque")[-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
-    np.testing.assert_allclose(part(records, "force")[-1], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(records["torque"][-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
+    np.testing.assert_allclose(records["force"][-1], [0.0, 0.0, 1.0], atol=1e-12)
 
 
 SEAM = [tile("left", -0.05), tile("right", 0.05)]
@@ -202,8 +197,8 @@ def test_friction_is_constant_across_a_seam(order, speed):
     start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
     running.run(poses(pressing(start)))
     records = running.run(poses(line(start, end, round(2.0 * half / speed * 1000.0))))
-    sliding = np.linalg.norm(part(records, "proxy_position")[:, :2] - start[:2], axis=1) > 0.001
-    force = part(records, "force")[sliding]
+    sliding = np.linalg.norm(records["proxy.position"][:, :2] - start[:2], axis=1) > 0.001
+    force = records["force"][sliding]
     np.testing.assert_allclose(force, np.tile([-0.5, 0.0, 1.0], (len(force), 1)), atol=1e-12)
 
 
@@ -218,7 +213,7 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
         """Return the work of the hand along a path, J; on each segment the force varies linearly or is perpendicular to
         the path."""
         path = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
-        force = part(running.run(poses(path)), "force")
+        force = running.run(poses(path))["force"]
         running.reset()
         return -np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path, axis=0))
 
@@ -266,15 +261,15 @@ def test_a_tiled_surface_equals_a_plane(cases, path, tip):
         engine(wall("plane", (0, 0, 1), stuff), **tip).run(path),
         engine(*tiled(0.006, stuff), **tip).run(path),
     )
-    assert len(set(boxes[:, AT.contact_object])) > 5  # many of them, and free space
+    assert len(set(boxes["contact.object"])) > 5  # many of them, and free space
     # Rolling by u over a seam lowers the proxy by u^2 / 2 r. If that is below the rounding of r (u < 0.2 nm), the next
     # box is not closer: the contact point stays at the edge, and the normal is off by u / r, which is 4e-9 N m at 20 mm
     # and 20 N.
-    for name, tolerance in (("force", 1e-11), ("proxy_position", 1e-11), ("contact_point", 2e-10), ("torque", 4e-9)):
+    for name, tolerance in (("force", 1e-11), ("proxy.position", 1e-11), ("contact.point", 2e-10), ("torque", 4e-9)):
         # Rounding of 20 mm times 1000 N/m, summed over thousands of ticks.
-        np.testing.assert_allclose(part(boxes, name), part(plane, name), rtol=0, atol=tolerance)
-    for name in ("contact_mode", "contact_rolled", "contact_spin", "contact_torsion", "contact_patch_radius"):
-        np.testing.assert_allclose(boxes[:, getattr(AT, name)], plane[:, getattr(AT, name)], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(boxes[name], plane[name], rtol=0, atol=tolerance)
+    for name in ("contact.mode", "contact.rolled", "contact.spin", "contact.torsion", "contact.patch_radius"):
+        np.testing.assert_allclose(boxes[name], plane[name], rtol=0, atol=1e-12)
 
 
 def test_object_indices_follow_the_scene_file():
@@ -312,9 +307,9 @@ def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
     c, s = np.cos(half), np.sin(half)
     q = np.stack([c * q_spin[0], s * q_spin[3], s * q_spin[0], c * q_spin[3]], axis=1)
     records = running.run(np.hstack([points, q]))
-    assert set(records[:, AT.contact_object]) == {0.0, 1.0}
-    np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.06, atol=1e-12)
-    np.testing.assert_allclose(part(records, "proxy_position")[:, 0], points[:, 0], atol=1e-12)
+    assert set(records["contact.object"]) == {0.0, 1.0}
+    np.testing.assert_allclose(records["torque"][:, 2], -0.05 * 0.06, atol=1e-12)
+    np.testing.assert_allclose(records["proxy.position"][:, 0], points[:, 0], atol=1e-12)
 
 
 def test_weight_shifted_between_walls_hands_the_moment_on():
@@ -324,7 +319,7 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2001))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(2000), np.zeros(2000)], axis=1)
-    torque = part(running.run(poses(points, np.tile(spin[-1], (2000, 1)))), "torque")
+    torque = running.run(poses(points, np.tile(spin[-1], (2000, 1))))["torque"]
     # A wall's share changes by the sideways motion of the probe over the depth, 1 mm; the moment is at most k_z phi and
     # r mu_s f.
     moved = np.abs(np.diff(aside))
@@ -341,7 +336,7 @@ def test_each_wall_winds_its_share_of_the_torsional_spring(law):
     spin = turning(2, 0.05, 50)
     records = in_groove(running, np.tile(IN_GROOVE, (50, 1)), spin)
     # A rotation of 1 mrad about an axis 45 degrees off projects exactly up to a relative error of 1e-6 / 24.
-    np.testing.assert_allclose(part(records, "torque")[:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
+    np.testing.assert_allclose(records["torque"][:, 2], -0.05 * 0.5 * spin[:, 2], rtol=1e-7)
 
 
 def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
@@ -356,7 +351,7 @@ def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
     wound = running.run(poses(np.tile(on_one, (50, 1)), spin))
     assert wound[-1, AT.contacts1_object] == -1.0
     record = running.run(poses(line(on_one, on_both, 50), np.tile(spin[-1], (50, 1))))[-1]
-    spins = {record[getattr(AT, f"contacts{i}_object")]: record[getattr(AT, f"contacts{i}_spin")] for i in (0, 1)}
+    spins = {float(record[f"contacts{i}.object"]): record[f"contacts{i}.spin"] for i in (0, 1)}
     # Sums of a hundred angles.
     assert spins == {0.0: pytest.approx(0.05, rel=1e-12), 1.0: pytest.approx(0.025, rel=1e-12)}
 
@@ -369,7 +364,7 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
     in_groove(running, np.tile(IN_GROOVE, (20, 1)), turn)
     aside = 0.0009 * np.sin(np.linspace(0.0, 4.0 * np.pi, 401))[1:]
     points = IN_GROOVE + np.stack([aside, np.zeros(400), np.zeros(400)], axis=1)
-    torque = part(running.run(poses(points, np.tile(turn[-1], (400, 1)))), "torque")
+    torque = running.run(poses(points, np.tile(turn[-1], (400, 1))))["torque"]
     # Four hundred roots and products, each rounded.
     np.testing.assert_allclose(torque[:, 1], -3.0 / 16.0 * 0.4 * R * 2.0 * F * 0.02, rtol=1e-11)
 
@@ -423,8 +418,8 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
     at = np.array([R - 0.0005, 0.0, R - 0.001])
     records = running.run(poses(np.tile(at, (500, 1))))
     expected = np.array([0.5, 0.25 * along[1], 1.0])
-    np.testing.assert_allclose(part(records, "force")[-1], expected, atol=1e-12)
-    borne = {part(records, f"contacts{i}_object")[-1][0]: part(records, f"contacts{i}_force")[-1] for i in (0, 1)}
+    np.testing.assert_allclose(records["force"][-1], expected, atol=1e-12)
+    borne = {records[f"contacts{i}.object"][-1]: records[f"contacts{i}.force"][-1] for i in (0, 1)}
     on_wall = np.array([0.5, 0.0, 0.0]) + 0.25 * np.array(along)
     np.testing.assert_allclose(borne[float(order.index(1))], on_wall, atol=1e-12)
 
@@ -438,13 +433,13 @@ def test_a_wall_that_moves_in_has_its_damping(order):
     running = engine(*[things[i] for i in order], rolling=None)
     at = np.array([R + 0.001, 0.0, R - 0.001])
     records = running.run(poses(np.tile(at, (601, 1))))
-    time = records[:, AT.timestamp] + 0.001
+    time = records["timestamp"] + 0.001
     depth = 0.05 * np.sin(time / 5.0) - 0.001
     speed = np.diff(depth) / 0.001
     expected = np.minimum(1000.0 * depth[1:] + 20.0 * speed, 2000.0 * depth[1:])
     late = depth[1:] > 1e-4
     assert late.sum() > 400
-    np.testing.assert_allclose(part(records, "force")[1:][late, 0], expected[late], atol=1e-9)
+    np.testing.assert_allclose(records["force"][1:][late, 0], expected[late], atol=1e-9)
 
 
 def test_a_shallow_valley_is_nearly_a_plane():
@@ -452,10 +447,10 @@ def test_a_shallow_valley_is_nearly_a_plane():
     running = engine(*groove(angle=half))
     start, end = np.array([-0.005, 0.0, R - 0.001]), np.array([0.005, 0.0, R - 0.001])
     running.run(poses(pressing(start)))
-    force = part(running.run(poses(line(start, end, 800))), "force")
+    force = running.run(poses(line(start, end, 800)))["force"]
     plane = engine(wall("plane", (0, 0, 1)))
     plane.run(poses(pressing(start)))
-    like = part(plane.run(poses(line(start, end, 800))), "force")
+    like = plane.run(poses(line(start, end, 800)))["force"]
     # A slope of half a degree tilts a force of 1 N by 9 mN; its depth is 44 um larger at the ends, which is 44 mN;
     # friction adds half of both. After 0.7 mm both contacts slide.
     assert np.abs(force - like)[56:].max() < 0.07
@@ -472,18 +467,18 @@ def test_forces_of_a_pinch_add(order):
     running = engine(*[things[i] for i in order])
     at = np.array([0.0, 0.0, R - 0.001])
     records = running.run(poses(np.vstack([np.tile(at, (10, 1)), line(at, np.add(at, [0.01, 0.0, 0.0]), 500)])))
-    np.testing.assert_allclose(part(records, "force")[5], [0.0, 0.0, -2.0], atol=1e-12)
-    np.testing.assert_allclose(part(records, "force")[-1], [-0.5 * 4.0, 0.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(records["force"][5], [0.0, 0.0, -2.0], atol=1e-12)
+    np.testing.assert_allclose(records["force"][-1], [-0.5 * 4.0, 0.0, -2.0], atol=1e-9)
 
 
 def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
     things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
     records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
-    height = 0.03 - 0.02 * np.sin(np.pi * (records[:, AT.timestamp] + 0.001))
+    height = 0.03 - 0.02 * np.sin(np.pi * (records["timestamp"] + 0.001))
     deep = np.maximum(R - (height - (R - 0.001)), 0.0)
     assert deep.max() > 0.005
-    np.testing.assert_allclose(part(records, "force")[:, 2], 1.0 - 1000.0 * deep, atol=1e-9)
+    np.testing.assert_allclose(records["force"][:, 2], 1.0 - 1000.0 * deep, atol=1e-9)
 
 
 JAWS = [np.array([np.cos(a), np.sin(a), 0.0]) for a in 2.0 * np.pi / 3.0 * np.arange(3)]
@@ -502,8 +497,8 @@ def test_three_jaws_centre_the_finger():
     there is room only the nearest jaw does, and the force is continuous where the room ends."""
     running, aside = jaws(), 0.0004
     records = running.run(poses(np.tile([-aside, 0.0, 0.0], (500, 1))))
-    t = CLOSING * np.sin(np.pi * (records[:, AT.timestamp] + 0.001)) - 0.001
-    force = part(records, "force")
+    t = CLOSING * np.sin(np.pi * (records["timestamp"] + 0.001)) - 0.001
+    force = records["force"]
     closed, away = t > 0.0, t < -aside
     assert closed.sum() > 300 and away.sum() > 50
     # Rounding of about 10 mm times 1000 N/m. The hand is at rest, so friction is zero.
@@ -513,7 +508,7 @@ def test_three_jaws_centre_the_finger():
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() < 1000.0 * fastest
     for i in range(3):
         on = records[closed][:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]] == i
-        held = [part(records, f"contacts{k}_force")[closed] for k in range(3)]
+        held = [records[f"contacts{k}.force"][closed] for k in range(3)]
         pressing = sum(on[:, k] * (held[k] @ JAWS[i]) for k in range(3))
         deep = t[closed] + (aside if i == 0 else 0.0)
         np.testing.assert_allclose(pressing, 1000.0 * deep, atol=1e-11)
@@ -528,15 +523,15 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     """
     running, angle = jaws(), 0.01
     closed = running.run(poses(np.zeros((500, 3))))
-    np.testing.assert_allclose(part(closed, "force")[-1], 0.0, atol=1e-11)
+    np.testing.assert_allclose(closed["force"][-1], 0.0, atol=1e-11)
     vectors = turning(0, angle, 10)
-    tilted = part(running.run(poses(np.zeros((10, 3)), vectors)), "torque")
+    tilted = running.run(poses(np.zeros((10, 3)), vectors))["torque"]
     # A roll in steps of 1 mrad about an axis that no patch rotates about: exact up to second order.
     np.testing.assert_allclose(tilted[-1], [-0.5 * (0.05 + 1000.0 * R**2) * angle, 0.0, 0.0], atol=1e-9)
     running.reset()
     running.run(poses(np.zeros((500, 3))))
     vectors = turning(2, 1.5, 200)
-    spun = part(running.run(poses(np.zeros((200, 3)), vectors)), "torque")
+    spun = running.run(poses(np.zeros((200, 3)), vectors))["torque"]
     # The jaws are opening again, 0.7 s after they started to close.
     load = 3.0 * 1000.0 * (CLOSING * np.sin(0.7 * np.pi) - 0.001)
     np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
@@ -553,10 +548,10 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     limit = 0.6 * 3.0 * np.pi / 16.0 * a * F
     wound = np.minimum(spin[:, 2] / SQRT2, limit / (F * R))
     assert wound[0] < wound[-1] < spin[-1, 2] / SQRT2  # it winds, and it slips
-    np.testing.assert_allclose(records[:, AT.contact_patch_radius], a, rtol=1e-9)
-    for column in (AT.contacts0_spin, AT.contacts1_spin, AT.contact_spin):
-        np.testing.assert_allclose(records[:, column], wound, rtol=1e-9)
-    np.testing.assert_allclose(records[:, AT.contact_torsion], -F * R * wound, rtol=1e-9)
+    np.testing.assert_allclose(records["contact.patch_radius"], a, rtol=1e-9)
+    for column in ("contacts0.spin", "contacts1.spin", "contact.spin"):
+        np.testing.assert_allclose(records[column], wound, rtol=1e-9)
+    np.testing.assert_allclose(records["contact.torsion"], -F * R * wound, rtol=1e-9)
 
 
 @pytest.mark.sampled(1)
@@ -568,4 +563,4 @@ def test_each_wall_resists_rolling_by_its_own_load(order):
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), turn)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
     moment = 2.0 * np.minimum(3.0 / 16.0 * 0.4 * R * F * turn[:, 1], 3.0 / 16.0 * 0.4 * a * F)
-    np.testing.assert_allclose(part(records, "torque")[:, 1], -moment, rtol=1e-9)
+    np.testing.assert_allclose(records["torque"][:, 1], -moment, rtol=1e-9)

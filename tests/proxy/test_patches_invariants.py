@@ -8,12 +8,10 @@ from helpers.examples import examples
 from helpers.touching import facing
 from hypothesis import given
 from hypothesis import strategies as st
-from references.laws import axis_angles, column, work_of_the_hand
+from references.laws import axis_angles, work_of_the_hand
 from references.rotation import matrix, multiply
 from test_invariants import cycle, numbers, visit
-from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, part, tile, wall
-
-from softfinger.proxy.record import AT
+from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, tile, wall
 
 pytestmark = pytest.mark.plain
 
@@ -120,8 +118,8 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
     work = np.zeros(len(way))
     stored, missed = np.zeros(len(way)), np.zeros(len(way))
     for i in range(3):
-        normal, spin = part(records, f"contacts{i}_normal"), records[:, getattr(AT, f"contacts{i}_spin")]
-        stiffness = R * np.sum(part(records, f"contacts{i}_force") * normal, axis=1)
+        normal, spin = records[f"contacts{i}.normal"], records[f"contacts{i}.spin"]
+        stiffness = R * np.sum(records[f"contacts{i}.force"] * normal, axis=1)
         work += stiffness * spin * np.sum(turned * normal, axis=1)
         stored += 0.5 * stiffness * spin**2
         missed += np.abs(np.diff(stiffness, prepend=0.0) * spin) * np.linalg.norm(turned, axis=1)
@@ -148,11 +146,11 @@ def test_curved_bodies_give_no_energy(kind, found, count):
     engine_of = running(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))
-    at, turn = column(records, "proxy.position", 3), axis_angles(column(records, "probe.orientation", 4))
-    probe = column(records, "probe.position", 3)
+    at, turn = records["proxy.position"], axis_angles(records["probe.orientation"])
+    probe = records["probe.position"]
     length = np.linalg.norm(np.diff(at, axis=0), axis=1) + np.linalg.norm(np.diff(probe, axis=0), axis=1)
     length += R * np.linalg.norm(turn, axis=1)
-    force = np.linalg.norm(column(records, "force", 3), axis=1)
+    force = np.linalg.norm(records["force"], axis=1)
     deviation = length**2 / (BALL + R)
     missed = np.cumsum(2.0 * (force[1:] + force[:-1]) * deviation + 0.5 * 1000.0 * deviation**2)
     assert (work_of_the_hand(records)[1:] + missed).min() > -1e-14
@@ -178,11 +176,11 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
     engine_of.reset()
     records = engine_of.run(handling(kind, found, count))
     normal, last = unit(kind)[-1][0], len(unit(kind)) - 1
-    phase = 2.0 * np.pi * 62.5 * (column(records, "timestamp") + 0.001)
+    phase = 2.0 * np.pi * 62.5 * (records["timestamp"] + 0.001)
     went = np.outer(np.diff(np.sin(phase)), matrix(facing(normal)) @ SWAY)
     force = np.zeros((len(records), 3))
-    for on, at in ((getattr(AT, f"contacts{i}_object"), getattr(AT, f"contacts{i}_force")) for i in range(3)):
-        force += (records[:, on] == last)[:, None] * records[:, at : at + 3]
+    for i in range(3):
+        force += (records[f"contacts{i}.object"] == last)[:, None] * records[f"contacts{i}.force"]
     work = work_of_the_hand(records)
     work[1:] += np.cumsum(np.sum(force[1:] * went, axis=1))
     assert work.min() > -1e-14
@@ -195,8 +193,8 @@ def test_order_of_touches_changes_nothing(kind, found, count):
     poses = handling(kind, found, count)
     a = visit(running(kind), poses)
     b = visit(running(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
-    np.testing.assert_allclose(column(b, "force", 3), column(a, "force", 3) * [-1.0, 1.0, 1.0], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(column(b, "torque", 3), column(a, "torque", 3) * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(b["force"], a["force"] * [-1.0, 1.0, 1.0], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(b["torque"], a["torque"] * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
 
 @pytest.mark.scaled
@@ -206,8 +204,8 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
     poses = handling(kind, found, count)
     a, b = visit(running(kind), poses), visit(running(kind, back=True), poses)
     # Rounding of lengths of 10 mm times 1000 N/m, summed over forty ticks.
-    np.testing.assert_allclose(column(a, "force", 3), column(b, "force", 3), rtol=0, atol=1e-11)
-    np.testing.assert_allclose(column(a, "torque", 3), column(b, "torque", 3), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(a["force"], b["force"], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(a["torque"], b["torque"], rtol=0, atol=1e-13)
 
 
 @pytest.mark.scaled
@@ -244,5 +242,5 @@ def test_results_do_not_depend_on_the_world_frame(kind, found, count):
     turn = matrix(q)
     a = visit(running(kind), poses)
     b = visit(other, np.hstack([poses[:, :3] @ turn.T, multiply(q, poses[:, 3:])]))
-    np.testing.assert_allclose(column(a, "force", 3) @ turn.T, column(b, "force", 3), rtol=0, atol=1e-11)
-    np.testing.assert_allclose(column(a, "torque", 3) @ turn.T, column(b, "torque", 3), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(a["force"] @ turn.T, b["force"], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(a["torque"] @ turn.T, b["torque"], rtol=0, atol=1e-13)

@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from references.laws import column
 
 from softfinger.config.load import load_scene
 from softfinger.drivers.poses import SHIPPED, list_shipped_recordings, load_poses
@@ -43,7 +42,7 @@ def run(engine: Engine, name: str) -> np.ndarray:
 
 
 def causes(records: np.ndarray) -> list[str]:
-    cause = records[:, AT.contact_cause].astype(int)
+    cause = records["contact.cause"].astype(int)
     return [CAUSE_NAMES[i] for i in cause[cause != 0]]
 
 
@@ -67,7 +66,7 @@ def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
 
 def test_all_modes_occur() -> None:
     records = run(Engine("paper-plane", rate_hz=250.0), "press-roll-spin-drag")
-    assert {FREE, ROLLING, SLIDING} == set(records[:, AT.contact_mode].astype(int))
+    assert {FREE, ROLLING, SLIDING} == set(records["contact.mode"].astype(int))
     order = causes(records)
     assert order[:2] == ["touch", "drag"]
     assert order[-1] == "release"
@@ -82,14 +81,14 @@ def test_followed_roll_only_touches_and_releases(engine: Engine) -> None:
     records, _ = rolled(engine)
     assert causes(records) == ["touch", "release"]
     # positions rounded to 0.1 um, and slerp against cubic between 100 Hz samples: 0.2 um at 1000 N/m
-    assert records[:, AT.contact_tangential_force].max() < 1e-3
-    assert records[:, AT.contact_rolled].max() == pytest.approx(1.0, abs=1e-6)
+    assert records["contact.tangential_force"].max() < 1e-3
+    assert records["contact.rolled"].max() == pytest.approx(1.0, abs=1e-6)
 
 
 def test_three_taps(engine: Engine) -> None:
     records = run(engine, "tap")
     assert causes(records) == ["touch", "release"] * 3
-    assert records[:, AT.contact_normal_force].max() == pytest.approx(1.0, abs=1e-9)
+    assert records["contact.normal_force"].max() == pytest.approx(1.0, abs=1e-9)
 
 
 @dataclass(frozen=True)
@@ -123,14 +122,11 @@ def rolled(engine: Engine, aside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 def recorded_roll(engine: Engine, aside: float = 0.0) -> Roll:
     records, pressed = rolled(engine, aside)
     records = records[pressed]
-    ways = [
-        np.linalg.norm(np.diff(column(records, f"contact.{point}", 3), axis=0), axis=1)
-        for point in ("point", "finger_point")
-    ]
+    ways = [np.linalg.norm(np.diff(records[f"contact.{point}"], axis=0), axis=1) for point in ("point", "finger_point")]
     return Roll(
-        mode=column(records, "contact.mode"),
-        force=column(records, "contact.tangential_force"),
-        rolled=column(records, "contact.rolled"),
+        mode=records["contact.mode"],
+        force=records["contact.tangential_force"],
+        rolled=records["contact.rolled"],
         slip=np.concatenate([[0.0], np.cumsum(ways[0] - ways[1])]),
     )
 

@@ -46,7 +46,7 @@ def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: fl
     """Contact points (n, 3) m of a probe whose centre is above `follow` (n, 3), pressed in by `depth`."""
     positions = follow + np.array([0.0, 0.0, R - depth])
     records = Engine(scene, 1.0 / dt).run(np.hstack([positions, turned]), dt)
-    assert (records[:, AT.contact_mode] == ROLLING).all()
+    assert (records["contact.mode"] == ROLLING).all()
     at = AT.contact_point
     return records[:, at : at + 3]
 

@@ -70,7 +70,7 @@ def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     alike = [(R - 0.001 + sign * 1e-9, 0.0, R - 0.001) for sign in (-1.0, 1.0)] * 10
     more = [(R - 0.002, 0.0, R - 0.001)]
     records = go(corner, np.vstack([begin, alike, more, alike]))
-    first = records[:, AT.contact_object].tolist()
+    first = records["contact.object"].tolist()
     assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
     np.testing.assert_allclose(records["force"][-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
 

@@ -175,7 +175,7 @@ def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> Non
     rows = Engine(scene(wave.samples())).run(posed(points))
     expected = K * np.maximum(depth - HEIGHT * (1.0 - z), 0.0)
     np.testing.assert_allclose(rows[:, AT.force + 2], expected, rtol=0.0, atol=ROUNDING)
-    assert (expected == 0.0).any() and (expected > 0.0).any() and (rows[:, AT.contact_mode] != FREE).all()
+    assert (expected == 0.0).any() and (expected > 0.0).any() and (rows["contact.mode"] != FREE).all()
     np.testing.assert_array_equal(rows[expected == 0.0][:, AT.force : AT.force + 3], 0.0)
 
 
@@ -368,7 +368,7 @@ def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) ->
     engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
     x = np.linspace(0.0, 0.03, 400)
     rows = engine.run(posed(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
-    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]  # the first 20 decay from static friction
+    slides = np.flatnonzero(rows["contact.mode"] == SLIDING)[20:]  # the first 20 decay from static friction
     before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
     z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
     got = rows[slides, AT.contact_tangential_force]
@@ -391,7 +391,7 @@ def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> 
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)
     rows = engine.run(posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
-    breaks = int(np.argmax(rows[:, AT.contact_mode] == SLIDING))
+    breaks = int(np.argmax(rows["contact.mode"] == SLIDING))
     # On the level crest and floor of a wave of 1 m, a filter of 1 mm removes 5e-6.
     limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
     assert rows[breaks, AT.contact_tangential_force] == pytest.approx(limit, rel=1e-5)
@@ -421,7 +421,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     x = np.linspace(0.0, 0.03, 400)
     points = np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)
     rows = engine.run(posed(points))
-    slides = np.flatnonzero(rows[:, AT.contact_mode] == SLIDING)[20:]
+    slides = np.flatnonzero(rows["contact.mode"] == SLIDING)[20:]
     z, by_u, by_v = OBLIQUE.texture(CUTOFF, points[slides, 0], points[slides, 1])
     load = K * (DEPTH - HEIGHT * (1.0 - z))
     np.testing.assert_allclose(rows[slides, AT.contact_normal_force], load, rtol=1e-9)

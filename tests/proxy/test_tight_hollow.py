@@ -16,7 +16,6 @@ from conftest import SceneFactory
 from helpers.examples import Cases
 from helpers.touching import engine, go, wall
 from numpy.typing import NDArray
-from references.laws import column
 from scipy.optimize import brentq
 
 from softfinger.proxy.engine import Engine
@@ -33,7 +32,7 @@ def equilibrium_angle(h: float, d: float, mu: float) -> float:
 
 
 def causes(records: Array) -> list[str]:
-    return [CAUSE_NAMES[int(cause)] for cause in column(records, "contact.cause") if cause != 0]
+    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: int) -> Array:
@@ -64,12 +63,12 @@ def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
     turn = R / clearance / ticks
     missed = 2.0 * MU_D * turn if turn <= 0.2 else 0.0
     tangential, normal = K * d * np.sin(a), K * (d * np.cos(a) - h)
-    assert column(records, "contact.tangential_force")[-1] == pytest.approx(tangential, rel=1e-3 + missed)
-    assert column(records, "contact.normal_force")[-1] == pytest.approx(normal, rel=1e-3 + missed)
+    assert records["contact.tangential_force"][-1] == pytest.approx(tangential, rel=1e-3 + missed)
+    assert records["contact.normal_force"][-1] == pytest.approx(normal, rel=1e-3 + missed)
     # The roll carries the centre to -y over the floor of the hollow, as on a plane, and pulls the hand there.
-    y = column(records, "proxy.position", 3)[-1, 1]
+    y = records["proxy.position"][-1, 1]
     assert y == pytest.approx(-h * np.sin(a), rel=1e-3 + 2.0 * missed)
-    assert column(records, "torque", 3)[-1, 0] == pytest.approx(-R * tangential, rel=1e-3 + missed)
+    assert records["torque"][-1, 0] == pytest.approx(-R * tangential, rel=1e-3 + missed)
     assert causes(records) == ["touch", "theta_max"]
 
 
@@ -77,8 +76,8 @@ def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
 def test_a_wide_hollow_and_a_large_sphere_are_planes(plane_scene: SceneFactory, inside: bool) -> None:
     """With R = 100 m the force is mu_d times 1 N, to the ratio of depth and R."""
     records = rolled(plane_scene, 100.0, inside, 1.0, 1000)
-    assert column(records, "contact.tangential_force")[-1] == pytest.approx(0.5, rel=1e-4)
-    assert column(records, "force", 3)[-1] == pytest.approx([0.0, -0.5, 1.0], abs=2e-4)
+    assert records["contact.tangential_force"][-1] == pytest.approx(0.5, rel=1e-4)
+    assert records["force"][-1] == pytest.approx([0.0, -0.5, 1.0], abs=2e-4)
 
 
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3])
@@ -88,7 +87,7 @@ def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(plane_scene: SceneFacto
     turn = 0.8 * equilibrium_angle(h, d, MU_S) * h / R
     records = rolled(plane_scene, R + clearance, True, turn, 200)
     angle = np.linspace(0.0, turn, 201) * R / h
-    np.testing.assert_allclose(column(records, "contact.tangential_force")[1:], K * d * np.sin(angle), atol=1e-9)
+    np.testing.assert_allclose(records["contact.tangential_force"][1:], K * d * np.sin(angle), atol=1e-9)
     assert causes(records) == ["touch"]
 
 
@@ -104,10 +103,10 @@ def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant
     slot = engine(wall("left", (1, 0, 0), GRIP, offset), wall("right", (-1, 0, 0), GRIP, offset), **TABLES)
     x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
     records = go(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
-    force = column(records, "force", 3)
+    force = records["force"]
     assert force[3, 0] == pytest.approx(-K * (x[3] - clearance), rel=1e-9)
     assert np.abs(force[3, 1:]).max() < 1e-12
-    assert [CAUSE_NAMES[int(c)] for c in column(records, "contact.cause")] == ["none", "touch", "none", "touch", "none"]
+    assert [CAUSE_NAMES[int(c)] for c in records["contact.cause"]] == ["none", "touch", "none", "touch", "none"]
 
 
 def test_a_far_object_does_not_change_a_hollow() -> None:

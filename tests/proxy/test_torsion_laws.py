@@ -13,7 +13,7 @@ from conftest import SceneFactory, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import given
 from references.hand import drive, pressed
-from references.laws import Array, column, handling
+from references.laws import Array, handling
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
@@ -147,7 +147,7 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
         hand.go(1, turn=[0, 0, change])
     engine = Engine(plane_scene(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}}))
     records = engine.run(np.array(hand.poses))
-    spin = column(records, "contact.spin")[rest + 200 :]
+    spin = records["contact.spin"][rest + 200 :]
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from references.hand import Hand
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import NAMED
 
 Array = NDArray[np.float64]
 
@@ -79,12 +78,6 @@ def check_random_handling(engine: Engine, few: int, many: int, check: Callable[[
     run()
 
 
-def column(records: Array, name: str, size: int = 1) -> Array:
-    """A field of records (n, RECORD_SIZE): (n,) or (n, size)."""
-    at = NAMED[name].at
-    return records[:, at] if size == 1 else records[:, at : at + size]
-
-
 def axis_angles(orientations: Array) -> Array:
     """Rotation vectors (n - 1, 3) rad, world, from each quaternion (n, 4) to the next."""
     a, b = orientations[:-1], orientations[1:]
@@ -102,15 +95,15 @@ def work_of_the_hand(records: Array) -> Array:
     For springs, whose energy is convex, this is never less than their stored energy, so a contact that returns more
     energy than it received is detected at once, at any time step.
     """
-    moved = np.diff(column(records, "probe.position", 3), axis=0)
-    turned = axis_angles(column(records, "probe.orientation", 4))
-    force, torque = column(records, "force", 3)[1:], column(records, "torque", 3)[1:]
+    moved = np.diff(records["probe.position"], axis=0)
+    turned = axis_angles(records["probe.orientation"])
+    force, torque = records["force"][1:], records["torque"][1:]
     return np.concatenate([[0.0], -np.cumsum(np.sum(force * moved, axis=1) + np.sum(torque * turned, axis=1))])
 
 
 def stored_energy(records: Array, stiffness: float = 1000.0, torsion: float = K_Z) -> Array:
     """Energy (n,) J in the springs: normal and tangential of `stiffness` N/m, torsional of `torsion` N m/rad."""
-    stretch = column(records, "proxy.position", 3) - column(records, "probe.position", 3)
-    spin = column(records, "contact.spin")
-    touching = column(records, "contact.mode") != 0
+    stretch = records["proxy.position"] - records["probe.position"]
+    spin = records["contact.spin"]
+    touching = records["contact.mode"] != 0
     return touching * 0.5 * (stiffness * np.sum(stretch**2, axis=1) + torsion * spin**2)
