@@ -136,7 +136,7 @@ handover-age: $(STAMP) ## How old a pose is when it is used and a force when it 
 soak: $(STAMP) ## Ten minutes with everything on: memory, descriptors, threads, missed and lost ticks (ARGS="--minutes 120 --plot FILE --json")
 	@exec $(BIN)/softfinger bench soak $(ARGS)
 
-exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that it makes, on the tests' stand-ins (ARGS=--json)
+exchange-cost: $(STAMP) ## What each driver's tick costs beside the C calls that it makes, on the tests' stand-ins (ARGS=--json, --plot FILE)
 	@exec $(BIN)/python tests/exchange_cost.py $(ARGS)
 
 study: $(STAMP) ## Measure the figures and tables of docs/ anew (a quarter of an hour; ARGS=--quick shows that it runs)

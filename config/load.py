@@ -145,7 +145,10 @@ def build_changed(
 
 
 def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:
-    """Return `config` with changed values, keys as for `load_scene`."""
+    """Return `config` with changed values, keys as for `load_scene`.
+
+    Raises ConfigError with every fault, each naming `where`.
+    """
     return build_changed(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
 
 

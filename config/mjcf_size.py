@@ -55,7 +55,10 @@ class Names(NamedTuple):
 
 
 def read_text(path: str | Path, name: str) -> str:
-    """Return the text of a model's file; in comments, other encodings than UTF-8 are permitted."""
+    """Return the text of a model's file; in comments, other encodings than UTF-8 are permitted.
+
+    Raises ConfigError if it is not a regular file or too large.
+    """
     try:
         return read_input(path, SIZE_MAX).decode("utf-8", errors="replace").removeprefix("\ufeff")
     except OSError as error:
@@ -165,7 +168,10 @@ class _Model:
         return model_file
 
     def _text(self, path: Path) -> str | None:
-        """Return the text of a part; None if it cannot be opened, which MuJoCo reports."""
+        """Return the text of a part; None if it cannot be opened, which MuJoCo reports.
+
+        Raises ConfigError if it is not a regular file or too large.
+        """
         if not os.access(path, os.R_OK):
             return None
         return read_text(path, f"{self._name}, {path.name}")

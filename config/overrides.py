@@ -34,7 +34,10 @@ class OverriddenMapping(NamedTuple):
 def change_values(
     original: Mapping[str, Any], overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> OverriddenMapping:
-    """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages."""
+    """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
+
+    Raises ConfigError for a value that is given twice.
+    """
     mapping, origins, homeless = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
     ways = {dotted: index_entries(mapping, dotted) for dotted in overrides}
     if len(set(ways.values())) < len(ways):

@@ -48,7 +48,10 @@ def _ways(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
 
 
 def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
-    """Name the colliding geoms after their links, the second of a link `NAME 2`, and find the mesh files."""
+    """Name the colliding geoms after their links, the second of a link `NAME 2`, and find the mesh files.
+
+    Raises ConfigError for a file of a package that is not found, or not below `home`.
+    """
     names = {geom.name for geom in spec.geoms}
     for geom in spec.geoms:
         if not geom.name and (geom.contype or geom.conaffinity):

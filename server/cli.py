@@ -224,6 +224,7 @@ def check_descriptors() -> None:
 
 
 def make_parser() -> Parser:
+    """Return the parser; its `complete` adds the options of all verbs, which are otherwise added when one is used."""
     from importlib.metadata import version
 
     from softfinger.server.arguments import Parser

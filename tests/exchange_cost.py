@@ -59,7 +59,9 @@ from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.server.driver_contract import RATE_HZ, Servo
 from softfinger.server.loop.clock import now_ns, sleep_until
+from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
+from softfinger.tools.options import add_output_options
 
 PARTS: Final = 20
 BUFFER: Final = 128
@@ -355,11 +357,22 @@ def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
     return {"driver": driver, "bare": bare, "own": own, "least": min(between), "most": max(between), "whole": whole}
 
 
+def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
+    """Draw a bar per driver: its own time, with the range over the parts."""
+    drawing = figure()
+    axes = drawing.subplots()
+    own = np.array([[one[key] for key in ("own", "least", "most")] for one in found.values()]) * 1e6
+    reach = np.abs(own[:, 1:] - own[:, :1]).T
+    axes.barh(list(found), own[:, 0], xerr=reach, capsize=4)
+    axes.set_xlabel("own time of a tick, beside the same C calls made bare (us)")
+    save(drawing, path)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--driver", choices=CASES, action="append", help="measure this one; any number of times")
     parser.add_argument("--ticks", type=int, default=100_000, metavar="N", help="of each kind (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_options(parser)
     args = parser.parse_args()
     if args.ticks < 1:
         parser.error(f"--ticks {args.ticks}: must be 1 or more")
@@ -371,6 +384,8 @@ def main() -> int:
                 continue
             with tempfile.TemporaryDirectory() as folder, CASES[name](Path(folder)) as case:
                 found[name] = result(*times(case, args.ticks))
+        if args.plot is not None:
+            draw(found, args.plot)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

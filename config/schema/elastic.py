@@ -97,4 +97,5 @@ class Elastic(Table, frozen=True, kw_only=True):
 
     @property
     def radius_m(self) -> float:
+        """Radius of the loaded area, m."""
         return self.resolution_m if self.patch_radius_m is None else self.patch_radius_m

@@ -339,6 +339,7 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
 
 
 def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
+    """Check that an elastic object is the only one, and touched by one or two fingers."""
     if not is_usable(scene.object, scene.finger, scene.world):
         return
     for scene_index, item in enumerate(scene.object):

@@ -31,6 +31,7 @@ class Addresses(NamedTuple):
     commands: str | None
 
     def command_endpoint(self) -> str:
+        """Return the command endpoint; raises ConfigError if there is none."""
         if self.commands is None:
             raise ConfigError(
                 f"the daemon that publishes on {self.telemetry} accepts no commands: they are off in its rig"

@@ -203,6 +203,7 @@ class Servo:
         handover.loop_started.set()
 
     def _with_continued_limits(self, loop: Loop) -> Loop:
+        """Return the loop with the state of the limits after the last tick."""
         start = continue_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
         return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 

@@ -75,7 +75,7 @@ def _size(item: schema.ObjectBase) -> str:
     return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
 
 
-def object_rows(item: Object, has_patch: bool) -> list[tuple[str, str]]:
+def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
     """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "left out: frictionless", "left out: no moment about the normal"

@@ -266,7 +266,10 @@ class _DaemonLogHandler(logging.Handler):
 
 
 def request_priority(priority: int) -> bool:
-    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted."""
+    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted.
+
+    Threads created later inherit it.
+    """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:  # for the reason reported for the servo

@@ -37,6 +37,7 @@ class FileReport(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
+    """Check every file and print the results; return 0, or the exit code of ConfigError if any file is faulty."""
     findings = _with_starts([examine_file(file) for file in args.files])
     if args.explain:
         findings = [with_costs(finding) for finding in findings]
@@ -67,7 +68,10 @@ def _with_starts(findings: list[FileReport]) -> list[FileReport]:
 
 
 def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> None:
-    """Print the soft wall of each rig around the objects of each scene, unless `quiet`; save a picture as `plot`."""
+    """Print the soft wall of each rig around the objects of each scene, unless `quiet`, and save a picture as `plot`.
+
+    Raises ConfigError if a plot is requested and there is not exactly one rig with a wall and one scene.
+    """
     usable = [finding for finding in findings if not finding.errors]
     rigs = [(finding.file, load_rig(_locate(finding.file))) for finding in usable if finding.kind == "rig"]
     walls = [(name, rig, rig.guard.workspace) for name, rig in rigs if rig.guard.workspace is not None]
@@ -163,7 +167,10 @@ def _stability_row(item: Object) -> tuple[str, str]:
 
 
 def kind_of(mapping: dict[str, Any], where: str) -> str:
-    """Return `scene`, `rig` or `experiment`, according to the tables of a file."""
+    """Return `scene`, `rig` or `experiment`, according to the tables of a file.
+
+    Raises ConfigError if the tables belong to none of them, or to two.
+    """
     if mapping.keys() >= _EXPERIMENT_KEYS:
         return "experiment"
     scene, rig = _SCENE_KEYS & mapping.keys(), _RIG_KEYS & mapping.keys()

@@ -22,6 +22,10 @@ from softfinger.server.offline.library_texts import (
 
 
 def run(args: argparse.Namespace) -> int:
+    """Print the library or an entry, and draw it if requested; return 0.
+
+    Raises ConfigError if the name is unknown, or if a plot is requested without a name.
+    """
     if args.name is None:
         if args.plot is not None:
             raise ConfigError("--plot draws one of them: softfinger materials NAME --plot FILE")

@@ -40,6 +40,10 @@ _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the verb; return 0.
+
+    Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
+    """
     try:
         if args.json:
             _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
@@ -130,6 +134,7 @@ class Board:
 
 
 def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
+    """Receive messages and redraw the dashboard every `period_s`, until `--once` or `--duration` ends it."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
     first = math.inf  # time of the first message: the daemon may start later

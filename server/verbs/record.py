@@ -38,6 +38,10 @@ SHOW_PERIOD_S: Final = 0.5
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the verb; return the exit code.
+
+    Raises NoTelemetry if nothing arrives, and RecordingError if a file cannot be written.
+    """
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record needs either a FILE or --poses FILE")
     stop, lock = Stop(), keys.keys_from_options(args)

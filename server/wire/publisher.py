@@ -122,6 +122,7 @@ class Publisher(Closeable):
         """Records passed on by the relay, for one thread of this process."""
 
     def _open_commands(self, files: list[int]) -> SocketProcess | None:
+        """Start the process of commands; None if they are off."""
         if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
             return None
         on_handled = self._switch.count_handled

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER
+from helpers.closed_loop import assert_engine_agrees
 from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, options, stub, usb_library, word
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
@@ -21,7 +22,6 @@ from softfinger.drivers.falcon.device import Falcon, open_device
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
 from softfinger.server.loop import servo_thread as s

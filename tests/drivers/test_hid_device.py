@@ -24,7 +24,7 @@ from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, des
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
-from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, WITHHELD, Device
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, STALE, Device
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
 from softfinger.drivers.hid.link import find_device
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES

@@ -25,7 +25,7 @@ from helpers.waits import fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.server import driver_contract

@@ -101,7 +101,7 @@ def test_a_rising_object_presses_on_the_finger(name: str, retreat: float) -> Non
     if name in ALONE:  # and with a motion of the object itself
         rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 4.0, "phase_rad": -np.pi / 2}
         records = Engine(scene(shape | {"motion": rise})).run(np.hstack([finger, np.tile(UPRIGHT, (TICKS, 1))]), DT)
-        np.testing.assert_allclose(column(records, "force", 3), expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
+        np.testing.assert_allclose(records["force"], expected[:, None] * [0.0, 0.0, 1.0], atol=ROUNDING_N)
         assert causes(records) == ["touch", "release"]
 
 
@@ -255,9 +255,9 @@ def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
     records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500))
-    z = column(records, "probe.position", 3)[:, 2]
-    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(column(records, "dt")))
+    z = records[:, AT.probe_position + 2]
+    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(records[:, AT.dt]))
     expected = K * np.maximum(height + R - z, 0.0)
-    np.testing.assert_allclose(column(records, "force", 3)[:, 2], expected, atol=ROUNDING_N)
+    np.testing.assert_allclose(records[:, AT.force + 2], expected, atol=ROUNDING_N)
     assert expected.max() > 0.1 and np.ptp(z) > 1e-4
     assert causes(records)[:2] == ["touch", "release"]

@@ -221,7 +221,7 @@ def test_force_is_continuous(kind, found, count):
     poses = handling(kind, found, count)
     records = visit(running(kind, even=True), poses)
     way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
-    jumps = np.linalg.norm(np.diff(column(records, "force", 3), axis=0), axis=1)
+    jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
     # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
     steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)
     assert (jumps <= 4.0 * steepest * 1000.0 * way + 1e-12).all()
