@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
-from helpers.touching import SLIPPERY, R, engine, field, go, saved, spun, thing, wander
+from helpers.touching import SLIPPERY, R, engine, go, saved, spun, thing, wander
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.schema.contact import RollingMethod
@@ -35,13 +35,13 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
     some = slice(cases(1500, ticks))
     mesh, solid = (go(engine(each, far), points[some], turned[some]) for each in (of_triangles, shape))
-    assert len(np.unique(field(solid, AT.contact_mode, 1))) == 3
-    for at, left in ((AT.force, 5e-3), (AT.torque, 5e-3 * R), (AT.contact_point, 1e-4)):
-        np.testing.assert_allclose(field(mesh, at), field(solid, at), rtol=0.0, atol=left)
+    assert len(np.unique(solid["contact.mode"])) == 3
+    for name, tolerance in (("force", 5e-3), ("torque", 5e-3 * R), ("contact.point", 1e-4)):
+        np.testing.assert_allclose(mesh[name], solid[name], rtol=0.0, atol=tolerance)
     # On a single wall there is nothing to converge to, and the forces agree to rounding.
-    flat = (np.abs(field(solid, AT.contact_normal)) == 1.0).any(axis=1)
+    flat = (np.abs(solid["contact.normal"]) == 1.0).any(axis=1)
     assert flat.mean() > 0.3
-    assert np.abs(field(mesh, AT.contact_normal_force, 1) - field(solid, AT.contact_normal_force, 1))[flat].max() < 1e-9
+    assert np.abs(mesh["contact.normal_force"] - solid["contact.normal_force"])[flat].max() < 1e-9
 
 
 METHODS = get_args(RollingMethod)
