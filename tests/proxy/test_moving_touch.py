@@ -21,6 +21,7 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
+from softfinger.proxy.records import Records
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.tick import Tuning
@@ -254,10 +255,10 @@ def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
     rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
     tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
     options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
-    records = whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500))
-    z = records[:, AT.probe_position + 2]
-    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(records[:, AT.dt]))
+    records = Records(whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500)))
+    z = records["probe.position"][:, 2]
+    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(records["dt"]))
     expected = K * np.maximum(height + R - z, 0.0)
-    np.testing.assert_allclose(records[:, AT.force + 2], expected, atol=ROUNDING_N)
+    np.testing.assert_allclose(records["force"][:, 2], expected, atol=ROUNDING_N)
     assert expected.max() > 0.1 and np.ptp(z) > 1e-4
     assert causes(records)[:2] == ["touch", "release"]
