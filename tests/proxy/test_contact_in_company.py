@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import meshes
+from helpers import meshes, touching
 from helpers.hostile_meshes import bar
 from helpers.touching import Array, posed, saved
 from references.laws import LAWS
+from references.rotation import quaternion
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import NAMED
 
@@ -67,18 +66,9 @@ def far(material: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
-    scene: dict[str, Any] = {
-        "fingertip": {"radius_m": R},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "coupling": {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0},
-        "object": list(objects),
-        **tables,
-    }
-    if method is not None:
-        scene["rolling"] = {"method": method}
-    if "finger" in tables:
-        del scene["fingertip"], scene["coupling"]
-    return Engine(build(Scene, scene, "company"))
+    own: dict[str, Any] = {"fingertip": None, "coupling": None} if "finger" in tables else {}
+    own["rolling"] = None if method is None else {"method": method}
+    return touching.engine(*objects, **own | tables)
 
 
 def thing(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
@@ -99,9 +89,8 @@ def handling(ticks: int, seed: int, reach: float) -> Array:
         part = size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])
         return np.asarray(part.sum(axis=0))
 
-    turn = wave(0.4, (0.5, 2.0)) + 1e-9
-    angle = np.linalg.norm(turn, axis=1, keepdims=True)
-    return np.hstack([wave(reach, (0.5, 3.0)), np.cos(0.5 * angle), np.sin(0.5 * angle) * turn / angle])
+    turn = quaternion(wave(0.4, (0.5, 2.0)))
+    return posed(wave(reach, (0.5, 3.0)), turn)
 
 
 def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.examples import Cases
 from helpers.meshes import icosphere, write_ply
+from helpers.touching import posed, spun
 from numpy.typing import NDArray
 
 from softfinger.config.load import load_scene
@@ -54,7 +55,7 @@ def handled(rng: np.random.Generator, ticks: int) -> Array:
     angles = np.cumsum(rng.normal(0.0, 0.05, (ticks, 1)), axis=0)
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
-    return np.hstack([points, np.cos(angles), np.sin(angles) * axis])
+    return posed(points, spun(axis, 2.0 * angles[:, 0]))
 
 
 @pytest.mark.sampled(6)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any, get_args
 import numba
 import pytest
 from helpers.compiled_code import Compiled, compile_step
+from helpers.programs import run_program
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -228,7 +228,7 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
     script = "\n".join([*code, "print(json.dumps(found))"])
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    done = run_program([sys.executable, "-c", script], env=environment)
     assert done.returncode == 0, done.stderr
     found: dict[str, dict[str, Any]] = json.loads(done.stdout)
     return found

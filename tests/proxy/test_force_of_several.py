@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import touching
 from helpers.examples import Cases
-from helpers.touching import Array
+from helpers.touching import Array, posed
+from references.rotation import quaternion
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import SLIDING
 
@@ -55,21 +55,10 @@ FREE = {"room": (0.0, 0.0, 0.0), "groove": (0.02, 0.0, 0.02), "corner": (0.02, 0
 
 def engine(name: str, static: float, kinetic: float) -> Engine:
     material: dict[str, Any] = {"stiffness_n_per_m": K}
-    scene: dict[str, Any] = {
-        "fingertip": {"radius_m": R},
-        "probe": {"velocity_time_constant_s": 0.0},
-        "coupling": {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0},
-    }
     if static > 0.0:
         material["friction"] = {"static": static, "kinetic": kinetic}
-        scene["rolling"] = {"method": "euler_zxz"}
-    scene["object"] = [each | {"name": f"object {i}", "material": material} for i, each in enumerate(SCENES[name])]
-    return Engine(build(Scene, scene, name))
-
-
-def turned(points: Array, vectors: Array) -> Array:
-    angles = np.linalg.norm(vectors, axis=1, keepdims=True) + 1e-30
-    return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) / angles * vectors])
+    objects = [each | {"name": f"object {i}", "material": material} for i, each in enumerate(SCENES[name])]
+    return touching.engine(*objects, rolling={"method": "euler_zxz"} if static > 0.0 else None)
 
 
 def deep_handling(seed: int, reach: float, turn: float) -> Array:
@@ -80,7 +69,8 @@ def deep_handling(seed: int, reach: float, turn: float) -> Array:
         rate, phase = rng.uniform(0.5, fastest, (2, 3)), rng.uniform(0.0, 2.0 * np.pi, (2, 3))
         return np.asarray((size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])).sum(axis=0))
 
-    return turned(wave(reach, 3.0), wave(turn, 2.0))
+    places = wave(reach, 3.0)
+    return posed(places, quaternion(wave(turn, 2.0)))
 
 
 def closed_path(name: str, seed: int, turn: float) -> Array:
@@ -91,7 +81,7 @@ def closed_path(name: str, seed: int, turn: float) -> Array:
     start, free = np.array(START[name]), np.array(FREE.get(name, (0.0, 0.0, 0.04)))
     within = np.sin(np.pi * t) ** 2
     near = np.minimum(8.0 * within, 1.0)
-    return turned(start + 5e-4 * within * aside + (1.0 - near) * 0.2 * (free - start), turn * vectors)
+    return posed(start + 5e-4 * within * aside + (1.0 - near) * 0.2 * (free - start), quaternion(turn * vectors))
 
 
 def reach_of(name: str) -> float:

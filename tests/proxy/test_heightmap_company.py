@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from helpers import counted_asks, meshes
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part
+from helpers.programs import run_program
 from helpers.touching import SMOOTH, R, engine, posed, saved, spun, thing
 from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
@@ -149,13 +149,9 @@ def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) 
             method = "montana_rk45" if situation == "alone" else "midpoint"
             scenes.append((method, things, way(heights, pitch, 150)[:: cases(27, 9)].tolist()))
             most.append(counted_asks.ALONE if situation == "alone" else counted_asks.IN_COMPANY)
-    output = subprocess.run(
-        [sys.executable, "-m", "helpers.counted_asks"],
-        cwd=Path(counted_asks.__file__).parents[1],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        input=json.dumps(scenes),
-        capture_output=True, text=True, check=True, timeout=1200,
-    ).stdout  # fmt: skip
+    options = {"cwd": Path(counted_asks.__file__).parents[1], "env": os.environ | {"NUMBA_DISABLE_JIT": "1"}}
+    command = [sys.executable, "-m", "helpers.counted_asks"]
+    output = run_program(command, input=json.dumps(scenes), check=True, timeout=1200, **options).stdout
     for bound, (method, things, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
         assert 0 < max(lookups) <= bound
         records = engine(*things, rolling={"method": method}).run(counted_asks.poses_at(points))

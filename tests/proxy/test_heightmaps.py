@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hostile_maps import grid_of, part
-from helpers.touching import SMOOTH, R, engine, go, thing
+from helpers.touching import SMOOTH, R, engine, go, posed, thing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from references.rotation import quaternion
 
 from softfinger.proxy.heightmaps import kernel_heightmap, thin_map, tightest
 from softfinger.proxy.kernels import model
@@ -323,10 +324,8 @@ def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Arra
         return sum(np.sin(2e-2 * t * rng.uniform(0.1, 1.0) + rng.uniform(0.0, 6.0)) for _ in range(4)) / 4.0
 
     turned = np.cumsum(rng.normal(size=(ticks, 3)) * 0.004, axis=0)
-    angle = np.linalg.norm(turned, axis=1, keepdims=True)
-    orientation = np.hstack([np.cos(0.5 * angle), turned / angle * np.sin(0.5 * angle)])
     z = low + (high - low) * 0.5 * (1.0 + wander())
-    return np.hstack([np.column_stack([reach * wander(), reach * wander(), z]), orientation])
+    return posed(np.column_stack([reach * wander(), reach * wander(), z]), quaternion(turned))
 
 
 SWAY = {"kind": "sinusoid", "translation_m": [0.002, 0.0, 0.001], "rotation_rad": 0.05, "axis": [0.6, 0.8, 0.0],

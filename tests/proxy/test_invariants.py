@@ -8,7 +8,7 @@ from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from references.laws import K_Z, axis_angles, stored_energy, work_of_the_hand
-from references.rotation import matrix, multiply
+from references.rotation import matrix, multiply, quaternion
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
@@ -194,9 +194,7 @@ def cycle(at, goals, turns, ticks=8):
     for goal, turned in [*zip(goals, turns, strict=True), (at, None)]:
         if turned is None:  # rotate back to the initial orientation
             (turned,) = axis_angles(np.array([q, [1.0, 0.0, 0.0, 0.0]]))
-        angle = np.linalg.norm(turned)
-        vector = 0.5 * np.sinc(shares * angle / (2.0 * np.pi)) * shares * turned
-        orientations = multiply(np.hstack([np.cos(0.5 * shares * angle), vector]), q)
+        orientations = multiply(quaternion(shares * turned), q)
         poses.append(np.hstack([x + shares * (goal - x), orientations]))
         x, q = goal, orientations[-1]
     return np.concatenate(poses)

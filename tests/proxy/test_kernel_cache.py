@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, Unsound, kinds_in, make_private
@@ -89,9 +90,7 @@ def start(
     command = [sys.executable, "-B", *(["-c", what] if isinstance(what, str) else [str(what)])]
     changed = {"SOFTFINGER_CACHE_DIR": str(cache), **env}
     environment = {k: v for k, v in (os.environ | changed).items() if v is not None}
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=300, check=False, preexec_fn=prepare
-    )
+    done = run_program(command, env=environment, preexec_fn=prepare)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip(), done.stderr
 

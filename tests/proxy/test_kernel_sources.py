@@ -6,12 +6,12 @@ import ast
 import os
 import re
 import shutil
-import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS
 
@@ -119,9 +119,7 @@ def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> Non
     # Without site: the installed package must not be imported first.
     command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
     edits = "\n".join(["", *moved_by])
-    process = subprocess.run(
-        command, env=os.environ | {"PYTHONPATH": site}, input=edits + "\n", capture_output=True, text=True, check=True
-    )
+    process = run_program(command, env=os.environ | {"PYTHONPATH": site}, input=edits + "\n", check=True)
     lines = process.stdout.splitlines()
     kept = [lines[first : first + 1 + len(names)] for first in range(0, len(lines), 1 + len(names))]
     found = [[one != other for one, other in zip(before, after, strict=True)] for before, after in pairwise(kept)]

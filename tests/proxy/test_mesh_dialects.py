@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import itertools
-import json
 import struct
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from helpers.glb_files import Glb
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -260,43 +260,6 @@ def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     assert "has the corner -2" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
     for start, reason in OTHER_FILES.items():
         assert reason in refusal(path, start + PLYS["little endian"])
-
-
-class Glb:
-    """Builder of a GLB file: add accessors, then get its bytes from `data`."""
-
-    def __init__(self) -> None:
-        self.blob = b""
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-
-    def view(self, array: np.ndarray, stride: int = 0) -> int:
-        self.blob += b"\0" * (-len(self.blob) % 4)
-        rows = array.reshape(len(array), -1)
-        data = b"".join(row.tobytes().ljust(stride, b"\0") for row in rows)
-        self.views.append({"buffer": 0, "byteOffset": len(self.blob), "byteLength": len(data)})
-        if stride:
-            self.views[-1]["byteStride"] = stride
-        self.blob += data
-        return len(self.views) - 1
-
-    def add(self, array: np.ndarray, stride: int = 0, **more: Any) -> int:
-        codes = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
-        entry = {"bufferView": self.view(array, stride), "componentType": codes[array.dtype.name], "count": len(array)}
-        self.accessors.append(entry | {"type": "VEC3" if array.ndim == 2 else "SCALAR"} | more)
-        return len(self.accessors) - 1
-
-    def data(self, primitives: list[dict[str, Any]], node: dict[str, Any] | None = None, **more: Any) -> bytes:
-        head = {
-            "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0} | (node or {})],
-            "meshes": [{"primitives": primitives}], "accessors": self.accessors, "bufferViews": self.views,
-            "buffers": [{"byteLength": len(self.blob)}],
-        } | more  # fmt: skip
-        text = json.dumps(head).encode()
-        text += b" " * (-len(text) % 4)
-        blob = self.blob + b"\0" * (-len(self.blob) % 4)
-        body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x4E4942) + blob
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
 SOME = np.array(FACES, np.uint16).ravel()

@@ -15,6 +15,7 @@ import pytest
 import trimesh
 from helpers import meshes
 from helpers.examples import examples
+from helpers.glb_files import Glb
 from helpers.meshes import Mesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -73,35 +74,10 @@ def stl_binary(mesh: Mesh) -> bytes:
 
 
 def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda head: None) -> bytes:
-    body = mesh.vertices.astype("<f4").tobytes() + mesh.triangles.astype("<u4").tobytes()
-    split, n, m = 12 * len(mesh.vertices), len(mesh.vertices), len(mesh.triangles)
-    head = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": n, "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5125, "count": 3 * m, "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": split},
-            {"buffer": 0, "byteOffset": split, "byteLength": len(body) - split},
-        ],
-        "buffers": [{"byteLength": len(body)}],
-    }
-    changes(head)
-    text = json.dumps(head).encode()
-    text += b" " * (-len(text) % 4)
-    size = 28 + len(text) + len(body)
-    return (
-        b"glTF"
-        + struct.pack("<IIII", 2, size, len(text), 0x4E4F534A)
-        + text
-        + struct.pack("<II", len(body), 0x4E4942)
-        + body
-    )
+    made = Glb()
+    places = {"POSITION": made.add(mesh.vertices.astype(np.float32))}
+    indices = made.add(mesh.triangles.astype(np.uint32).ravel())
+    return made.data([{"attributes": places, "indices": indices}], changes=changes)
 
 
 def written(mesh: Mesh, kind: str) -> bytes:

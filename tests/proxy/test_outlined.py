@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple
 import numba
 import pytest
 from helpers.compiled_code import called_in, functions
+from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit import decorators, outlined
 from softfinger.proxy.kernels.jit.compiler.numba_internals import UNIT, code_of
@@ -64,7 +64,7 @@ def scripts(tmp_path: Path) -> Path:
 
 def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("SOFTFINGER_CACHE_DIR", str(cache))
-    process = subprocess.run([sys.executable, "-B", str(script)], capture_output=True, text=True, check=False)
+    process = run_program([sys.executable, "-B", script])
     assert process.returncode == 0 and process.stderr == "", process.stderr
     return process.stdout.strip()
 

@@ -6,7 +6,6 @@ import gc
 import importlib
 import os
 import shutil
-import subprocess
 import sys
 import weakref
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 from conftest import merged
 from helpers.faulty_device import FaultyDevice, Options
+from helpers.programs import run_program
 from numpy.typing import NDArray
 
 from softfinger.config import schema
@@ -237,7 +237,7 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(program.format(name=name))
     command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
-    process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    process = run_program(command, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.strip()
 

@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers import touching
+from references.rotation import quaternion
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
@@ -31,8 +30,6 @@ WALLS = (np.array([1.0, 0.0, 1.0]) / SQRT2, np.array([-1.0, 0.0, 1.0]) / SQRT2)
 ORDERS = ((0, 1), (1, 0))
 SOFT = {"fingertip": {"radius_m": R, "patch": {"shear_modulus_pa": 45e3, "rolling_loss": 0.4}}}
 """Fingertip with a Hertzian patch: radius (3 f R / 16 G)^(1/3) and spin stiffness f R under a load f."""
-BASE = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
-PLAIN = {"coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}, "rolling": {"method": "rotation_vector"}}
 
 
 def material(friction=GRIP, torsion=None, **keys):
@@ -66,16 +63,11 @@ def groove(order=(0, 1), stuff=(None, None), angle=None):
 
 
 def engine(*things, **tables):
-    whole = BASE | PLAIN | {"object": list(things)} | tables
-    return Engine(build(Scene, {key: table for key, table in whole.items() if table is not None}, "patches"))
+    return touching.engine(*things, **{"rolling": {"method": "rotation_vector"}} | tables)
 
 
 def poses(points, vectors=None):
-    points = np.asarray(points, float)
-    vectors = np.zeros_like(points) if vectors is None else np.asarray(vectors, float)
-    angles = np.linalg.norm(vectors, axis=1, keepdims=True)
-    axes = np.divide(vectors, angles, out=np.zeros_like(vectors), where=angles > 0.0)
-    return np.hstack([points, np.cos(0.5 * angles), np.sin(0.5 * angles) * axes])
+    return touching.posed(points, None if vectors is None else quaternion(vectors))
 
 
 def turning(axis, angle, ticks):
@@ -287,7 +279,7 @@ def test_object_indices_follow_the_scene_file():
 
 
 def test_another_number_of_objects_is_another_scene():
-    more, fewer = (build(Scene, BASE | PLAIN | {"object": tiled(0.004, material(), side)}, "") for side in (4, 3))
+    more, fewer = (touching.scene_with(*tiled(0.004, material(), side)) for side in (4, 3))
     with pytest.raises(ValueError, match="other parts"):
         Engine(more).tune(fewer)
 

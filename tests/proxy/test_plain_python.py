@@ -7,7 +7,6 @@ minute.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.programs import run_program
 from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, roll_long, touching
 
 from softfinger.proxy.engine import Engine
@@ -64,14 +64,8 @@ def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp("plain")
     selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
     names = [params["name"] for params in selected]
-    done = subprocess.run(
-        [sys.executable, __file__, str(folder), *names],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = run_program([sys.executable, __file__, str(folder), *names], env=environment)
     assert done.returncode == 0, done.stderr
     return folder
 

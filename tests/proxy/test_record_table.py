@@ -8,6 +8,7 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
+from helpers.programs import run_program
 
 from softfinger.proxy.kernels.model import NO_OUTCOME, Contact
 from softfinger.proxy.kernels.record_writer import write_contact
@@ -73,15 +74,8 @@ def tree(tmp_path_factory):
 
 
 def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=tree,
-        env={"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
+    return run_program([sys.executable, *arguments], cwd=tree, env=environment)
 
 
 EVERYWHERE = """

@@ -6,11 +6,11 @@ The tests start subprocesses, because MuJoCo has one error handler per process.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 
 pytestmark = pytest.mark.real_time
 
@@ -53,13 +53,8 @@ def stepped(model, data, count):
 
 
 def output_of(code: str, *words: str, **environment: str) -> str:
-    process = subprocess.run(
-        [sys.executable, "-c", HEAD + code, *words],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    given = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
+    process = run_program([sys.executable, "-c", HEAD + code, *words], env=given)
     assert process.returncode == 0, process.stderr
     return process.stdout.strip()
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from helpers.programs import run_program
 
 pytestmark = pytest.mark.plain
 
@@ -22,9 +22,7 @@ print(touch.force.tolist())
 
 def rendered(package: Path) -> str:
     environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
-    process = subprocess.run(
-        [sys.executable, "-c", RENDERED], capture_output=True, text=True, timeout=120, env=environment, check=False
-    )
+    process = run_program([sys.executable, "-c", RENDERED], env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout
 

@@ -22,10 +22,10 @@ def rodrigues(w: ArrayLike) -> Array:
 
 
 def quaternion(w: ArrayLike) -> Array:
-    """Quaternion (4,) w, x, y, z of the rotation vector w (3,) rad."""
+    """Quaternions (..., 4) w, x, y, z of rotation vectors w (..., 3) rad."""
     w = np.asarray(w, float)
-    angle = float(np.linalg.norm(w))
-    return np.array([math.cos(angle / 2), *(0.5 * np.sinc(angle / (2 * math.pi)) * w)])
+    angle = np.linalg.norm(w, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * math.pi)) * w], axis=-1)
 
 
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
