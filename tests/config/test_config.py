@@ -253,16 +253,14 @@ RIG_FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("key", "value", "fragments"), SCENE_FAULTS, ids=itertools.count())
-def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    (fault,) = faults_of(Scene, put(scene(), key, value))
-    assert fault.startswith("f.toml: ")
-    assert [part for part in fragments if part not in fault] == [], fault
+FAULTS = [(Scene, scene, *fault) for fault in SCENE_FAULTS] + [(Rig, rig, *fault) for fault in RIG_FAULTS]
 
 
-@pytest.mark.parametrize(("key", "value", "fragments"), RIG_FAULTS, ids=itertools.count())
-def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    (fault,) = faults_of(Rig, put(rig(), key, value))
+@pytest.mark.parametrize(("kind", "make", "key", "value", "fragments"), FAULTS, ids=itertools.count())
+def test_a_fault_names_file_key_value_and_range(
+    kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
+) -> None:
+    (fault,) = faults_of(kind, put(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
 
@@ -694,13 +692,10 @@ def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
         assert message is None or "anything: " in message
 
 
-PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) for fault in RIG_FAULTS]
-
-
-@given(st.sampled_from(PLACES), ANYTHING)
+@given(st.sampled_from(FAULTS), ANYTHING)
 @examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
-    kind, make, (key, _, _) = place
+    kind, make, key, _, _ = place
     message = refusal(build, kind, put(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
 
