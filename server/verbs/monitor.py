@@ -90,7 +90,6 @@ class Board:
 
     @property
     def contact(self) -> Sample | None:
-        """Latest tick of a single finger."""
         return self.fingers.get("")
 
     @property
