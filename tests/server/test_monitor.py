@@ -140,7 +140,6 @@ def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
 
 
 def test_a_stopped_stream_is_reported():
-    """Without new data the lines have the time since and the last tick. SIGINT ends the monitor with code 0."""
     pipe = subprocess.PIPE
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,

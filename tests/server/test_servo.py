@@ -308,7 +308,6 @@ def test_a_pose_that_stays_unusable_is_a_fault(fault):
 
 
 def test_a_single_suspension_of_the_process_ends_nothing():
-    """One read of 0.99 s, as in a process that was stopped and continued, is tolerated."""
     _, servo = make_servo(Options(fault="stall", at=100, stall_us=990_000), 300)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (s.FINISHED, 300)

@@ -142,7 +142,6 @@ def test_messages_are_far_below_the_size_limit():
 
 
 def test_every_sends_only_multiples():
-    """With every = 4, only ticks that are multiples of 4 are sent, and each message contains the 4."""
     maps = published(synthetic(47, first_tick=3), "contact", 12, every=4)
     assert [m["tick"] for m in maps] == list(range(4, 50, 4))
     assert {m["every"] for m in maps} == {4}
@@ -372,7 +371,6 @@ REFUSED = {
 
 @pytest.mark.parametrize(("endpoint", "words"), [(word, why) for why, text in REFUSED.items() for word in text.split()])
 def test_an_endpoint_is_refused_with_its_reason(endpoint, words):
-    """One that other machines could reach, a malformed one, a socket without a file mode, a missing folder."""
     with pytest.raises(ConfigError, match=words):
         Publisher(endpoint)
 
@@ -400,7 +398,6 @@ def test_ipc_socket_is_for_user_and_group(tmp_path):
 
 
 def test_an_ipc_path_left_by_a_dead_server_is_reused(tmp_path):
-    """A socket file without a listener does not prevent the next server from starting."""
     path = tmp_path / "telemetry"
     with unix.socket(unix.AF_UNIX) as left:
         left.bind(str(path))
