@@ -178,7 +178,6 @@ def add_objects_of_world(scene: Scene) -> Scene:
 
 
 def _resolve_files(folder: Path, scene: Scene) -> Scene:
-    """Return a scene whose files are relative to a folder."""
     objects, world = scene.object, scene.world
     if is_usable(objects):
         objects = tuple(_resolve_path(folder, obj) if is_usable(obj) else obj for obj in objects)

@@ -105,7 +105,6 @@ def _list(
 
 
 def _read_named(kind: inspect.DictType, value: object, key: str, report: FaultCollector) -> Any:
-    """Read a table of tables or of values, with names as keys."""
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
     before = len(report.faults)
@@ -214,7 +213,6 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
 
 
 def _create(cls: type[Struct], values: dict[str, Any], key: str, report: FaultCollector, start: int) -> Any:
-    """Create the struct and run its checks across fields."""
     try:
         struct = cls(**values)
         complaints = list(struct.faults()) if hasattr(struct, "faults") else []

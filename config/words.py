@@ -64,7 +64,6 @@ def _items(types: Sequence[inspect.Type], key: str) -> str:
 
 
 def missing(info: inspect.Type, dotted: str, name: str) -> str:
-    """Return the message for a missing required field, with the key or table to add."""
     kind, extra = unwrap(info)
     if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"

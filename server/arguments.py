@@ -152,7 +152,6 @@ def default_rig(scene: str, fallback: str) -> str:
 
 
 def duration(text: str) -> float:
-    """Parse a duration in seconds from a command line argument."""
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: the duration must be above 0 s and below 1e9 s")

@@ -180,7 +180,6 @@ def softfinger_daemon(request: pytest.FixtureRequest) -> Iterator[Callable[..., 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
-    """Add the logs of the daemons to the report of a failed test."""
     report = yield
     if report.when == "call" and report.failed:
         for daemon in item.stash.get(_LOGS, []):

@@ -173,7 +173,6 @@ def test_my_driver_python(tmp_path: Path) -> None:
 
 
 def test_an_exception_in_a_python_driver_ends_the_run() -> None:
-    """The exception gives a separate status, not the 0 that ctypes would return."""
     sys.path.insert(0, str(EXAMPLES))
     try:
         driver = importlib.import_module("my_driver_python")

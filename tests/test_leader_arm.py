@@ -221,7 +221,6 @@ def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
 
 
 def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
-    """Without requests, as after a kill, its watchdog takes the force off."""
     with emulated(DYNAMIXEL) as arm:
         device = leader.open_device(arm_options(arm, urdf), RATE_HZ)
         servo = Servo(device)

@@ -224,7 +224,6 @@ print(CACHE_DIR.name, len(take.stats.cache_misses))
 
 @pytest.mark.parametrize("first", ["wheel", pytest.param("checkout", marks=pytest.mark.exhaustive)])
 def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, installed: Path, tmp_path: Path) -> None:
-    """Each finds the kernels that the other has compiled, in a folder of the same name, since the sources are equal."""
     pythons = [installed / "python", Path(sys.executable)]
     told = [
         run(python, "-c", COMPILES, cwd=tmp_path, SOFTFINGER_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
@@ -302,7 +301,6 @@ def test_the_packages_are_named_the_same_everywhere() -> None:
 
 
 def test_ci_calls_targets_that_exist() -> None:
-    """Each `make` in .ci/run names a target of the Makefile; the suite runs before anything is put into the system."""
     text = (ROOT / ".ci" / "run").read_text()
     called = re.findall(r"\bmake ([a-z-]+)", re.sub(r"^#.*", "", text, flags=re.MULTILINE))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))

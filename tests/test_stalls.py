@@ -76,7 +76,6 @@ def test_failed_where_it_stood_still_each_time(pytester: pytest.Pytester) -> Non
 
 
 def test_no_result_where_the_host_took_the_processors(pytester: pytest.Pytester) -> None:
-    """The hypervisor must have taken longer than a driver waits, in each attempt."""
     run(pytester, 0.2, NO_LUCK, taken_s=0.2).assert_outcomes(skipped=1)
     for overslept_s, of_it_taken_s in ((0.2, 0.05), (0.05, 0.2), (0.001, 0.2)):
         run(pytester, overslept_s, NO_LUCK, of_it_taken_s).assert_outcomes(failed=1)

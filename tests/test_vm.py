@@ -17,7 +17,6 @@ PROGRAMS = sorted((ROOT / "tests" / "vm").glob("*.py"))
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.name)
 def test_imports_of_vm_programs_exist(program: Path) -> None:
-    """Every name of ours that its programs import exists where they look for it."""
     for node in ast.walk(ast.parse(program.read_text("utf-8"))):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("softfinger"):
             module = importlib.import_module(str(node.module))

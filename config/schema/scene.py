@@ -11,6 +11,7 @@ from softfinger.config import limits
 from softfinger.config.fields import Complaint, Table, is_usable, sized
 from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
 from softfinger.config.schema.effects import Effect
+from softfinger.config.schema.materials import Material
 from softfinger.config.schema.motions import Body
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.shapes import Mesh, Object
@@ -248,20 +249,21 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
                 yield f"object[{scene_index}].{key}", value, text
 
 
+def _materials(scene: Scene) -> Iterator[tuple[int, Material]]:
+    """Yield the index of each object and its material, if friction and torsion are usable."""
+    for scene_index, item in enumerate(scene.object):
+        if is_usable(item) and is_usable(item.material) and is_usable(item.material.friction, item.material.torsion):
+            yield scene_index, item.material
+
+
 def _law_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that the laws of all objects can be combined: one law is compiled for all of them."""
     if not is_usable(scene.object, scene.rolling):
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     coupled: dict[bool, str] = {}
-    for scene_index, item in enumerate(scene.object):
-        if (
-            not is_usable(item)
-            or not is_usable(item.material)
-            or not is_usable(item.material.friction, item.material.torsion)
-        ):
-            continue
-        friction, torsion = item.material.friction, item.material.torsion
+    for scene_index, material in _materials(scene):
+        friction, torsion = material.friction, material.torsion
         where = f"object[{scene_index}].material"
         if literal and friction is not None:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
@@ -289,14 +291,8 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
     if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)
-    for scene_index, item in enumerate(scene.object):
-        if (
-            not is_usable(item)
-            or not is_usable(item.material)
-            or not is_usable(item.material.friction, item.material.torsion)
-        ):
-            continue
-        torsion, where = item.material.torsion, f"object[{scene_index}].material.torsion"
+    for scene_index, material in _materials(scene):
+        torsion, where = material.torsion, f"object[{scene_index}].material.torsion"
         if torsion is None:
             continue
         lacking = [key for key in ("stiffness_nm_per_rad", "friction_length_m") if getattr(torsion, key) is None]
@@ -304,7 +300,7 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
             table = "[fingertip.patch]" if scene.fingertip is not None else "[finger.patch]"
             for key in lacking:
                 yield f"{where}.{key}", msgspec.UNSET, f"is missing: give it, or the fingertip a {table}"
-        elif lacking and item.material.friction is None:
+        elif lacking and material.friction is None:
             yield where, msgspec.UNSET, "follows from the patch and from friction, and there is none: leave it out"
 
 

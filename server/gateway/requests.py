@@ -34,7 +34,6 @@ class Commanders:
 
     @property
     def sockets(self) -> list[zmq.Socket[bytes]]:
-        """Sockets that receive answers."""
         return list(self._upstream.values())
 
     def take(self) -> bool:

@@ -94,7 +94,6 @@ class Board:
 
     @property
     def contact(self) -> Sample | None:
-        """Latest tick of a single finger."""
         return self.fingers.get("")
 
     @property

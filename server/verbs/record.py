@@ -170,7 +170,6 @@ def _dispatch(sample: Sample, writers: Mapping[str, PoseWriter], start: int) -> 
 
 
 def set_end_reason(all_stats: Sequence[RecordingStats], reason: str) -> None:
-    """Set the reason of the end for recordings that have not ended."""
     for stats in all_stats:
         stats.end_reason = stats.end_reason or reason
 

@@ -114,7 +114,6 @@ def test_paper_scene_has_the_values_of_the_paper() -> None:
 
 
 def test_raised_plane_differs_from_the_paper_only_in_position() -> None:
-    """`plane-at-60mm` has the paper's fingertip, rolling and material, at z = 0.06 m."""
     paper, raised = load_scene("paper-plane"), load_scene("plane-at-60mm")
     assert raised.object[0].position_m == (0.0, 0.0, 0.06)
     moved = msgspec.structs.replace(raised.object[0], name="table", position_m=(0.0, 0.0, 0.0))
@@ -253,16 +252,14 @@ RIG_FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("key", "value", "fragments"), SCENE_FAULTS, ids=itertools.count())
-def test_scene_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    (fault,) = faults_of(Scene, put(scene(), key, value))
-    assert fault.startswith("f.toml: ")
-    assert [part for part in fragments if part not in fault] == [], fault
+FAULTS = [(Scene, scene, *fault) for fault in SCENE_FAULTS] + [(Rig, rig, *fault) for fault in RIG_FAULTS]
 
 
-@pytest.mark.parametrize(("key", "value", "fragments"), RIG_FAULTS, ids=itertools.count())
-def test_rig_fault_names_file_key_value_and_range(key: str, value: Any, fragments: list[str]) -> None:
-    (fault,) = faults_of(Rig, put(rig(), key, value))
+@pytest.mark.parametrize(("kind", "make", "key", "value", "fragments"), FAULTS, ids=itertools.count())
+def test_a_fault_names_file_key_value_and_range(
+    kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
+) -> None:
+    (fault,) = faults_of(kind, put(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
 
@@ -317,7 +314,6 @@ def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: p
 
 
 def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
-    """A number of 6000 digits, which Python refuses to print, is reported by its size."""
     (fault,) = faults_of(Scene, put(scene(), "fingertip.radius_m", 10**6000))
     assert "fingertip.radius_m = an integer of 19932 bits: must be a number from 1e-05 to 1000 m" in fault
     (fault,) = faults_of(Rig, put(rig(), "servo.priority", -(10**6000)))
@@ -363,13 +359,11 @@ def pinched(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_fault_of_a_finger_names_it(changes: dict[str, Any], fault: str) -> None:
-    """Names that telemetry cannot distinguish, a shared device and a value out of range give one fault each."""
     (said,) = faults_of(Scene, pinched(**changes))
     assert said.startswith(f"f.toml: {fault}")
 
 
 def test_a_scene_has_fingertip_or_fingers() -> None:
-    """Both together are a fault, and k_tau must not exceed the coupling stiffness of any finger."""
     both = pinched() | {"fingertip": {"radius_m": 0.01}}
     assert ["cannot be combined with [[finger]]" in said for said in faults_of(Scene, both)] == [True]
     soft = pinched(coupling={"stiffness_n_per_m": 100.0})
@@ -694,13 +688,10 @@ def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
         assert message is None or "anything: " in message
 
 
-PLACES = [(Scene, scene, fault) for fault in SCENE_FAULTS] + [(Rig, rig, fault) for fault in RIG_FAULTS]
-
-
-@given(st.sampled_from(PLACES), ANYTHING)
+@given(st.sampled_from(FAULTS), ANYTHING)
 @examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
-    kind, make, (key, _, _) = place
+    kind, make, key, _, _ = place
     message = refusal(build, kind, put(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
 

@@ -57,7 +57,6 @@ def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_the_longest_key_is_read() -> None:
-    """The maximum number of parts is read, one more is refused; tomllib agrees on the extent of a key."""
     longest = ".".join(["a"] * PARTS_MAX)
     assert parse_toml(f"{longest} = 1", "t") == tomllib.loads(f"{longest} = 1")
     with pytest.raises(ConfigError, match="parts"):
@@ -145,7 +144,6 @@ def at(config: Any, *way: str | int) -> Any:
 
 @pytest.mark.parametrize("key", ["object.0.material.stiffness_n_per_m", "object[0].material.stiffness_n_per_m"])
 def test_an_override_reaches_into_lists(key: str) -> None:
-    """An entry of a list is named by its number, as in Python or as messages have it."""
     scene = load_scene("corner", {key: 500})
     assert at(scene, "object", 0, "material", "stiffness_n_per_m") == 500
     assert at(scene, "object", 1) == at(load_scene("corner"), "object", 1)

@@ -236,7 +236,6 @@ def test_distances_of_bodies_equal_the_dimensions_in_the_file(
 
 @pytest.mark.parametrize("shape", ["box", "cylinder"])
 def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
-    """A point has room inside a hollow exactly where the solid of the same size would be penetrated."""
     solid, hollow = thing_of(shape), thing_of(shape, inside=True)
     points = np.random.default_rng(5).uniform(-0.16, 0.16, (1000, 3))
     inner = 0

@@ -45,7 +45,6 @@ def read(path: Path, name: str, data: bytes) -> np.ndarray:
 
 
 def test_every_format_gives_the_same_numbers(tmp_path: Path) -> None:
-    """Row by row, as written; a single row where the array is a line."""
     flat = [int(value) for value in GRID.ravel()]
     files = {
         "a.npy": npy(tmp_path, GRID),
@@ -115,7 +114,6 @@ def png(picture: np.ndarray, **how: object) -> bytes:
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_grey_pictures_keep_their_levels(tmp_path: Path, kind: type) -> None:
-    """From 0 to the highest of 8 and of 16 bits, as drawn, the first row first."""
     levels = np.array([[0, 1, 2], [3, 128, np.iinfo(kind).max]], kind)
     np.testing.assert_array_equal(read(tmp_path, "a.png", png(levels)), levels)
     np.testing.assert_array_equal(read(tmp_path, "B.PNG", png(levels, optimize=True)), levels)

@@ -180,7 +180,6 @@ for path in sys.argv[1:]:
 
 
 def test_bombs_are_refused_in_little_memory(tmp_path: Path) -> None:
-    """A gigabyte in a small file is refused, as poses and as results, before it is unpacked."""
     paths = []
     for name, (ending, make) in BOMBS.items():
         paths.append(tmp_path / f"{name}{ending}")

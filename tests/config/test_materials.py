@@ -80,7 +80,6 @@ def test_names_of_materials_and_fingertips_are_distinct() -> None:
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
 def test_every_entry_has_sources_and_a_range(entry: LibraryEntry) -> None:
-    """Entries cite papers and a range of validity; those with friction name the measured pair."""
     assert entry.papers and entry.holds and entry.about.endswith(".")
     assert bool(entry.friction_of) == ("friction" in entry.values)
     for each in entry.measured:

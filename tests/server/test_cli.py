@@ -78,7 +78,6 @@ def test_a_similar_name_is_suggested(line, said):
 @pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
 @pytest.mark.parametrize("flag", ["-v", "--verbose", "-q", "--quiet"])
 def test_verbosity_flags_work_before_and_after_a_verb(line, flag):
-    """The flags work before and after a verb, and the verb does not reset a flag given before it."""
     args = make_parser().parse_args(line.format(flag).split())
     verbose = flag in ("-v", "--verbose")
     assert (args.verbose, args.quiet) == (verbose, not verbose)
@@ -362,7 +361,6 @@ def test_bench_prints_json(kind, tmp_path):
     [("out.txt", "a figure is .png or .svg by its file name"), ("no/such/out.png", "there is no folder no/such")],
 )
 def test_plot_is_refused_before_the_work(plot, why):
-    """A figure that cannot be saved is refused on the command line with the reason."""
     outcome = called("bench", "loop", "--seconds", "600", "--plot", plot)
     assert outcome.returncode == 2 and f"--plot: {plot}: {why}" in outcome.stderr
 
@@ -378,7 +376,6 @@ def test_run_is_drawn(tmp_path):
 
 
 def test_bench_refuses_an_unknown_feature():
-    """The error for a pattern without a matching feature lists the features, before anything is compiled."""
     outcome = called("bench", "step", "--features", "tosion*")
     assert outcome.returncode == 2
     assert "--features 'tosion*': no feature has such a name" in outcome.stderr and "torsion linear" in outcome.stderr

@@ -99,7 +99,6 @@ def test_lost_counts_the_gap_before_a_sample(publisher):
 
 
 def test_lost_counts_published_ticks_only():
-    """With every = 5, a step of 5 ticks is not a loss and a step of 20 counts as three lost messages."""
     records = synthetic(101)
     with Publisher("tcp://127.0.0.1:*", every=5) as publisher, joined(publisher) as samples:
         publisher.publish(records[:41])

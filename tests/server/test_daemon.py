@@ -400,7 +400,6 @@ def test_real_time_off_does_not_change_the_supervisor(faulty):
 
 
 def test_failing_publisher_stops_the_servo(faulty):
-    """If telemetry cannot be published, the servo stops with zero force."""
     with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         running.publisher._link.failed = True  # as if the thread of the publisher had failed

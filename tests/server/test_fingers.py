@@ -249,7 +249,6 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
 def test_simulate_refuses_recordings_that_do_not_match(
     poses: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Too few, too many or unnamed recordings are refused before anything is compiled."""
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
     assert cli.main([*words, *(word for pose in poses for word in ("--poses", pose))]) == 2

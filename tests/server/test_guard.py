@@ -103,7 +103,6 @@ def test_the_torque_alone_may_be_slew_limited():
 
 
 def test_without_a_ramp_the_force_is_complete_at_once():
-    """With ramp_s = 0 the full force is output from the first tick, within the limit."""
     after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
     assert (after, bits) == (g.GuardState((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
     after, bits = compiled(OPEN, g.INITIAL_GUARD_STATE, (13.0, 0.0, 0.0), (0.0, 0.0, 0.0), DT)
@@ -160,7 +159,6 @@ def test_ramp_grows_linearly_from_engaging():
 
 
 def test_the_limits_do_not_grow_once_the_ramp_is_over():
-    """After the ramp the gain stays 1, so the largest force is that of the limit."""
     before = ENGAGED
     for _ in range(600):
         before, _ = compiled(LIMITS, before, (20.0, 0.0, 0.0), (0.0, 0.4, 0.0), DT)

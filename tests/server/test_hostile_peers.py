@@ -358,58 +358,47 @@ def served(endpoint: str) -> bool:
         return late.receive(60.0) is not None
 
 
+@contextmanager
+def subscribers_that_do_not_read(endpoint: str) -> Iterator[None]:
+    """Run a subscriber that is suspended after its first tick, and connections that never read."""
+    silent = [sys.executable, "-c", ATTACKS["subscribers who never read"], endpoint, "60"]
+    with (
+        Program(
+            [sys.executable, "-c", STOPPED, endpoint], stdout=subprocess.PIPE, text=True, kill_at_end=True
+        ) as stopped,
+        Program(silent, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL, kill_at_end=True),
+    ):
+        assert stopped.stdout is not None
+        assert stopped.stdout.readline()
+        stopped.send_signal(signal.SIGSTOP)
+        yield
+
+
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
-    with publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)):
-        words = [sys.executable, "-c", STOPPED, bound]
-        never_read = [sys.executable, "-c", ATTACKS["subscribers who never read"], bound, "60"]
-        with (
-            Program(words, stdout=subprocess.PIPE, text=True) as stopped,
-            Program(
-                never_read, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            ) as silent,
-            Subscription(bound, ("contact",)) as watching,
-        ):
-            try:
-                assert stopped.stdout is not None
-                assert stopped.stdout.readline()
-                stopped.send_signal(signal.SIGSTOP)
-                before = memory_bytes(pid, "VmRSS")
-                for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
-                    assert watching.receive(60.0) is not None
-                grown = memory_bytes(pid, "VmHWM") - before
-                found = told_to_end(process)
-            finally:
-                stopped.kill()
-                silent.kill()
+    with (
+        publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)),
+        subscribers_that_do_not_read(bound),
+        Subscription(bound, ("contact",)) as watching,
+    ):
+        before = memory_bytes(pid, "VmRSS")
+        for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
+            assert watching.receive(60.0) is not None
+        grown = memory_bytes(pid, "VmHWM") - before
+        found = told_to_end(process)
     assert found["lost"] > 0 and found["restarts"] == 0
     assert grown < 1.5 * BACKLOG * (41 * 2 * 64 + MESSAGE_BYTES)
 
 
 def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
-    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
+    with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as daemon:
         assert daemon.stderr is not None
         bound = next(line for line in daemon.stderr if "telemetry on" in line).split("telemetry on ")[1].strip()
         rest = threading.Thread(target=daemon.stderr.read)  # the daemon must not block on a full pipe
         rest.start()
-        with (
-            Program([sys.executable, "-c", STOPPED, bound], stdout=subprocess.PIPE, text=True) as stopped,
-            Program(
-                [sys.executable, "-c", ATTACKS["subscribers who never read"], bound, "60"],
-                stdin=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            ) as silent,
-        ):
-            try:
-                assert stopped.stdout is not None
-                assert stopped.stdout.readline()  # ticks arrive
-                stopped.send_signal(signal.SIGSTOP)
-                time.sleep(1.0)
-                daemon.terminate()
-                assert daemon.wait(60.0) == 0
-            finally:
-                stopped.kill()
-                silent.kill()
-                daemon.kill()
+        with subscribers_that_do_not_read(bound):
+            time.sleep(1.0)
+            daemon.terminate()
+            assert daemon.wait(60.0) == 0
         rest.join()

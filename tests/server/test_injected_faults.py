@@ -200,7 +200,6 @@ GROWS = 1.5
 def test_on_every_driver(
     driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """Each emulated device gets zero within the stated ticks plus its handover, before at most GROWS times more."""
     case, at = CASES[name], 200
     seen, far, given = injected(driver, name, at, tmp_path)
     check_end(name, at, seen, far.withholds)

@@ -98,7 +98,6 @@ def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_keys_writable_by_other_users_are_refused(tmp_path: Path) -> None:
-    """A public key is refused, too, because its writer chooses the server. A sticky folder such as /tmp is allowed."""
     public, secret = make_pair(tmp_path, "rig")
     for path, read, right in ((public, read_public, 0o644), (secret, read_pair, 0o600)):
         for bits in (right | 0o020, right | 0o002, 0o666):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import apply_overrides, build, load_rig, load_scene
+from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.sources import list_shipped
 from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses
@@ -257,16 +257,20 @@ def test_the_wall_force_is_limited_by_the_guard():
     assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
 
 
-@pytest.mark.parametrize("energy", [0.05, inf])
-def test_an_unstable_wall_fades(energy):
-    stiff = apply_overrides(load_scene("frictionless-plane"), {"object.0.material.stiffness_n_per_m": 5000.0}, "test")
+def pressed_against_a_stiff_wall(energy, delay, ticks):
+    """Return the records of a light hand on a stiff wall and a device with a delay, with a limit of energy (J)."""
+    stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
-    limits = lim.UNLIMITED._replace(energy=energy)
-    tuning = tuning._replace(guards=(tuning.guards[0]._replace(limits=limits),))
-    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=1), Impedance(0.05, 0.5, 300.0))
+    guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
+    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=delay), Impedance(0.05, 0.5, 300.0))
     wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
     device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
-    records = np.concatenate(list(run_closed_loop(tuning, [device], 1.0 / T, 1500)))[:, 0]
+    return np.concatenate(list(run_closed_loop(tuning._replace(guards=(guard,)), [device], 1.0 / T, ticks)))[:, 0]
+
+
+@pytest.mark.parametrize("energy", [0.05, inf])
+def test_an_unstable_wall_fades(energy):
+    records = pressed_against_a_stiff_wall(energy, 1, 1500)
     late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
     spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
     given = records[:, AT.limits_energy].max()
@@ -316,14 +320,8 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
 
 @pytest.mark.parametrize("late", [1, 2, 4])
 def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
-    energy, stiff = 0.05, load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
-    tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
-    guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
-    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=late), Impedance(0.05, 0.5, 300.0))
-    wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
-    device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
-    closed = run_closed_loop(tuning._replace(guards=(guard,)), [device], 1.0 / T, 1000)
-    records = np.concatenate(list(closed))[:, 0]
+    energy = 0.05
+    records = pressed_against_a_stiff_wall(energy, late, 1000)
     forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
     acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # constant from each tick to the next
     given = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))

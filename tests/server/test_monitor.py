@@ -31,19 +31,6 @@ from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
-PROGRAM = """
-import argparse, sys
-from softfinger.config.errors import HapticError
-from softfinger.server.verbs import monitor, options
-parser = argparse.ArgumentParser("monitor")
-options.configure_monitor(parser)
-try:
-    sys.exit(monitor.run(parser.parse_args()))
-except HapticError as error:
-    print(error, file=sys.stderr)
-    sys.exit(error.exit_code)
-"""
-
 
 @pytest.fixture
 def endpoint():
@@ -70,7 +57,7 @@ def endpoint():
 
 
 def command(*arguments):
-    return [sys.executable, "-W", "error", "-c", PROGRAM, *arguments]
+    return [sys.executable, "-W", "error", "-m", "softfinger.server.cli", "monitor", *arguments]
 
 
 def piped(*arguments):
@@ -147,13 +134,12 @@ def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
     assert result.returncode == NoTelemetry.exit_code
     assert result.stdout == ""
     assert result.stderr.strip() == (
-        f"no telemetry from {nowhere} within 0.2 s: is the server running (softfinger run), "
+        f"softfinger: no telemetry from {nowhere} within 0.2 s: is the server running (softfinger run), "
         "has it compiled its scene, and is this its [telemetry] endpoint?"
     )
 
 
 def test_a_stopped_stream_is_reported():
-    """Without new data the lines have the time since and the last tick. SIGINT ends the monitor with code 0."""
     pipe = subprocess.PIPE
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,

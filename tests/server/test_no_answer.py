@@ -87,7 +87,6 @@ def run_in_a_fork(act: Callable[[], None]) -> int:
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_clients_continue_in_a_forked_process(tmp_path: Path) -> None:
-    """Clients created and used before a fork work in the child; closed there, they still work in the parent."""
     commands, telemetry = f"ipc://{tmp_path}/commands", f"ipc://{tmp_path}/telemetry"
     event = msgpack.packb({"schema": 1, "kind": "mark", "name": "mark", "tick": 1, "timestamp": 1.0})
     over = threading.Event()

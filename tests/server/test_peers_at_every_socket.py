@@ -261,7 +261,6 @@ def unharmed(peers: Peers, name: str) -> Iterator[None]:
     [(name, attack) for name in OWNERS for attack in ATTACKS if name in ZMTP or attack != "one byte too large"],
 )
 def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
-    """The server closes the attacking connection and allocates no memory for it."""
     with unharmed(peers, name):
         ATTACKS[attack](name, peers.addresses[name])
 

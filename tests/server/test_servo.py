@@ -58,6 +58,12 @@ def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     return ended, records
 
 
+def stop(servo: s.Servo) -> None:
+    servo.stop()
+    assert servo.join(30.0) == s.LoopEnd(s.STOPPED, 0)
+    servo.close()
+
+
 @pytest.mark.parametrize(
     ("fault", "ending", "status"),
     [
@@ -82,17 +88,6 @@ def test_waiting_for_ticks_of_an_ended_loop_fails():
     servo.start()
     with pytest.raises(AssertionError, match="the loop ended after 50 ticks of 100"):
         run_for(servo, 100)
-    servo.close()
-
-
-def test_stop_word_ends_the_loop_with_zero():
-    device, servo = make_servo(Options(), None)
-    servo.start()
-    run_for(servo, 300)
-    servo.stop()
-    ended = servo.join(30.0)
-    assert ended == s.LoopEnd(s.STOPPED, 0)
-    assert np.abs(device.wrenches[-3]).max() > 0.1 and not device.wrenches[-1].any()
     servo.close()
 
 
@@ -294,9 +289,7 @@ def test_rearming_the_guard_ramps_the_force():
     off = until(servo.ticks + 20)
     servo.tune(armed)
     until(off + 200)
-    servo.stop()
-    servo.join(30.0)
-    servo.close()
+    stop(servo)
     force = np.linalg.norm(device.wrenches[:-2, :3], axis=1)
     assert force[699] > 0.9
     assert not force[off - 5 : off].any()
@@ -315,7 +308,6 @@ def test_a_pose_that_stays_unusable_is_a_fault(fault):
 
 
 def test_a_single_suspension_of_the_process_ends_nothing():
-    """One read of 0.99 s, as in a process that was stopped and continued, is tolerated."""
     _, servo = make_servo(Options(fault="stall", at=100, stall_us=990_000), 300)
     ended, records = finish(servo)
     assert (ended.ending, len(records)) == (s.FINISHED, 300)
@@ -345,9 +337,7 @@ def test_loop_runs_while_python_holds_the_interpreter_lock():
     before = int(servo.shared.progress[0])
     ctypes.PyDLL(None).usleep(300_000)  # PyDLL holds the lock
     after = int(servo.shared.progress[0])
-    servo.stop()
-    servo.join(30.0)
-    servo.close()
+    stop(servo)
     assert after - before > 100  # of 300
 
 
@@ -410,9 +400,7 @@ def test_parameters_change_without_stopping():
     changed_at = servo.ticks
     servo.tune(tuning._replace(scene=tuning.scene._replace(objects=tuning.scene.objects._replace(body=slippery))))
     run_for(servo, changed_at + 500)
-    servo.stop()
-    servo.join(30.0)
-    servo.close()
+    stop(servo)
     tangential = np.linalg.norm(device.wrenches[:, :2], axis=1)
     assert tangential[600:changed_at].max() > 0.4
     # The slew limit takes at most one tick; 1 N pressed and mu 0.1 leave 0.1 N up to rounding.

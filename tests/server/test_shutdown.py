@@ -260,7 +260,6 @@ def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
 
 
 def test_a_loop_failure_is_reported_with_a_remedy() -> None:
-    """A scene without a force, and time lost before or in the exchange; otherwise None."""
     assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
     scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)

@@ -144,7 +144,6 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
-    """The watcher writes zero and ignores signals; `run --watcher` refuses a device that it cannot reach."""
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = watcher_of(process)
         os.kill(watcher, signal.SIGTERM)

@@ -87,7 +87,6 @@ def test_the_table_is_complete():
     ],
 )
 def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
-    """Without a reason it is armed, with a fault faulted, otherwise ready; each transition is notified once."""
     states, told = states_in(begun)
     for _ in range(2):
         states.follow(reasons)

@@ -76,7 +76,6 @@ def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, 
 
 
 def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Height fields with oblong pixels and flexible bodies do; geoms that cannot touch do not."""
     model = tmp_path / "model.xml"
     model.write_text(
         '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'

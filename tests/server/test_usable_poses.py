@@ -98,7 +98,6 @@ def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
 
 
 def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
-    """It is frozen after frozen_s until one bit changes; without a force a hand may rest indefinitely."""
     same, other = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
     assert doubts([*same, other], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
     assert doubts(same, force=(0.0, 0.0, 0.009)) == [0] * 20
