@@ -123,6 +123,7 @@ class DriverContract:
         assert {*bench.refusals} - {*bench.cannot} == {*REFUSALS} - {*bench.cannot}
 
     def test_info_is_usable(self, device: Device) -> None:
+        """Limits are finite and not negative, and the workspace has min <= max."""
         info = device.info
         assert info.name
         assert 1 <= info.sensed_dof <= 6
@@ -133,6 +134,7 @@ class DriverContract:
         assert all(low <= high for low, high in zip(info.workspace_min_m, info.workspace_max_m, strict=True))
 
     def test_addresses_stay(self, device: Device) -> None:
+        """`io` returns the same three addresses on each call."""
         assert device.io() == device.io()
         assert all(device.io())
 
@@ -163,6 +165,7 @@ class DriverContract:
         assert not after or after != before
 
     def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
+        """An armed device accepts a small force and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
@@ -220,6 +223,7 @@ class DriverContract:
         device.close()
 
     def test_a_closed_device_can_be_opened_again(self, device: Device, bench: Bench) -> None:
+        """A closed device can be opened again and armed."""
         device.close()
         with bench.open() as reopened:
             servo = Servo(reopened)
@@ -303,6 +307,7 @@ class DriverContract:
                 assert Servo(reopened).read()[0] in (OK, STALE)
 
     def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
+        """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
                 servo = Loop([device], make_pulling_tuning(), RATE_HZ)

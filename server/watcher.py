@@ -74,6 +74,7 @@ def zero_force(node: str, fd: int, zero: bytes) -> str:
 
 
 def _unsent(fd: int) -> int:
+    """Return the number of unsent bytes of a serial port; 0 for other devices."""
     with contextlib.suppress(OSError):
         return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
     return 0

@@ -138,6 +138,7 @@ def sections(struct_type: type[msgspec.Struct], name: str = "") -> list[tuple[st
 
 
 def _section(body: str, meanings: dict[str, list[str]]) -> tuple[str, str]:
+    """Return heading, and meaning and keys; if several tables have the same keys, the meaning of each."""
     heading = ", ".join(name for names in meanings.values() for name in names)
     meanings_text = "\n".join(f"- {', '.join(names)}: {meaning}" for meaning, names in meanings.items())
     return heading, "\n\n".join(filter(None, [next(iter(meanings)) if len(meanings) == 1 else meanings_text, body]))

@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def add_summaries(blocks: Iterable[Array], summaries: Sequence[Summary]) -> Iterator[Array]:
+    """Yield blocks (m, fingers, RECORD_SIZE) unchanged, and add the records of each finger to its summary."""
     for block in blocks:
         for index, summary in enumerate(summaries):
             summary.add(block[:, index])
@@ -81,6 +82,7 @@ class Summary:
         self._causes = np.zeros(len(CAUSE_NAMES), int)
 
     def add(self, records: Array) -> None:
+        """Add records (m, RECORD_SIZE) that follow those added before."""
         self.ticks += len(records)
         self._modes += np.bincount(records[:, AT.contact_mode].astype(int), minlength=len(MODE_NAMES))
         self._causes += np.bincount(records[:, AT.contact_cause].astype(int), minlength=len(CAUSE_NAMES))

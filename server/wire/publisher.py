@@ -199,6 +199,7 @@ class Publisher(Closeable):
         self._commands.serve(handlers)
 
     def reply(self, client: bytes, body: bytes) -> None:
+        """Send a deferred answer to a command; from any thread."""
         assert self._commands is not None
         self._commands.reply(client, body)
 

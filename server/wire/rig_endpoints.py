@@ -110,5 +110,6 @@ def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
 
 
 def _private_folder() -> tempfile.TemporaryDirectory[str]:
+    """Create a folder that only this user may enter."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     return tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)

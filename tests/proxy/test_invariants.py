@@ -30,7 +30,7 @@ GRIP = {
 SLICK = {"stiffness_n_per_m": 1000.0}
 TURNED = [0.8, 0.36, 0.48, 0.0]
 HALF = np.array([0.02, 0.015, 0.01])
-quaternion = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
+quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3)
 shift = st.tuples(*[st.floats(0.1, 1.0)] * 3)  # never zero: a ball at the origin has no position to tune
 
 
@@ -245,7 +245,7 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
 
 @pytest.mark.scaled
 @examples(40)
-@given(quaternion, shift, numbers(4, 6), st.integers(2, 4))
+@given(quaternions, shift, numbers(4, 6), st.integers(2, 4))
 def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
     """Results move with a rigid motion of scene and hand."""
     turned = np.asarray(q) / np.linalg.norm(q)

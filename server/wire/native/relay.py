@@ -168,6 +168,7 @@ class Tap:
 
     @property
     def lost(self) -> int:
+        """Ticks that were overwritten before they were read."""
         return int(self._position.lost[0])
 
 
