@@ -157,6 +157,21 @@ def test_turning_table_spins_the_contact():
     np.testing.assert_allclose(records[-1, AT.torque + 2], 0.0025, rtol=1e-9)
 
 
+def test_relative_rotation_of_a_rolling_ball_drives_rolling():
+    """A ball that turns under a still fingertip rolls the contact as far as a fingertip that turns oppositely."""
+    grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
+    tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
+    turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
+    ball = thing("ball", "sphere", radius_m=0.03, material=grip)
+    moving = go(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
+    angle = 0.2 * 0.001 * np.arange(201)
+    poses = np.zeros((201, 7))
+    poses[:, 2], poses[:, 3], poses[:, 4] = 0.039, np.cos(angle / 2), np.sin(angle / 2)
+    still = engine(ball, **tables).run(poses)
+    rolled = AT.contact_rolled
+    np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
+
+
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
     rng = np.random.default_rng(5)
