@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import signal
@@ -62,15 +63,15 @@ def test_a_signal_in_contact_ends_the_force_within_a_second(
     name: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.set_level(logging.INFO)
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
             code = main(words(far, tmp_path))
         settled(far.newest, lambda size: size == 0.0)
         given = far.given(0)
-    said = capsys.readouterr().err
-    assert sent and code == SIGNALS[number] and "force is zero" in said, said
+    assert sent and code == SIGNALS[number] and "force is zero" in caplog.text
     sizes = np.linalg.norm(given[:, 1:], axis=1)
     assert sizes.max() > CONTACT_N and sizes[-1] == 0.0
     last = given[np.flatnonzero(sizes)[-1] + 1, 0]  # the zero after the last force
