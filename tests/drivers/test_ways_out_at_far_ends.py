@@ -148,8 +148,6 @@ FAULTS: dict[str, dict[str, Fault]] = {
         "later than it may be": Fault(answers(late), SILENT),
     },
 }
-"""Cases that the loop tests of the drivers do not contain. Unplugged or silent boards and a haply that is unplugged,
-silent or not in the list are in `test_haply_loop`, `test_serial_loop`, `test_serial_boards_loop`."""
 
 
 @pytest.mark.parametrize(

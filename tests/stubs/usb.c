@@ -446,26 +446,8 @@ int libusb_handle_events(void *ctx)
     return libusb_handle_events_timeout_completed(ctx, &wait, 0);
 }
 
-/* What a process left behind, for those who started it; settings of the first device from STUB_USB_SET. */
 __attribute__((constructor)) static void begin(void)
 {
-    const char *settings = getenv("STUB_USB_SET");
-    char text[1024], *save = 0;
     stub_reset();
-    snprintf(text, sizeof text, "%s", settings ? settings : "");
-    for (char *pair = strtok_r(text, ",", &save); pair; pair = strtok_r(0, ",", &save)) {
-        char *equals = strchr(pair, '=');
-        if (!equals) abort();
-        *equals = 0;
-        stub_set(0, pair, atof(equals + 1));
-    }
     for (int n = 0; n < DEVICES; n++) stub_place(n);
-}
-__attribute__((destructor)) static void end(void)
-{
-    const char *path = getenv("STUB_USB_LOG");
-    FILE *file = path ? fopen(path, "w") : 0;
-    if (!file) return;
-    for (const struct knob *one = knob; one->name; one++) fprintf(file, "%s %.17g\n", one->name, *at(0, one->name));
-    fclose(file);
 }
