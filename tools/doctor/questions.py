@@ -14,7 +14,7 @@ FAST_HZ: Final = 4000.0
 Report = Mapping[str, Any]
 
 
-class Question(NamedTuple):
+class HardwareQuestion(NamedTuple):
     """Question with its id, the drivers that it concerns, and a way for a user to answer it."""
 
     id: str
@@ -24,9 +24,9 @@ class Question(NamedTuple):
 
 
 @cache
-def questions() -> tuple[Question, ...]:
+def questions() -> tuple[HardwareQuestion, ...]:
     rows = tomllib.loads(FILE.read_text(encoding="utf-8"))["question"]
-    return tuple(Question(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
+    return tuple(HardwareQuestion(row["id"], tuple(row["drivers"]), row["question"], row["how"]) for row in rows)
 
 
 def answer_questions(report: Report) -> list[dict[str, Any]]:

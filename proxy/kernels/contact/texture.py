@@ -31,7 +31,7 @@ CELLS_CEILING = 1e15
 """Limit of a coordinate in cells: beyond it, float64 resolves no fraction of a cell, and farther out no whole cells."""
 
 
-class Sample(NamedTuple):
+class TextureSample(NamedTuple):
     """Value of a texture, 0 to 1, and its derivatives by u and v, 1/m."""
 
     value: float
@@ -70,7 +70,7 @@ def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any)
 
 
 @jit
-def sample(texture: Texture, u: float, v: float) -> Sample:
+def sample(texture: Texture, u: float, v: float) -> TextureSample:
     """Return the spline at u, v (m); its coefficients are at the centres of the array's cells."""
     across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
     down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
@@ -89,7 +89,7 @@ def sample(texture: Texture, u: float, v: float) -> Sample:
     value = b[0] * z0 + b[1] * z1 + b[2] * z2 + b[3] * z3
     by_v = db[0] * z0 + db[1] * z1 + db[2] * z2 + db[3] * z3
     by_u = b[0] * d0 + b[1] * d1 + b[2] * d2 + b[3] * d3
-    return Sample(value, by_u * texture.per_u, by_v * texture.per_v)
+    return TextureSample(value, by_u * texture.per_u, by_v * texture.per_v)
 
 
 @jit
