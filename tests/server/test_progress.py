@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers.shares import collect_shares
 from helpers.terminal import Screen, on_terminal
+from helpers.waits import until
 from numba.core import event
 
 from softfinger.proxy.kernels.jit.cache import Folder
@@ -108,29 +109,35 @@ def test_stability_shows_its_share() -> None:
     assert len(set(shares)) > 2 and shares == sorted(shares)
 
 
-@pytest.mark.real_time  # the reporting thread shares the processor with the work
-def test_long_waits_show_their_share(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_lines_without_a_terminal_show_the_share(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
+    with display.progress("work", 4) as done:
+        for number in range(1, 4):
+            done(number)
+            line = re.compile(rf"^work {25 * number}% \.\.\. \d+ s$", re.MULTILINE)
+            until(lambda line=line: line.search(capsys.readouterr().err))
+
+
+def test_long_waits_report_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     records, table, study = tmp_path / "in.npz", tmp_path / "in.csv", Experiment("stiffness-discrimination")
-    np.savez(records, records=np.random.default_rng(1).normal(size=(20_000, RECORD_SIZE)))
-    table.write_text("".join(f"{number} 0 0 0.01\n" for number in range(30_000)))
+    np.savez(records, records=np.random.default_rng(1).normal(size=(2000, RECORD_SIZE)))
+    table.write_text("".join(f"{number} 0 0 0.01\n" for number in range(3000)))
     rows = [
         row | row["levels"] | {"participant": name}
         for number, name in enumerate("abcd", 1)
         for row in study.rehearse(number)
     ]
-    capsys.readouterr()
+    shown = collect_shares(monkeypatch)
     export(records, tmp_path / "out.csv")
     read_table(table, make_layout("t,x,y,z", 1.0, 1.0, None, 0))
     read_results(tmp_path / "out.csv")
     fit_groups(study.file, rows)
-    lines = capsys.readouterr().err.splitlines()
-    for what in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):
-        shares = [int(found[1]) for line in lines if (found := re.fullmatch(rf"{what} (\d+)% \.\.\. \d+ s", line))]
-        assert len(set(shares)) > 2 and shares == sorted(shares), what
+    for label in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):
+        shares = shown[label]
+        assert len(set(shares)) > 2 and shares == sorted(shares) and shares[-1] <= 1.0, label
 
 
 def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
