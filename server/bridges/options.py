@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from softfinger.server.arguments import add_daemon_options
+from softfinger.server.arguments import add_daemon_options, add_stream_options
 
 FOXGLOVE_PORT: Final = 8765
 """Default port of Foxglove."""
@@ -28,13 +28,4 @@ def configure_bridge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--connect", metavar="URL", help="Rerun: connect to a running viewer, such as rerun+http://HOST:9876/proxy"
     )
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="exit after S seconds of ticks (default: run until Ctrl-C)"
-    )
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        metavar="S",
-        default=3.0,
-        help="exit if no telemetry arrives for S seconds (default: %(default)s)",
-    )
+    add_stream_options(parser)

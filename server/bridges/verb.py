@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -25,10 +24,6 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
     """
-    for name in ("duration", "timeout"):
-        value = getattr(args, name)
-        if value is not None and not 0.0 < value < math.inf:
-            raise ConfigError(f"--{name} = {value} is not a duration: must be above 0 s")
     if args.viewer == "foxglove":
         if args.recording or args.save or args.connect:
             raise ConfigError("Foxglove opens a recording (.mcap) itself; --save and --connect are for Rerun")
