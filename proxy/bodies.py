@@ -148,10 +148,10 @@ class RigidBodies:
         if fault == at.WARNED:
             counted = self.data.warning
             kind = int(np.flatnonzero(counted.number)[0])
-            said = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
+            message = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
         else:
-            said = self._said or words_in(self._rescue)
-        return SafetyStop(f"{text}: MuJoCo said: {said}: {remedy}")
+            message = self._said or words_in(self._rescue)
+        return SafetyStop(f"{text}: MuJoCo said: {message}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """Return the kernels' Bodies, with `riders` as described there."""

@@ -143,7 +143,7 @@ class Engine:
         self._write_pose = partial(struct.Struct("7d").pack_into, memoryview(self._pose).cast("B"), 0)
 
     def __repr__(self) -> str:
-        objects = ", ".join(thing.name for thing in self.config.object)
+        objects = ", ".join(obj.name for obj in self.config.object)
         fingers = f"fingers {', '.join(self.fingers)}; " if len(self.fingers) > 1 else ""
         return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
 
@@ -164,8 +164,8 @@ class Engine:
         from html import escape
 
         rows = "".join(
-            f"<tr><th>{escape(thing.name)}</th><td>{escape(type(thing).__name__.lower())}</td></tr>"
-            for thing in self.config.object
+            f"<tr><th>{escape(obj.name)}</th><td>{escape(type(obj).__name__.lower())}</td></tr>"
+            for obj in self.config.object
         )
         return f"<p>{escape(repr(self).strip('<>'))}</p><table>{rows}</table>"
 

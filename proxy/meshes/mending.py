@@ -84,8 +84,8 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
-    left, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
-    vertices = vertices[left]
+    used_vertices, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
+    vertices = vertices[used_vertices]
     edges = edges_of(triangles)
     winding = wind(Arrays(vertices, triangles), edges)
     return RepairedMesh(

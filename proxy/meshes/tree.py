@@ -58,10 +58,10 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     lanes, first = np.empty(nodes * NODE, np.float32), np.empty(nodes, np.int32)
     tree, node, child = build.Branches(low, high, lanes, first), 0, 1
     across, upward = np.empty((count, 3), np.int32), np.zeros((used, 3))
-    with ThreadPoolExecutor(2) as beside:  # neither needs the tree, and kernels release the GIL
+    with ThreadPoolExecutor(2) as threads:  # neither needs the tree, and kernels release the GIL
         rooms = np.zeros(used + 1, np.int32), np.empty(3 * count, np.int32)
-        loose = beside.submit(build.join, corners, *rooms, across)
-        normals = beside.submit(build.raise_normals, arranged, corners, upward)
+        loose = threads.submit(build.join, corners, *rooms, across)
+        normals = threads.submit(build.raise_normals, arranged, corners, upward)
         while node < nodes:
             node, child = build.enclose(arranged, corners, tree, node, child, middle, size)
         normals.result()

@@ -91,10 +91,10 @@ class Participant:
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
     ) -> Answer:
-        line, (index, of) = question.text, place
-        if of > 1:
-            title = f"{title}: question {index + 1} of {of}"
-        prompt = partial(Prompt, title, line, *place if of > 1 else (0, 0))
+        line, (index, total) = question.text, place
+        if total > 1:
+            title = f"{title}: question {index + 1} of {total}"
+        prompt = partial(Prompt, title, line, *place if total > 1 else (0, 0))
         if question.kind == "text":
             return self._ask(prompt(text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")
         if question.kind == "number":
@@ -109,10 +109,10 @@ class Participant:
         text = "That was right." if is_right else "That was wrong."
         self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 
-    def pause(self, done: int, of: int) -> None:
-        done_text = f"{done} of {of} trials are done."
-        prompt = Prompt("A break", f"{done_text} Go on when you are ready.", done, of, (CONTINUE,))
-        self._ask(prompt, f"{done_text} A break: Press Enter or a button to continue.")
+    def pause(self, completed: int, total: int) -> None:
+        progress_text = f"{completed} of {total} trials are done."
+        prompt = Prompt("A break", f"{progress_text} Go on when you are ready.", completed, total, (CONTINUE,))
+        self._ask(prompt, f"{progress_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
         """Show the debriefing until the participant has read it, and then that the session is over."""
@@ -198,5 +198,5 @@ class DryRun:
     def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
         return Answer(self._observer.answer(trial, condition, level))
 
-    def pause(self, done: int, of: int) -> None:
+    def pause(self, completed: int, total: int) -> None:
         """Do nothing: the simulated observer needs no break."""

@@ -111,5 +111,5 @@ class AnswerSource(Protocol):
         place   number of questions before it in its survey, and of all in the survey
         """
 
-    def pause(self, done: int, of: int) -> None:
+    def pause(self, completed: int, total: int) -> None:
         """Wait until the participant continues."""

@@ -61,13 +61,13 @@ def _shade(axes: Any, seconds: Array, modes: Array, named: bool) -> None:
     """Draw a band for each interval in contact; if `named`, each mode is in the legend once."""
     starts = np.flatnonzero(np.diff(modes, prepend=np.nan))
     ends = np.append(starts[1:], len(modes) - 1)
-    left = set(SHADES) if named else set()
+    unlabelled = set(SHADES) if named else set()
     for start, end in zip(starts, ends, strict=True):
         mode = int(modes[start])
         if mode == FREE:
             continue
         name = MODE_NAMES[mode]
         axes.axvspan(
-            seconds[start], seconds[end], color=SHADES[name], linewidth=0, label=name if name in left else None
+            seconds[start], seconds[end], color=SHADES[name], linewidth=0, label=name if name in unlabelled else None
         )
-        left.discard(name)
+        unlabelled.discard(name)

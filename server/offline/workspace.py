@@ -94,9 +94,9 @@ def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
         return np.asarray(points[signed_distance(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
     centre = centre - (centre - freedom.origin) @ normal * normal
-    one = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    one /= np.linalg.norm(one)
-    rays = np.cos(angles) * one + np.sin(angles) * np.cross(normal, one)
+    tangent = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    tangent /= np.linalg.norm(tangent)
+    rays = np.cos(angles) * tangent + np.sin(angles) * np.cross(normal, tangent)
     reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
     points = centre + reach[None, :, None] * rays[:, None, :]
     inside = signed_distance(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
@@ -113,8 +113,8 @@ def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace |
     lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
     lines.append(f"{WALL_MARK} inside of the wall, + its centre, numbers: objects")
     if freedom is not None:
-        what = "the arc" if freedom.degrees == 1 else "the edge of the plane"
-        lines.append(f"{CURVE_MARK} {what} in which the handle moves; other forces are shown, not displayed")
+        curve = "the arc" if freedom.degrees == 1 else "the edge of the plane"
+        lines.append(f"{CURVE_MARK} {curve} in which the handle moves; other forces are shown, not displayed")
     return lines
 
 
@@ -195,7 +195,7 @@ def _sample_triangles(triangles: Array, step: float) -> Array:
     for triangle in triangles:
         longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
         n = int(np.clip(np.ceil(longest / step), 1, 400))
-        i, j = (each.ravel() for each in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
         is_in_triangle = i + j <= n
         shares = np.stack([i, j, n - i - j])[:, is_in_triangle].T / n
         points.append(shares @ triangle)

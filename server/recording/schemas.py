@@ -263,18 +263,18 @@ def _add_list(message: Any, keys: Sequence[Key], nested: str) -> None:
     _add_field(message, listed.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
 
 
-def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
+def _add_foxglove(files: Any, name: str, added: set[str]) -> None:
     """Add one file per Foxglove message, dependencies first, as in Foxglove's schemas."""
     from google.protobuf import duration_pb2, timestamp_pb2
 
-    done.add(name)
+    added.add(name)
     dependencies = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
     for kind in dependencies:
-        if kind in _FOXGLOVE and kind not in done:
-            _add_foxglove(files, kind, done)
+        if kind in _FOXGLOVE and kind not in added:
+            _add_foxglove(files, kind, added)
         for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
-            if kind == known and kind not in done:
-                done.add(kind)
+            if kind == known and kind not in added:
+                added.add(kind)
                 module.DESCRIPTOR.CopyToProto(files.file.add())
     file = files.file.add(name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3")
     message = file.message_type.add(name=name)

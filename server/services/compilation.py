@@ -51,14 +51,14 @@ class NotCompiled(HapticError):
 class SceneRequest(NamedTuple):
     """Request to replace the scene.
 
-    read  returns the validated scene
-    name  name of the scene
-    done  called with the first tick of the scene, or with the error
+    read   returns the validated scene
+    name   name of the scene
+    reply  called with the first tick of the scene, or with the error
     """
 
     read: Callable[[], schema.Scene]
     name: str
-    done: Callable[[int | Exception], None]
+    reply: Callable[[int | Exception], None]
 
 
 class SceneChanges(Worker):
@@ -82,7 +82,7 @@ class SceneChanges(Worker):
             self._end_compiler()
             self._changed.notify()
         if before is not None:
-            before.done(_superseded_error())
+            before.reply(_superseded_error())
 
     def stop(self) -> None:
         with self._changed:
@@ -101,11 +101,11 @@ class SceneChanges(Worker):
             except Exception as error:
                 outcome = error
             self._report("")
-            change.done(outcome)
+            change.reply(outcome)
         preparation.display = before
 
     def handle_failure(self, error: Exception) -> None:
-        """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
+        """Do nothing: only `reply` can have raised, so one client gets no answer, and rendering is not affected."""
 
     @contextmanager
     def _display(self, operation: str, total: int) -> Iterator[Callable[[int], None]]:

@@ -279,10 +279,10 @@ class HandControls:
             self.send_target(finger, target)
             displacement = target.position - start.position
             rotation = product(target.orientation, inverse(start.orientation))
-            for other in starts.keys() & self._fingers.keys() - {finger}:
-                position, orientation = starts[other]
+            for follower in starts.keys() & self._fingers.keys() - {finger}:
+                position, orientation = starts[follower]
                 motion = mirror_motion(displacement, position - start.position) if mode == "pinch" else displacement
-                self.send_target(other, Target(position + motion, product(rotation, orientation)))
+                self.send_target(follower, Target(position + motion, product(rotation, orientation)))
             if finger == self._chosen_finger():
                 self._update_sliders()
         if event.phase == "end":

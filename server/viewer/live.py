@@ -277,10 +277,10 @@ def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
     objects = [
         {
             key: value
-            for key, value in each.items()
+            for key, value in obj.items()
             if key not in (POSE_KEYS if scene_index in driven else ()) + ("material",)
         }
-        for scene_index, each in enumerate(plain["object"])
+        for scene_index, obj in enumerate(plain["object"])
     ]
     model = None if scene.world is None else scene.world.model
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}

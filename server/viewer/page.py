@@ -321,12 +321,12 @@ def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | 
     """
     row = np.round(row, 9) + 0.0  # avoids negative zeros
     is_off = row[AT.contact_normal_force] > 0.0 and not row[AT.force : AT.force + 3].any()
-    felt = 0.0 if is_off else 1.0
+    force_scale = 0.0 if is_off else 1.0
     figures = (
-        ("normal", f"{felt * row[AT.contact_normal_force]:.2f} N"),
-        ("tangential", f"{felt * row[AT.contact_tangential_force]:.2f} N"),
+        ("normal", f"{force_scale * row[AT.contact_normal_force]:.2f} N"),
+        ("tangential", f"{force_scale * row[AT.contact_tangential_force]:.2f} N"),
         ("depth", f"{1e3 * row[AT.contact_penetration]:.2f} mm"),
-        ("torsion", f"{felt * 1e3 * row[AT.contact_torsion]:.2f} mN m"),
+        ("torsion", f"{force_scale * 1e3 * row[AT.contact_torsion]:.2f} mN m"),
         ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )

@@ -77,11 +77,11 @@ def inverse_service(rig: Rig) -> Check:
 
     options = single_device(rig).options
     try:
-        said = opening.identify(options.get("port", opening.PORT), options.get("version"))
+        reply = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
         return Check("Inverse Service", "bad", str(error), "running", dial.START)
-    state: State = "good" if said["devices"] else "bad"
-    shown = f"version {said['service']}, lists {', '.join(said['devices'] + said['grips']) or 'no device'}"
+    state: State = "good" if reply["devices"] else "bad"
+    shown = f"version {reply['service']}, lists {', '.join(reply['devices'] + reply['grips']) or 'no device'}"
     return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
 
 
@@ -98,9 +98,9 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
         own = own or mine
         diagnosis = diagnose(device, claim, single_device(rig))
         state: State = "good" if diagnosis.state == "usable" else _missing(mine)
-        said = f": {diagnosis.reason}" if diagnosis.reason else ""
+        reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
-            Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{said}", wanted, diagnosis.remedy)
+            Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", wanted, diagnosis.remedy)
         )
     if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"

@@ -117,9 +117,9 @@ class ProbeSession(DeviceSession):
         for axis in self._pushed_axes():
             result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
             if result is not None:
-                self._report["pushes"].append(result | {"felt": self._ask_direction_felt(motions.AXES[axis])})
+                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
-    def _ask_direction_felt(self, name: str) -> str:
+    def _ask_direction(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""
         if not self._guided or self._exchange.ended is not None:
             return ""
@@ -128,10 +128,10 @@ class ProbeSession(DeviceSession):
             file=sys.stderr,
         )
         sys.stderr.flush()
-        said = sys.stdin.readline()
-        if not said:  # the terminal was closed
+        line = sys.stdin.readline()
+        if not line:  # the terminal was closed
             raise KeyboardInterrupt
-        return said.strip()[:80]
+        return line.strip()[:80]
 
 
 def join_rows(parts: list[Array]) -> Array:

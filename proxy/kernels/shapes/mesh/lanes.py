@@ -90,12 +90,12 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
         d = [
             builder.fsub(splat(value), lane(field)) for field, value in enumerate(cgutils.unpack_tuple(builder, point))
         ]
-        up, one = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
-        two = [
-            builder.fsub(product(up[(i + 1) % 3], one[(i + 2) % 3]), product(up[(i + 2) % 3], one[(i + 1) % 3]))
+        up, u = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
+        v = [
+            builder.fsub(product(up[(i + 1) % 3], u[(i + 2) % 3]), product(up[(i + 2) % 3], u[(i + 1) % 3]))
             for i in range(3)
         ]
-        squares = builder.fadd(builder.fadd(beyond(one, lane(9)), beyond(two, lane(10))), beyond(up, lane(11)))
+        squares = builder.fadd(builder.fadd(beyond(u, lane(9)), beyond(v, lane(10))), beyond(up, lane(11)))
         squares = product(squares, ir.Constant(vector, [1.0 - ROUNDED] * LANES))
         into = builder.bitcast(builder.gep(bounds, [begin]), ir.PointerType(vector))
         builder.store(squares, into, align=4)
@@ -142,9 +142,9 @@ if PLAIN:
         """Compute the same sums in the same order as the compiled version, for identical numbers."""
         lanes = nodes.array[node * NODE : (node + 1) * NODE].reshape(FIELDS, LANES)
         d = np.array(point, np.float32)[:, None] - lanes[:3]
-        up, one = lanes[3:6], lanes[6:9]
-        two = [up[(i + 1) % 3] * one[(i + 2) % 3] - up[(i + 2) % 3] * one[(i + 1) % 3] for i in range(3)]
-        squares = (_beyond(one, lanes[9], d) + _beyond(two, lanes[10], d)) + _beyond(up, lanes[11], d)
+        up, u = lanes[3:6], lanes[6:9]
+        v = [up[(i + 1) % 3] * u[(i + 2) % 3] - up[(i + 2) % 3] * u[(i + 1) % 3] for i in range(3)]
+        squares = (_beyond(u, lanes[9], d) + _beyond(v, lanes[10], d)) + _beyond(up, lanes[11], d)
         squares *= _SHRUNK
         bounds[begin : begin + LANES] = squares
         nearer = _PLACES[squares < top]

@@ -156,12 +156,12 @@ def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
     for _ in range(SLOPE if number >= 0 else 0):
         nearer = -1
         for k in range(3):
-            other = int(mesh.across[3 * number + k])
-            if other >= 0:
-                apart = foot_on(corners_of(mesh, other), x).square
+            neighbour = int(mesh.across[3 * number + k])
+            if neighbour >= 0:
+                apart = foot_on(corners_of(mesh, neighbour), x).square
                 spent += 1
                 if apart < square:
-                    nearer, square = other, apart
+                    nearer, square = neighbour, apart
         if nearer < 0:
             break
         number = nearer
