@@ -23,6 +23,7 @@ from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.many import many_objects
 from softfinger.proxy.record import FREE
+from softfinger.proxy.rotation import matrix_of
 from softfinger.proxy.textures import kernel_texture
 
 
@@ -181,14 +182,8 @@ def _place_shape(
 
 
 def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
-    """Rotate `v` (3,) by the unit quaternion `q`; in Python, because compiling a kernel would delay the start."""
-    w, x, y, z = q
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in rows)
+    """Rotate `v` (3,) by the unit quaternion `q`."""
+    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in matrix_of(q))
     return (a, b, c)
 
 

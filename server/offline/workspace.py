@@ -7,7 +7,7 @@ a scene.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.proxy.rotation import matrix_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.surface_meshes import plane, surface_mesh
 
@@ -64,7 +65,7 @@ def place_objects(wall: Workspace, scene: Scene) -> list[PlacedObject]:
     for obj in scene.object:
         corners = _corners(obj, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
         if corners is not None:
-            corners_w = corners @ _rotation(obj.orientation_wxyz).T + np.array(obj.position_m)
+            corners_w = corners @ np.array(matrix_of(obj.orientation_wxyz)).T + np.array(obj.position_m)
             placed_objects.append(PlacedObject(obj.name, corners_w, _sample_triangles(corners_w, 0.5 * cell)))
     return placed_objects
 
@@ -200,14 +201,3 @@ def _sample_triangles(triangles: Array, step: float) -> Array:
         shares = np.stack([i, j, n - i - j])[:, is_in_triangle].T / n
         points.append(shares @ triangle)
     return np.concatenate(points) if points else np.zeros((0, 3))
-
-
-def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion."""
-    w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
-    rotation: Any = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(rotation)
