@@ -164,7 +164,7 @@ class DriverContract:
         assert all(0 <= before[name] <= after[name] for name in before)
         assert not after or after != before
 
-    def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
+    def test_write_is_accepted_while_armed(self, device: Device, bench: Bench) -> None:
         """An armed device accepts a small force and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
@@ -232,7 +232,7 @@ class DriverContract:
             assert math.hypot(*bench.displayed()) > 0.0
 
     @pytest.mark.parametrize("ending", ["stop", "close", "error"])
-    def test_no_force_is_left_without_a_servo(self, ending: str, bench: Bench) -> None:
+    def test_no_force_remains_without_a_servo(self, ending: str, bench: Bench) -> None:
         """`stop`, `close` and an exception in the context, which propagates unchanged, all remove an applied force."""
         device = bench.open()
         servo = Servo(device)
@@ -250,7 +250,7 @@ class DriverContract:
         device.close()
 
     @pytest.mark.parametrize("ending", ["last_tick", "stop_word", "crash"])
-    def test_no_force_is_left_after_a_servo(self, ending: str, bench: Bench) -> None:
+    def test_no_force_remains_after_a_servo(self, ending: str, bench: Bench) -> None:
         """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
             servo = Loop(
@@ -287,7 +287,7 @@ class DriverContract:
             bench.mend()
             bench.open().close()
 
-    def test_failure_in_use_is_told_and_survived(self, bench: Bench) -> None:
+    def test_failure_in_use_is_reported_and_survived(self, bench: Bench) -> None:
         """A read of a failed device returns the failure's status within `patience_s`.
 
         `stop` and `close` raise nothing and remove the force, and the device opens again after it is mended.

@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, stor
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
-from softfinger.server.loop.all_devices import Io, put_wrench
+from softfinger.server.loop.all_devices import Io, write_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
     first_pace,
@@ -157,7 +157,7 @@ def exchange_once(
         guarded = INITIAL_GUARD_STATE
     previous = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
-    put_wrench(wrench, guarded.force, guarded.torque)
+    write_wrench(wrench, guarded.force, guarded.torque)
     before = now_ns(timespec)
     status_out = call_device(io.write, io.handle, wrench)
     wrote = now_ns(timespec)

@@ -80,8 +80,8 @@ class NullApparatus:
         return TouchResult({}, [])
 
 
-class Answer(NamedTuple):
-    """Answer: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
+class Response(NamedTuple):
+    """Response: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
 
     value: str | float
     after_s: float | None = None
@@ -96,15 +96,15 @@ class AnswerSource(Protocol):
     def prepare(self, progress: Progress, condition: Condition) -> None:
         """Prepare for the next touch."""
 
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         """Return the answer to a trial, after its touches."""
 
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
         """Return the confidence in the answer to a trial."""
 
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Answer:
+    ) -> Response:
         """Return the answer to a question that belongs to no trial.
 
         number  of the question in the session

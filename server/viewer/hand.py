@@ -168,10 +168,10 @@ class HandControls:
                 self._pending_holds = set(self._fingers)
         if stale:
             for finger in tuple(self._fingers):
-                self._commands.hold(finger, partial(self._on_held, finger), self._on_hold_refused)
+                self._commands.hold(finger, partial(self._on_hold, finger), self._on_hold_refused)
         self._run_after_hold()
 
-    def _on_held(self, finger: str, target: Target) -> None:
+    def _on_hold(self, finger: str, target: Target) -> None:
         with self._lock:
             if finger not in self._pending_holds:  # a finger of a previous scene
                 return

@@ -225,7 +225,7 @@ class LivePage:
         self._send(f"hand {finger}", "hand", params)
 
     def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
-        def on_held(answer: Held) -> None:
+        def on_hold(answer: Held) -> None:
             on_pose(Target(np.array(answer.position_m), answer.orientation_wxyz))
 
         def on_refused(text: str) -> None:
@@ -233,7 +233,7 @@ class LivePage:
             self._show_refusal(text)
 
         params = {"finger": finger} if finger else {}
-        self._commands.submit(f"hold {finger}", QueuedCommand("hold", params, on_held, on_refused))
+        self._commands.submit(f"hold {finger}", QueuedCommand("hold", params, on_hold, on_refused))
 
     def _drive_object(self, scene_index: int, pose: PoseTuple) -> None:
         params = {"object": scene_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}

@@ -208,11 +208,11 @@ class Page:
         """Place the camera of a new browser, again if its page applies the initial camera after that."""
         self._place_camera(client)
 
-        def place_again(camera: viser.CameraHandle) -> None:
+        def restore_camera(camera: viser.CameraHandle) -> None:
             if self._camera is not None and np.allclose(camera.position, self._camera.position):
                 self._place_camera(client)
 
-        client.camera.on_update(place_again)
+        client.camera.on_update(restore_camera)
 
     def _place_camera(self, client: viser.ClientHandle) -> None:
         """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""

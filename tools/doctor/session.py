@@ -24,7 +24,7 @@ LEAST_PART: Final = 0.5
 """Smallest part of a motion or push along an axis that the handle must support for the motion to be requested."""
 
 
-class Asked(NamedTuple):
+class RequestedMotion(NamedTuple):
     """Motion that the user is asked for, and the expected axis of the motion."""
 
     words: str
@@ -33,11 +33,11 @@ class Asked(NamedTuple):
 
 
 TRANSLATIONS: Final = (
-    Asked("move the handle to the right", "translation", "+x"),
-    Asked("move the handle away from you", "translation", "+y"),
-    Asked("move the handle up", "translation", "+z"),
+    RequestedMotion("move the handle to the right", "translation", "+x"),
+    RequestedMotion("move the handle away from you", "translation", "+y"),
+    RequestedMotion("move the handle up", "translation", "+z"),
 )
-TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
+TURN: Final = RequestedMotion("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
 class DeviceSession:
@@ -136,7 +136,7 @@ class DeviceSession:
         whole = np.eye(3)[axis]
         return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
-    def _translations(self) -> list[Asked]:
+    def _translations(self) -> list[RequestedMotion]:
         axes = [motions.along(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
         return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
 

@@ -52,12 +52,12 @@ def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: floa
 
 
 @room.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float:
+def room_of_independent_laws(torsion: Any, spin: float, normal_force: float) -> float:
     return 1.0
 
 
 @slide.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def slide_beside_torsion(
+def slide_independently(
     torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
 ) -> Slide:
     """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
@@ -92,7 +92,7 @@ def slide_on_limit_surface(
     spin = inputs.spin + inputs.twist
     if longest <= 0.0 or widest <= 0.0:
         # A degenerate surface: two separate limits, one of them zero.
-        return slide_beside_torsion(torsion, law, stiffness, limit, breaking, inputs)
+        return slide_independently(torsion, law, stiffness, limit, breaking, inputs)
 
     d1, d2, s1, s2 = scales(law, inputs.normal, inputs.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest

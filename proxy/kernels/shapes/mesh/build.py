@@ -199,7 +199,7 @@ def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec
 
 
 @jit
-def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
+def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
     """Write the box round some triangles to the lane with first number `at`; it is thin along their mean normal.
 
     The other sides are along the longest edge, or, for several triangles, along an axis of space if this makes the box
@@ -258,9 +258,9 @@ def enclose(
                     lanes[at + LANES * field] = 0.0
                 lanes[at + LANES * 9] = NOTHING
             elif leaf:
-                put_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
+                write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                put_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
+                write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
         if not leaf:
             child += k
         work += count

@@ -134,7 +134,7 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 
 
 @closest_or_bound.of(Mesh)
-def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+def closest_or_bound_of_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Search the entire mesh, for an effect that attracts to the surface."""
     result = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
     gap, point, normal = closest_on_triangle(shape, float(max(result.number, 0)), x)
