@@ -49,7 +49,9 @@ def _packings() -> ir.Constant:
     """Return a table of the lanes in each bit mask, packed to the front."""
     rows = [[i for i in range(LANES) if bits >> i & 1] for bits in range(1 << LANES)]
     row = ir.ArrayType(ir.IntType(8), LANES)
-    return ir.Constant(ir.ArrayType(row, len(rows)), [ir.Constant(row, (each + [0] * LANES)[:LANES]) for each in rows])
+    return ir.Constant(
+        ir.ArrayType(row, len(rows)), [ir.Constant(row, (places + [0] * LANES)[:LANES]) for places in rows]
+    )
 
 
 @intrinsic
