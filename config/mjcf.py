@@ -207,5 +207,5 @@ def read_hfield(path: str, root: str | None, name: str) -> Grid:
     raise ConfigError(f"{path}: has no height field {name!r}; it has: {_names(model.hfield, model.nhfield)}")
 
 
-def _names(named: Any, count: int) -> str:
-    return ", ".join(named(number).name for number in range(count)) or "none"
+def _names(elements: Any, count: int) -> str:
+    return ", ".join(elements(number).name for number in range(count)) or "none"

@@ -53,13 +53,13 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
     """Return the kernels of shapes that only some scenes call."""
     return frozenset(
         kernel
-        for kernel, wanted in (
+        for kernel, is_needed in (
             (kinds.UNROLL, isinstance(rolling, model.RotationVector)),
             (kinds.AHEAD, isinstance(rolling, model.EulerZxz | model.EulerZyx)),
             (kinds.CHART, any(obj.texture is not None for obj in objects)),
             (kinds.MINKOWSKI, any(finger.form is not None for finger in fingers)),
         )
-        if wanted
+        if is_needed
     )
 
 

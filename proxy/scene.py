@@ -63,8 +63,8 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
             shape, pose = _place_shape(shape, obj, position, orientation, fixed)
             if effects and part == 0:  # an object of several walls has its effects once
                 carriers.append(model.Carrier(float(len(bodies)), effects))
-            made_of = material if isinstance(pose, model.Pose) else _facing(material, obj.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
+            shape_material = material if isinstance(pose, model.Pose) else _facing(material, obj.orientation_wxyz)
+            bodies.append(model.Object(shape, pose, motion, shape_material, float(number), texture=texture))
     fingers, rolling = tuple(_finger(finger, scene.rolling) for finger in scene.fingers), _rolling(scene)
     return model.Scene(
         fingers=fingers,

@@ -96,10 +96,10 @@ LIBRARY: Final = MakersLibrary(
 )
 
 
-def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
+def load(file: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
     note = f" ({', '.join(unset)})" if unset else ""
-    return makers_library.load(LIBRARY, named, patterns(environ), note)
+    return makers_library.load(LIBRARY, file, patterns(environ), note)
 
 
 def error_text(library: ctypes.CDLL) -> str:

@@ -168,14 +168,14 @@ def solve(obj: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
     with progress.display(f"compliance of {obj.name}", 3 * len(nodes)) as advance:
         compliance, bending = solve_patches(solid, loads, advance)
-    placed = volume.vertices
+    vertices = volume.vertices
     if elastic.density_kg_per_m3 is not None:
         weight = solid.gravity((0.0, 0.0, -GRAVITY_M_PER_S2 * elastic.density_kg_per_m3))
         sag = solid.solve(weight[:, None])[:, 0] / elastic.youngs_pa
-        placed = placed + sag[solid.basis.nodal_dofs].T
+        vertices = vertices + sag[solid.basis.nodal_dofs].T
     used, corners = np.unique(triangles, return_inverse=True)
     place = np.searchsorted(used, nodes).astype(np.int32)
-    surface = Arrays(np.ascontiguousarray(placed[used]), corners.reshape(-1, 3).astype(np.int32))
+    surface = Arrays(np.ascontiguousarray(vertices[used]), corners.reshape(-1, 3).astype(np.int32))
     probes = _spread(volume.vertices[nodes])
     own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], compliance[probes, probes], normals[nodes[probes]])
     error = _error(obj, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)

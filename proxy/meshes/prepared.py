@@ -195,10 +195,10 @@ def _state(obj: schema.Mesh) -> Any:
 def _key(data: bytes, obj: schema.Mesh) -> str:
     """Return a hash of the file's bytes, its ending and scale, and the program's source."""
     digest = hashlib.sha256(data)
-    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(obj.file).suffix.lower(), obj.scale
+    parts: tuple[Any, ...] = SOURCE_HASH, len(data), Path(obj.file).suffix.lower(), obj.scale
     if obj.elastic is not None:
-        made = (*made, *(hashlib.sha256(array.tobytes()).digest() for array in _body(obj).surface))
-    digest.update(repr(made).encode())
+        parts = (*parts, *(hashlib.sha256(array.tobytes()).digest() for array in _body(obj).surface))
+    digest.update(repr(parts).encode())
     return digest.hexdigest()
 
 

@@ -254,13 +254,13 @@ def _add_ticks(top: Any) -> None:
 
 def _add_list(message: Any, keys: Sequence[Key], nested: str) -> None:
     """Add the keys of a topic with one list of maps; the keys of an element form a message of the type `nested`."""
-    element, listed = message.nested_type.add(name=nested), ""
+    element, list_name = message.nested_type.add(name=nested), ""
     for key in keys:
         plain, _, size = key.type.partition("[")
         parent, _, name = key.name.rpartition(".")
-        listed = parent or listed
+        list_name = parent or list_name
         _add_field(element if parent else message, name, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
-    _add_field(message, listed.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
+    _add_field(message, list_name.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
 
 
 def _add_foxglove(files: Any, name: str, added: set[str]) -> None:

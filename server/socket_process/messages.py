@@ -61,9 +61,9 @@ class Messages:
         self._state_topic, self._state_hz = ticks.state.encode(), ticks.state_hz
         self._encode = msgspec.msgpack.Encoder().encode
         in_lists = {name: [f for f in FIELDS if f.name.startswith(f"{name}.")] for name in _LISTS}
-        listed = {f.name for fields in in_lists.values() for f in fields}
+        list_fields = {f.name for fields in in_lists.values() for f in fields}
         head = {"schema": ticks.schema, "every": ticks.every}
-        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in listed])
+        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in list_fields])
         self._patches = [
             (NAMED[f"{name}.object"].at, _Map({}, [(f.name.partition(".")[2], f) for f in fields]))
             for name, fields in in_lists.items()

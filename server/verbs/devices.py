@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
             diagnosis, identification = identify_device(device, claim, rig)
         devices.append((device, claim, diagnosis, identification))
-    listed = {claim.driver for _, claim, *_ in devices if claim is not None}
-    if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in listed:
+    attached_drivers = {claim.driver for _, claim, *_ in devices if claim is not None}
+    if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in attached_drivers:
         devices.append(ask_rig(rig, str(args.rig)))
     if args.json:
         print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*row) for row in devices]}, indent=2))

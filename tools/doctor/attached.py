@@ -61,14 +61,14 @@ def maker_library(rig: Rig, driver: str) -> Check:
     """Check a maker's library, which is not part of this program; only its devices need it."""
     library = makers_library(driver)
     needed = single_device(rig).driver == driver
-    wanted = "there, for the maker's devices"
+    expected = "there, for the maker's devices"
     try:
         library.load(single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
-            return Check(library.NAME, "good", "not here, and this rig does not need it", wanted)
-        return Check(library.NAME, "bad", str(error), wanted, library.REMEDY)
-    return Check(library.NAME, "good", "found", wanted)
+            return Check(library.NAME, "good", "not here, and this rig does not need it", expected)
+        return Check(library.NAME, "bad", str(error), expected, library.REMEDY)
+    return Check(library.NAME, "good", "found", expected)
 
 
 def inverse_service(rig: Rig) -> Check:
@@ -81,13 +81,13 @@ def inverse_service(rig: Rig) -> Check:
     except HapticError as error:
         return Check("Inverse Service", "bad", str(error), "running", dial.START)
     state: State = "good" if reply["devices"] else "bad"
-    shown = f"version {reply['service']}, lists {', '.join(reply['devices'] + reply['grips']) or 'no device'}"
-    return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
+    observation = f"version {reply['service']}, lists {', '.join(reply['devices'] + reply['grips']) or 'no device'}"
+    return Check("Inverse Service", state, observation, "running, with a device", "plug the device in and switch it on")
 
 
 def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
-    driver, wanted = single_device(rig).driver, "usable"
+    driver, expected = single_device(rig).driver, "usable"
     results, own = [], False
     for device in attached:
         claim, mine = find_claim(device), is_of(rig, device)
@@ -100,7 +100,9 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
         state: State = "good" if diagnosis.state == "usable" else _missing(mine)
         reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
-            Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", wanted, diagnosis.remedy)
+            Check(
+                f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", expected, diagnosis.remedy
+            )
         )
     if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"

@@ -70,12 +70,12 @@ class ProbeSession(DeviceSession):
         )
         parts = [self._record_motion("hold still")]
         self._rest_of(parts[0])
-        wanted = self._translations()
+        supported = self._translations()
         for motion in TRANSLATIONS:
-            is_wanted = motion in wanted
-            rows = self._record_motion(motion.words) if is_wanted else self._record("further options", self._seconds)
+            is_supported = motion in supported
+            rows = self._record_motion(motion.words) if is_supported else self._record("further options", self._seconds)
             parts.append(rows)
-            requested = self._guided and is_wanted
+            requested = self._guided and is_supported
             result = motions.move(motion.words, motion.kind, motion.expected, rows) if requested else None
             if result is not None:
                 self._report["moves"].append(result)

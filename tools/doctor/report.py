@@ -267,8 +267,8 @@ def _format_measured(report: Report) -> list[str]:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
         text.append("  was from " + ", ".join(f"{low * 1e3:.1f} to {high * 1e3:.1f}" for low, high in pairs) + " mm")
     for entry in report["moves"]:
-        wanted = "" if entry["agrees"] else f", and {entry['expected']} was expected"
-        text.append(f"  {entry['asked']}: {entry['seen']}{wanted}")
+        expectation = "" if entry["agrees"] else f", and {entry['expected']} was expected"
+        text.append(f"  {entry['asked']}: {entry['seen']}{expectation}")
     if report["buttons"] is not None:
         text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
     for entry in report["pushes"]:

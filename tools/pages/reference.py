@@ -195,9 +195,9 @@ def states_page() -> str:
 A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
 kind `state`, and Prometheus has `softfinger_state`. There are no other transitions. `arm` in [`[guard]`](rigs.md)
 says who arms; [Safety](../safety.md) says what a fault is."""
-    listed, ways = states.tables()
+    state_table, transition_table = states.tables()
     figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
-    return _page(head, figure, "## States", listed, "## Transitions", ways)
+    return _page(head, figure, "## States", state_table, "## Transitions", transition_table)
 
 
 def faults_page() -> str:

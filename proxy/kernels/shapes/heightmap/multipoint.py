@@ -161,23 +161,23 @@ def rest_on_support_points(
                     n2 = nearest_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
         if feet.many == 1:
-            push, then = n1, step_on_one_point(shape, radius, goal, p1, n1)
+            push, target = n1, step_on_one_point(shape, radius, goal, p1, n1)
         else:
-            push, then = solve_support_points(feet, radius, goal, n1, n2, n3)
+            push, target = solve_support_points(feet, radius, goal, n1, n2, n3)
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
-        then = vec3.add(rest, clamp_length(vec3.sub(then, rest), STRIDE * radius))
+        target = vec3.add(rest, clamp_length(vec3.sub(target, rest), STRIDE * radius))
         if feet.many == 1:
-            _, p1, n1, _, spent = foot_from(shape, then, p1)
+            _, p1, n1, _, spent = foot_from(shape, target, p1)
             budget -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
-                then = landed
-        step = vec3.norm(vec3.sub(then, center))
+                target = landed
+        step = vec3.norm(vec3.sub(target, center))
         if turn > 0 and clear and (step <= SETTLED * radius or (slides and turn >= SLIDING_ROUND)):
             break
-        center = then
+        center = target
     return rest, up, bounded
 
 
