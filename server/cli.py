@@ -154,7 +154,7 @@ def to_stderr() -> logging.Handler:
     class ToStderr(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             try:
-                for line in self.format(record).splitlines():  # a pipe that takes anything takes a line
+                for line in self.format(record).splitlines():  # a writable pipe has room for a line
                     standard_error.write_line(line)
             except Exception:
                 self.handleError(record)

@@ -219,7 +219,7 @@ def force_key(version: tuple[int, int]) -> str:
 def is_identity(mount: dict[str, Any]) -> bool:
     """Return True if a mount, flat or below `transform`, changes neither position, orientation nor scale.
 
-    An empty one is the identity; one of unknown form is not.
+    An empty mount is the identity; a mount of unknown form is not.
     """
     transform = mount.get("transform", mount)
     return transform == {} or (

@@ -20,7 +20,7 @@ from softfinger.proxy.elastic.solid import Doubles, Solid
 BLOCK: Final = 128
 """Right-hand sides that are solved together."""
 STRIP: Final = 16
-"""Right-hand sides whose displacement gradients are in memory together."""
+"""Number of right-hand sides whose displacement gradients are in memory together."""
 
 
 def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:

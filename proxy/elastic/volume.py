@@ -81,7 +81,7 @@ def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float)
 
 
 def read_volume(file: str, scale: float) -> Volume:
-    """Return the tetrahedra of a .msh or .vtu file, m: of second order, those of the corners.
+    """Return the volume mesh of a .msh or .vtu file, m. Second-order tetrahedra are reduced to their corners.
 
     Raises ValueError if meshio is not installed, the file cannot be read, or its tetrahedra cannot be used.
     """

@@ -128,7 +128,7 @@ class Page:
         self.refusal = ""
         """Text of the latest notification."""
         self.preparing = ""
-        """Progress of what the daemon prepares, shown below the values of the tick."""
+        """Progress of preparations in the daemon, shown below the values of the tick."""
         self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()

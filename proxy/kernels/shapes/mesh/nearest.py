@@ -33,8 +33,8 @@ from softfinger.proxy.kernels.shapes.mesh.lanes import (
 from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on, nearer_neighbour
 
 FAR = 1e4
-"""Distance from the middle of the mesh, in sizes of the mesh, to which points farther away are moved for the search:
-float32 has no more digits."""
+"""Largest distance of a searched point from the middle of the mesh, in sizes of the mesh. Farther points are moved
+there before the search, because float32 has no more digits."""
 MANY = 64
 """Nodes and triangles after which the known candidate counts as poor: a greedy descent then follows each level."""
 CLIMB = 24
