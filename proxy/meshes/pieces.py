@@ -66,7 +66,7 @@ def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
 
 
 def unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
-    """Return the indices of the triangles (m, 3) that have other corners than all earlier ones."""
+    """Return the indices of the first of the triangles (m, 3) with each set of corners."""
     return unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
 
 
