@@ -23,7 +23,7 @@ import msgspec
 FOLDER: Final = Path(__file__).resolve().parent
 
 
-class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Measurement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Published value: a coefficient of friction, or a range of a modulus or of an exponent of the patch.
 
     friction, sd, low  mean, standard deviation and smallest observed value
@@ -56,7 +56,7 @@ class LibraryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     holds: str
     papers: tuple[str, ...]
     values: dict[str, Any]
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[Measurement, ...] = ()
     friction_of: str = ""
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.materials import LibraryEntry, Measured
+from softfinger.config.materials import LibraryEntry, Measurement
 from softfinger.config.schema import Fingertip, Material
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.server.offline.library_texts import entries, find_entry, library_table
@@ -58,13 +58,13 @@ def friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
-def point(axes: Any, x: float, study: Measured, color: str, label: str) -> None:
+def point(axes: Any, x: float, study: Measurement, color: str, label: str) -> None:
     """Draw a published coefficient with its deviation and the range of loads that it averages."""
     load_range = None if study.load_n is None else [[x - study.load_n[0]], [study.load_n[1] - x]]
     axes.errorbar(x, study.friction, spread(study), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
 
 
-def spread(study: Measured) -> list[list[float]]:
+def spread(study: Measurement) -> list[list[float]]:
     """Return the lower and upper error bar of a published coefficient: its deviation, or below to the lowest value."""
     deviation = study.sd or 0.0
     return [[deviation if study.low is None or study.friction is None else study.friction - study.low], [deviation]]
@@ -111,7 +111,7 @@ def depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
 
-def label_band(study: Measured) -> str:
+def label_band(study: Measurement) -> str:
     """Return the label of a band: a published range and a law."""
     quantity = "modulus, by Hertz" if study.youngs_modulus_pa is not None else "exponent"
     return f"range of the {quantity}: {study.of} ({study.paper})"
@@ -150,7 +150,7 @@ def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def patch_band(study: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | None:
+def patch_band(study: Measurement, tip: Fingertip) -> tuple[Array, Array, Array] | None:
     """Return loads (n,) N, and smallest and largest radius (n,) m for a published range; None for another quantity.
 
     A modulus gives the radius by Hertz's law on this fingertip; an exponent scales the radius of this fingertip at 1 N.

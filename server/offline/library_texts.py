@@ -10,7 +10,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.fields import unit
 from softfinger.config.load import build, describe
-from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measured, flat, papers
+from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measurement, flat, papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
 from softfinger.config.words import format_value, near
@@ -72,7 +72,7 @@ def value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
     return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
 
 
-def format_measured(study: Measured) -> str:
+def format_measured(study: Measurement) -> str:
     """Format a published value: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
     if study.youngs_modulus_pa is not None:
         low, high = (1e-3 * value for value in study.youngs_modulus_pa)

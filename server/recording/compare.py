@@ -108,7 +108,7 @@ class ReplayComparison(NamedTuple):
     left_out: list[SkippedTicks]
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """Results of a run's ticks with today's code.
 
     columns     (n, fingers, ...)  compared columns of the records
@@ -127,7 +127,7 @@ class Replayed(NamedTuple):
         return self.columns[:, finger_index, _SLICES[name]]
 
 
-def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
+def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
     """Compute every tick of a run with today's step and guard, and report the progress.
 
     Raises ConfigError if the scene has other fingers.
@@ -177,7 +177,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
                 int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between"
             )
         )
-    return Replayed(
+    return ReplayResult(
         columns,
         comparable,
         left_out + _span(ticks, _find_known_end(run, scene, ticks), len(ticks), "another scene or rig was set"),
@@ -191,7 +191,7 @@ def _simulate(
     """Simulate the poses (n, fingers, 7) of a part from an empty state.
 
     Calls `advance` with the ticks of the run so far. Writes the columns (n, fingers, ...) and the poses of bodies
-    (`Replayed`) into `out`.
+    (`ReplayResult`) into `out`.
     """
     columns, bodies = out
     period = period_ns(run.rate_hz) / NS_PER_S
@@ -268,7 +268,7 @@ def _find_settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
 
 
 def compare(
-    run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float
+    run: Run, replayed: ReplayResult, against: Mapping[str, Mapping[str, Array]], tolerance: float
 ) -> ReplayComparison:
     """Compare a replay with the recorded or other values.
 
@@ -317,7 +317,7 @@ def compare(
 
 
 def _compare_bodies(
-    run: Run, replayed: Replayed, tolerance: float, differs: Mask, largest: dict[str, float]
+    run: Run, replayed: ReplayResult, tolerance: float, differs: Mask, largest: dict[str, float]
 ) -> Iterator[Difference]:
     """Yield the first difference of each body's pose, m or quaternion component; update `differs` and `largest`."""
     ticks, names, recorded = run.bodies

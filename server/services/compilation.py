@@ -40,11 +40,11 @@ REPORT_PERIOD_S: Final = 1.0
 """Time between two reports of the compiler, that of `health`, which publishes them."""
 
 
-class Superseded(HapticError):
+class SupersededRequest(HapticError):
     """Request for a scene that was replaced by a later request."""
 
 
-class NotCompiled(HapticError):
+class CompilerFailure(HapticError):
     """Compiler process that failed."""
 
 
@@ -131,7 +131,7 @@ class SceneChanges(Worker):
             if code:
                 errors.seek(0)
                 log.error("the compiler of a scene ended with %d: %s", code, errors.read().strip())
-                raise NotCompiled("the scene could not be compiled: see the daemon's log")
+                raise CompilerFailure("the scene could not be compiled: see the daemon's log")
 
     def _run_compiler(self, scene: schema.Scene, name: str, errors: IO[str]) -> int:
         """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
@@ -175,8 +175,8 @@ class SceneChanges(Worker):
             self._compiler.kill()
 
 
-def _superseded_error() -> Superseded:
-    return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
+def _superseded_error() -> SupersededRequest:
+    return SupersededRequest("another scene was requested, or the daemon ends, before this one was compiled")
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:
