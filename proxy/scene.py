@@ -63,8 +63,8 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
             shape, pose = _place_shape(shape, obj, position, orientation, fixed)
             if effects and part == 0:  # an object of several walls has its effects once
                 carriers.append(model.Carrier(float(len(bodies)), effects))
-            shape_material = material if isinstance(pose, model.Pose) else _facing(material, obj.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, shape_material, float(number), texture=texture))
+            world_material = material if isinstance(pose, model.Pose) else _to_world(material, obj.orientation_wxyz)
+            bodies.append(model.Object(shape, pose, motion, world_material, float(number), texture=texture))
     fingers, rolling = tuple(_finger(finger, scene.rolling) for finger in scene.fingers), _rolling(scene)
     return model.Scene(
         fingers=fingers,
@@ -187,7 +187,7 @@ def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
     return (a, b, c)
 
 
-def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
+def _to_world(material: model.Material, turn: model.Quaternion) -> model.Material:
     """Return the material of a shape expressed in the world frame, with its directions rotated there, too."""
     law = material.friction
     if not isinstance(law, model.Anisotropic):

@@ -179,7 +179,7 @@ class DriverContract:
         with bench.open() as device:
             arm, acts = device.arm, []
 
-            def noted() -> None:
+            def log_and_arm() -> None:
                 arm()
                 acts.append(("armed", threading.get_native_id()))
 
@@ -188,7 +188,7 @@ class DriverContract:
                 acts.append(("prepared", threading.get_native_id()))
                 return lambda: None
 
-            monkeypatch.setattr(device, "arm", noted)
+            monkeypatch.setattr(device, "arm", log_and_arm)
             servo = Loop([device], make_pulling_tuning(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
@@ -258,7 +258,7 @@ class DriverContract:
                 make_pulling_tuning(),
                 RATE_HZ,
                 100 if ending == "last_tick" else None,
-                failing if ending == "crash" else None,
+                fail_to_prepare if ending == "crash" else None,
             )
             servo.compile()
             if ending == "crash":  # without a tick of the loop, apply a force first
@@ -343,7 +343,7 @@ def first_failure(servo: Servo, patience_s: float) -> int:
     return status
 
 
-def failing() -> Callable[[], None]:
+def fail_to_prepare() -> Callable[[], None]:
     raise RuntimeError("refused")
 
 

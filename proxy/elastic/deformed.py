@@ -63,7 +63,7 @@ class Deformed:
         self._compliance: Final = body.compliance.array.reshape(count, count, 3, 3)
         self._numbers: Final = np.full(len(body.surface.vertices), -1)
         self._numbers[body.nodes] = np.arange(count)
-        self._drawn, self._shares = self._followed(self.vertices)
+        self._drawn, self._shares = self._followed_nodes(self.vertices)
 
     @classmethod
     def of_scene(cls, scene: SceneSource) -> Self:
@@ -95,7 +95,7 @@ class Deformed:
         displaced: Doubles = self.vertices + self._shares[:, None] * moved[self._drawn]
         return displaced
 
-    def _followed(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
+    def _followed_nodes(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
         """Return the node that each of `vertices` (n, 3) follows, and its share of that node's displacement.
 
         A vertex outside of `reach` has no compliance. Its share grows from 0 at the fixed regions to 1 at the node.

@@ -50,7 +50,7 @@ def contact_loads(obj: schema.Mesh, rows: Mapping[str, Doubles]) -> list[Contact
             continue
         point = _vector(row, AT.contacts0_point) - _vector(row, AT.contact_displacement) - obj.position_m
         force = -_force(row, obj.material.friction is not None)
-        turned = _into(obj, force), _into(obj, point)
+        turned = _to_object_frame(obj, force), _to_object_frame(obj, point)
         loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, obj.elastic.radius_m))
     return loads
 
@@ -89,7 +89,7 @@ def _vector(row: Doubles, at: int) -> Doubles:
     return row[at : at + 3]
 
 
-def _into(obj: schema.Mesh, vector: Doubles) -> Vec3:
+def _to_object_frame(obj: schema.Mesh, vector: Doubles) -> Vec3:
     """Return a vector (3,) of the world frame in the object frame."""
     w, x, y, z = obj.orientation_wxyz
     a, b, c = vector.tolist()

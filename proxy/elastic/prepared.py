@@ -58,7 +58,7 @@ def body_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBod
     try:
         identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
         if identity not in _bodies:
-            body = _solved(obj, obj.elastic, identity, folder)
+            body = _load_or_solve(obj, obj.elastic, identity, folder)
             while len(_bodies) >= BODIES:
                 _bodies.pop(next(iter(_bodies)))
             _bodies[identity] = body
@@ -81,7 +81,7 @@ def stored_body(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Elasti
         identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
     except ConfigError:  # a file of another machine
         return None
-    return _bodies.get(identity) or _stored(obj.elastic, identity, folder)[0]
+    return _bodies.get(identity) or _load(obj.elastic, identity, folder)[0]
 
 
 def kernel_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
@@ -105,7 +105,7 @@ def kernel_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triang
     )
 
 
-def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[ElasticBody | None, str]:
+def _load(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[ElasticBody | None, str]:
     """Return the body from the file `solution` or from the cache, and a reason if that file is not used."""
     refusal = ""
     if elastic.solution is not None:
@@ -122,9 +122,9 @@ def _key(identity: str) -> str:
     return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
 
 
-def _solved(obj: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> ElasticBody:
+def _load_or_solve(obj: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> ElasticBody:
     """Return the body from the file `solution`, from the cache, or by solving."""
-    body, refusal = _stored(elastic, identity, folder)
+    body, refusal = _load(elastic, identity, folder)
     if body is not None:
         return body
     try:

@@ -50,7 +50,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
         raise ValueError(f"gmsh is not usable ({missing}): pip install 'softfinger[elastic]'") from missing
     gmsh.initialize([], False, False, False)  # neither the user's settings nor a signal handler
     try:
-        points, corners = _filled(gmsh, vertices, triangles, resolution_m)
+        points, corners = _fill(gmsh, vertices, triangles, resolution_m)
     except Exception as error:  # gmsh raises no other class
         raise ValueError(f"gmsh cannot fill the surface: {error}: repair the mesh, or give a .msh file") from error
     finally:
@@ -58,7 +58,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     return check_volume(points, corners)
 
 
-def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
+def _fill(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
     gmsh.option.setNumber("General.Terminal", 0)
     for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
         gmsh.option.setNumber(name, resolution_m)

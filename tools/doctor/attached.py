@@ -26,7 +26,7 @@ def checks(rig: Rig) -> list[Check]:
     return [*results, *devices(rig, discovery.list_attached())]
 
 
-def _missing(needed: bool) -> State:
+def _grade_missing(needed: bool) -> State:
     return STATES[1 + needed]
 
 
@@ -34,7 +34,7 @@ def libusb(rig: Rig) -> Check:
     origin = system_libusb.origin()
     return Check(
         "libusb",
-        "good" if origin else _missing(single_device(rig).driver in OVER_USB),
+        "good" if origin else _grade_missing(single_device(rig).driver in OVER_USB),
         f"found, {origin}" if origin else "not found",
         "there, for a Falcon",
         system_libusb.REMEDY,
@@ -50,7 +50,7 @@ def hidapi(rig: Rig) -> Check:
             missing.append(f"{name} cannot be imported: {error}")
     return Check(
         "hidapi",
-        _missing(single_device(rig).driver in OVER_HID) if missing else "good",
+        _grade_missing(single_device(rig).driver in OVER_HID) if missing else "good",
         "; ".join(missing) or "modules hid and hidraw found",
         "both modules, for HID devices",
         "pip install --force-reinstall hidapi, and apt install libusb-1.0-0 libudev1",
@@ -97,7 +97,7 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
             continue
         own = own or mine
         diagnosis = diagnose(device, claim, single_device(rig))
-        state: State = "good" if diagnosis.state == "usable" else _missing(mine)
+        state: State = "good" if diagnosis.state == "usable" else _grade_missing(mine)
         reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
             Check(

@@ -63,7 +63,7 @@ class ProbeSession(DeviceSession):
     """Ten seconds of parts that follow each other without input from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:
-        self._tell_freedom()
+        self._print_freedom()
         self._ask(
             "ten seconds: 2 s each at rest, to the right, away from you, up, and for the buttons and turns. "
             "Keep the handle where each motion ends"

@@ -93,7 +93,7 @@ def make_report(
     file = Path(request.file or f"softfinger-{single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigError(f"{request.option} {file}: there is no folder {file.parent}, or it is one: name a file")
-    report, serials = begun(rig, request.guided)
+    report, serials = start_report(rig, request.guided)
     failure: HapticError | KeyboardInterrupt | None = None
     try:
         record(rig, report, request, session_type)
@@ -125,7 +125,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
         )
 
 
-def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
+def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
     devices = [device for device in discovery.list_attached() if attached.is_of(rig, device)]
     freedom = read_subspace(single_device(rig))
@@ -171,7 +171,7 @@ def identity(device: discovery.SystemDevice) -> dict[str, Any]:
         "vendor_id": f"{device.vendor:04x}",
         "product_id": f"{device.product:04x}",
         "name": device.name,
-        "serial": privacy.shortened(device.serial),
+        "serial": privacy.shorten_serial(device.serial),
         "node": device.node,
     }
     if device.bus == "hid":

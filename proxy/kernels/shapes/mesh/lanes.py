@@ -76,7 +76,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
             filled = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
             return builder.shuffle_vector(filled, ir.Constant(kind, ir.Undefined), ir.Constant(whole, [0] * LANES))
 
-        def calling(name: str, *values: Any) -> Any:
+        def call(name: str, *values: Any) -> Any:
             kind = ir.FunctionType(vector, [vector] * len(values))
             return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f32"), values)
 
@@ -86,7 +86,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
         def beyond(axis: Any, half: Any) -> Any:
             """Return the squared distance of the point from the box along an axis."""
             along = builder.fadd(builder.fadd(product(axis[0], d[0]), product(axis[1], d[1])), product(axis[2], d[2]))
-            out = calling("maxnum", builder.fsub(calling("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
+            out = call("maxnum", builder.fsub(call("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
             return product(out, out)
 
         d = [
