@@ -3,7 +3,6 @@
 Compiled kernels on arrays that the caller allocates (`proxy/meshes/tree.py`).
 """
 
-from math import acos
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,37 +29,6 @@ def parts(count: int) -> int:
     while part * LANES < count:
         part *= LANES
     return (count + part - 1) // part
-
-
-@entry
-def count_nodes(triangles: int, low: Any, high: Any) -> int:
-    """Fill in the range of triangles of each node; return the number of nodes.
-
-    low, high  int64, long enough  first triangle of a node, and the one after its last
-
-    Nodes are in breadth-first order; the parts of a node are consecutive.
-    """
-    low[0], high[0] = 0, triangles
-    count, node = 1, 0
-    while node < count:
-        size = high[node] - low[node]
-        if size > LANES:
-            k = parts(size)
-            for i in range(k):
-                low[count + i] = low[node] + size * i // k
-                high[count + i] = low[node] + size * (i + 1) // k
-            count += k
-        node += 1
-    return count
-
-
-@entry
-def take_middles(vertices: Any, corners: Any, center: Vec3, middles: Any) -> None:
-    """Fill `middles` (triangles, 3) float32 with three times the centroids relative to `center`."""
-    for k in range(len(corners)):
-        for axis in range(3):
-            total = vertices[corners[k, 0], axis] + vertices[corners[k, 1], axis] + vertices[corners[k, 2], axis]
-            middles[k, axis] = total - 3.0 * center[axis]
 
 
 @jit
@@ -266,92 +234,3 @@ def enclose(
         work += count
         node += 1
     return node, child
-
-
-@entry
-def renumber(corners: Any, order: Any, arranged: Any, place: Any) -> int:
-    """Renumber triangles in the order of the tree, vertices in that of their first triangle.
-
-    arranged  (triangles, 3)  int32, filled  vertices of each triangle
-    place     (vertices,)     int32, filled  new number of each vertex; -1 at the start, and for unused ones
-    returns                                  number of used vertices
-    """
-    used = 0
-    for k in range(len(order)):
-        for i in range(3):
-            vertex = corners[order[k], i]
-            if place[vertex] < 0:
-                place[vertex] = used
-                used += 1
-            arranged[k, i] = place[vertex]
-    return used
-
-
-@entry
-def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
-    """Find the triangle across each edge.
-
-    begin   (vertices + 1,)    int32, 0 each    scratch: first edge of a vertex in `around`
-    around  (triangles * 3,)   int32            scratch: edges, 3 triangle + i, sorted by the lower of their vertices
-    across  (triangles, 3)     int32, filled    the other triangle, -1 for a loose edge
-    returns                                     number of loose edges: with no other triangle, with several, or with one
-                                                of inconsistent winding
-    """
-    count = len(corners)
-    for k in range(count):
-        for i in range(3):
-            begin[min(corners[k, i], corners[k, (i + 1) % 3]) + 1] += 1
-            across[k, i] = -1
-    for v in range(1, len(begin)):
-        begin[v] += begin[v - 1]
-    for k in range(count):  # counting sort: begin[v] becomes the end of the edges of v
-        for i in range(3):
-            v = min(corners[k, i], corners[k, (i + 1) % 3])
-            around[begin[v]] = 3 * k + i
-            begin[v] += 1
-    loose, start = 0, 0
-    for v in range(len(begin) - 1):
-        end = begin[v]
-        for edge in range(start, end):
-            k, i = around[edge] // 3, around[edge] % 3
-            larger = max(corners[k, i], corners[k, (i + 1) % 3])
-            met, against = 0, False
-            for candidate in range(start, end):
-                m, j = around[candidate] // 3, around[candidate] % 3
-                if candidate != edge and max(corners[m, j], corners[m, (j + 1) % 3]) == larger:
-                    met += 1
-                    against = corners[m, j] != corners[k, i]
-                    across[k, i] = m
-            if met != 1 or not against:
-                loose += 1
-                across[k, i] = -1
-        start = end
-    return loose
-
-
-@jit
-def angle_at(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Return the angle (rad) of a triangle at `a`."""
-    _, to_b = direction(vec3.sub(b, a), Z_AXIS)
-    _, to_c = direction(vec3.sub(c, a), Z_AXIS)
-    return acos(max(-1.0, min(1.0, vec3.dot(to_b, to_c))))
-
-
-@entry
-def raise_normals(vertices: Any, corners: Any, upward: Any) -> None:
-    """Fill `upward` (vertices, 3), 0 each, with the vertices' unit normals, weighted by the triangles' angles there."""
-    for k in range(len(corners)):
-        _, normal = direction(area_normal(vertices, corners, k), (0.0, 0.0, 0.0))
-        for i in range(3):
-            angle = angle_at(
-                corner(vertices, corners, k, i),
-                corner(vertices, corners, k, (i + 1) % 3),
-                corner(vertices, corners, k, (i + 2) % 3),
-            )
-            at = corners[k, i]
-            for axis in range(3):
-                upward[at, axis] += angle * normal[axis]
-    for v in range(len(upward)):
-        _, normal = direction((upward[v, 0], upward[v, 1], upward[v, 2]), Z_AXIS)
-        for axis in range(3):
-            upward[v, axis] = normal[axis]

@@ -222,8 +222,8 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
                 first, lane = int(firsts[place // LANES]), place % LANES
                 down = Candidate(~first + lane, square, 0)
                 if first >= 0:
-                    there, begin = slice_from(waiting, end), nodes * LANES
-                    down = descend_tree(whole, first + lane, near, x, best, bounds, there, begin)
+                    free, begin = slice_from(waiting, end), nodes * LANES
+                    down = descend_tree(whole, first + lane, near, x, best, bounds, free, begin)
                 if down.number < 0:
                     down = Candidate(number if number >= 0 else guess, best, down.spent)
                 down = walk_downhill(mesh, down, x)
