@@ -22,7 +22,7 @@ from softfinger.config.errors import DeviceBusy, DeviceNotFound, DevicePermissio
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
@@ -189,7 +189,7 @@ class DriverContract:
                 return lambda: None
 
             monkeypatch.setattr(device, "arm", log_and_arm)
-            servo = Loop([device], make_pulling_tuning(), RATE_HZ, 100, slow)
+            servo = ServoThread([device], make_pulling_tuning(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
             end = servo.join(30.0)
@@ -253,7 +253,7 @@ class DriverContract:
     def test_no_force_remains_after_a_servo(self, ending: str, bench: Bench) -> None:
         """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
-            servo = Loop(
+            servo = ServoThread(
                 [device],
                 make_pulling_tuning(),
                 RATE_HZ,
@@ -310,7 +310,7 @@ class DriverContract:
         """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
-                servo = Loop([device], make_pulling_tuning(), RATE_HZ)
+                servo = ServoThread([device], make_pulling_tuning(), RATE_HZ)
                 servo.compile()
                 servo.start()
                 run_for(servo, 100)
@@ -328,7 +328,7 @@ class DriverContract:
             bench.mend()
 
 
-def run_for(servo: Loop, ticks: int) -> None:
+def run_for(servo: ServoThread, ticks: int) -> None:
     """Wait until a loop has run `ticks` ticks; fail if it ends before, because no further record would arrive."""
     while servo.ticks < ticks:
         assert servo.is_running, f"the loop ended after {servo.ticks} ticks of {ticks}"
@@ -347,7 +347,7 @@ def fail_to_prepare() -> Callable[[], None]:
     raise RuntimeError("refused")
 
 
-def last_force(servo: Loop) -> float:
+def last_force(servo: ServoThread) -> float:
     """Return the norm (N) of the force in the last tick."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.records.take(out)]

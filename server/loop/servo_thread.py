@@ -44,7 +44,7 @@ HANDOVER_S: Final = 5.0
 HANDOVER_POLL_S: Final = 0.05
 
 
-class Servo:
+class ServoThread:
     """Thread that runs a loop with open devices, and possibly further loops after it.
 
     devices  an open device for each of the scene's fingers; the servo commands zero to all of them whenever and however

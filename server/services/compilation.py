@@ -26,7 +26,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, progress_text
@@ -124,7 +124,7 @@ class SceneChanges(Worker):
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
         """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
-        if Servo.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+        if ServoThread.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
             return  # if the cache cannot be written, a separate process is useless
         with tempfile.TemporaryFile("w+") as errors:
             code = self._run_compiler(scene, name, errors)
@@ -187,7 +187,7 @@ def compile_loop(scene: schema.Scene) -> Tuning:
     rig = load_rig("replay")
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         tuning = make_tuning(scene, rig.guard)
-        servo = Servo([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
+        servo = ServoThread([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
         servo.compile()
         servo.close()
     return tuning

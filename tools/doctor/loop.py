@@ -16,7 +16,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.loop import realtime
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import make_touching_poses
 from softfinger.server.offline.cost import measure as step_cost
@@ -71,7 +71,7 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     bare = without_device(rig)
     begun = time.monotonic()
     with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
-        servo = Servo([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
+        servo = ServoThread([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()
     seconds_taken = time.monotonic() - begun
