@@ -47,8 +47,8 @@ def place_files(spec: mujoco.MjSpec, files: list[str], attaches: bool, home: Pat
     strips, spec.strippath = spec.strippath, False
     for asset in (*spec.meshes, *spec.hfields):
         if asset.file:
-            own = os.path.basename(asset.file) if strips else asset.file
-            path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", own))
+            file_name = os.path.basename(asset.file) if strips else asset.file
+            path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", file_name))
             if attaches:
                 path = _find_attached(asset, path, files, model)
             check_place(path, home, f"{model}: the file {path}")

@@ -73,8 +73,8 @@ class RigidBodies:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits; MuJoCo pickles its data with the model."""
-        own = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
-        return {name: vars(self)[name] for name in own}
+        fields = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
+        return {name: vars(self)[name] for name in fields}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, model=state["data"].model)

@@ -81,8 +81,8 @@ def patterns(environ: Mapping[str, str]) -> list[Path]:
     build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
     kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
     home = environ.get("HOME") or home_folder()
-    own = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
-    return [*kits, *own, Path("/usr/local/lib/libdrd.so*")]
+    user_paths = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
+    return [*kits, *user_paths, Path("/usr/local/lib/libdrd.so*")]
 
 
 LIBRARY: Final = MakersLibrary(

@@ -200,8 +200,8 @@ def collect_guard_bits(buffers: Any) -> tuple[int, int]:
 @jit
 def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
     """Combine the bits of a finger with the result of `collect_guard_bits` for the fingers after it."""
-    own, (bits, index) = int(device.record[AT.servo_guard]), later
-    return own | bits, 0 if own & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
+    bits_of_device, (bits, index) = int(device.record[AT.servo_guard]), later
+    return bits_of_device | bits, 0 if bits_of_device & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
 
 
 @jit

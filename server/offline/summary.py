@@ -71,8 +71,8 @@ def _form(finger: schema.FingerParts) -> str:
 
 
 def _size(item: schema.ObjectBase) -> str:
-    own = [name for name in item.__struct_fields__ if name not in (*schema.Textured.__struct_fields__, "elastic")]
-    return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
+    names = [name for name in item.__struct_fields__ if name not in (*schema.Textured.__struct_fields__, "elastic")]
+    return "".join(f", {name} {format_value(getattr(item, name))}" for name in names if getattr(item, name) is not None)
 
 
 def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
@@ -264,11 +264,11 @@ def check_start(world: schema.World, rate_hz: float = schema.Servo().rate_hz) ->
     RigidBodies(world).begin(1.0 / rate_hz)
 
 
-def _timestep(world: schema.World, own: float) -> str:
+def _timestep(world: schema.World, model_step: float) -> str:
     if world.timestep == "file":
-        return f"{own:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (own * world.substeps):g}"
+        return f"{model_step:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (model_step * world.substeps):g}"
     step = 1.0 / (schema.Servo().rate_hz * world.substeps)
-    text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {own:g} s"
-    if own < 0.999 * step:
-        text += f": substeps = {math.ceil(step * world.substeps / own - 1e-3)} would keep to it"
+    text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {model_step:g} s"
+    if model_step < 0.999 * step:
+        text += f": substeps = {math.ceil(step * world.substeps / model_step - 1e-3)} would keep to it"
     return text

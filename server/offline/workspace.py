@@ -76,12 +76,12 @@ def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
     for number, obj in zip(NUMBERS, objects, strict=False):
         distances = 1e3 * signed_distance(wall, obj.points)
         if distances.max() <= 0.0:
-            where = "inside"
+            reach = "inside"
         elif distances.min() > 0.0:
-            where = f"outside: its nearest point is {distances.min():.0f} mm behind the wall"
+            reach = f"outside: its nearest point is {distances.min():.0f} mm behind the wall"
         else:
-            where = "inside and outside"
-        reach_rows.append((f"{number} '{obj.name}'", where))
+            reach = "inside and outside"
+        reach_rows.append((f"{number} '{obj.name}'", reach))
     return reach_rows
 
 

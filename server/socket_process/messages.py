@@ -68,7 +68,7 @@ class Messages:
             (NAMED[f"{name}.object"].at, _Map({}, [(f.name.partition(".")[2], f) for f in fields]))
             for name, fields in in_lists.items()
         ]
-        own = {
+        field_names = {
             "position": "probe.position",
             "velocity": "probe.velocity",
             "force": "force",
@@ -77,7 +77,7 @@ class Messages:
             "field_state.penetration": "contact.penetration",
         }
         content = {"timestamp": 0.0, "sequence": 0}
-        self._state = _Map(content, [(key, NAMED[name]) for key, name in own.items()])
+        self._state = _Map(content, [(key, NAMED[name]) for key, name in field_names.items()])
         self.set_state_info(state_info)
 
     def set_state_info(self, state_info: StateInfo) -> None:

@@ -88,14 +88,14 @@ def inverse_service(rig: Rig) -> Check:
 def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
     driver, expected = single_device(rig).driver, "usable"
-    results, own = [], False
+    results, is_attached = [], False
     for device in attached:
         claim, mine = find_claim(device), is_of(rig, device)
         if claim is None and mine:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
         if claim is None:
             continue
-        own = own or mine
+        is_attached = is_attached or mine
         diagnosis = diagnose(device, claim, single_device(rig))
         state: State = "good" if diagnosis.state == "usable" else _grade_missing(mine)
         reason = f": {diagnosis.reason}" if diagnosis.reason else ""
@@ -104,7 +104,7 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
                 f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", expected, diagnosis.remedy
             )
         )
-    if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
+    if not is_attached and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
         results.append(
             Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)

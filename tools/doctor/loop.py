@@ -142,10 +142,10 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 def endpoint(rig: Rig) -> Check:
     """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
-    where, expected = rig.telemetry.endpoint, "free to be bound"
+    endpoint, expected = rig.telemetry.endpoint, "free to be bound"
     try:
-        Publisher(where).close()
+        Publisher(endpoint).close()
     except HapticError as error:
         holder = "end the program that uses it" if isinstance(error, AddressInUse) else "choose another"
         return Check("telemetry endpoint", "bad", str(error), expected, f"{holder}, or run with --endpoint ANOTHER")
-    return Check("telemetry endpoint", "good", f"{where} is free", expected)
+    return Check("telemetry endpoint", "good", f"{endpoint} is free", expected)
