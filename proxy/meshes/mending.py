@@ -83,8 +83,8 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
-    left, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
-    vertices = vertices[left]
+    used_vertices, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
+    vertices = vertices[used_vertices]
     edges = edges_of(triangles)
     winding = wind(Arrays(vertices, triangles), edges)
     return RepairedMesh(
@@ -138,10 +138,10 @@ def _size(vertices: Vertices) -> float:
 
 def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]:
     """Return the indices of the used vertices, and the triangles (m, 3) as indices into these."""
-    has = np.zeros(len(arrays.vertices), np.bool_)
-    has[arrays.triangles.ravel()] = True
-    place = np.cumsum(has, dtype=np.int32) - np.int32(1)
-    return np.flatnonzero(has), place[arrays.triangles]
+    is_used = np.zeros(len(arrays.vertices), np.bool_)
+    is_used[arrays.triangles.ravel()] = True
+    place = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
+    return np.flatnonzero(is_used), place[arrays.triangles]
 
 
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

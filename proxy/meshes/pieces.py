@@ -78,7 +78,7 @@ def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
 
 
 def unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
-    """Return the indices of the triangles (m, 3) that have other corners than all earlier ones."""
+    """Return the indices of the first of the triangles (m, 3) with each set of corners."""
     return unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
 
 
@@ -115,16 +115,16 @@ def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
             mixed ^= mixed >> np.uint64(29)
         place = mixed & mask
         while True:
-            other = table[place]
-            if other < 0:
+            row = table[place]
+            if row < 0:
                 table[place] = i
                 first[i] = i
                 break
             same = True
             for k in range(rows.shape[1]):
-                same = same and rows[other, k] == rows[i, k]
+                same = same and rows[row, k] == rows[i, k]
             if same:
-                first[i] = other
+                first[i] = row
                 break
             place = (place + np.uint64(1)) & mask
 
@@ -140,11 +140,11 @@ def _unite(
 ) -> None:
     """Unite pieces under the lower root and track the parity of the winding; in the end each parent is a root."""
     for side in range(len(first)):
-        other = first[side]
-        if other == side or count[other] != 2:
+        first_side = first[side]
+        if first_side == side or count[first_side] != 2:
             continue
-        a, b = side // 3, other // 3
-        against = forward[side] == forward[other]
+        a, b = side // 3, first_side // 3
+        against = forward[side] == forward[first_side]
         while parent[a] != a:  # path halving
             above = parent[a]
             turned[a] ^= turned[above]

@@ -39,7 +39,9 @@ def soft_scene() -> Scene:
 @pytest.fixture
 def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
     given: list[Tuning] = []
-    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
+    monkeypatch.setattr(
+        "softfinger.server.loop.servo_thread.ServoThread.tune", lambda servo, tuning: given.append(tuning)
+    )
     return given
 
 

@@ -60,8 +60,8 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
     axis = longest(middles, low, high)
     left, right = low, high - 1
     while left < right:
-        one, two, three = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
-        pivot = max(min(one, two), min(max(one, two), three))
+        a, b, c = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
+        pivot = max(min(a, b), min(max(a, b), c))
         i, j = left, right
         while i <= j:
             while middles[i, axis] < pivot:
@@ -98,8 +98,8 @@ def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_nod
                 half = (step + 1) // 2
                 i = 0
                 while i + half < k:
-                    there, at = begin + size * min(i + step, k) // k, begin + size * (i + half) // k
-                    cut(middles, order, begin + size * i // k, there, at)
+                    end, at = begin + size * min(i + step, k) // k, begin + size * (i + half) // k
+                    cut(middles, order, begin + size * i // k, end, at)
                     i += step
                 step = half
             work += 3 * size
@@ -126,8 +126,8 @@ class OrientedBox(NamedTuple):
     """Oriented box: middle (3,) m, unit axes (3,) along its sides, and half sides (3,) m."""
 
     middle: Vec3
-    one: Vec3
-    two: Vec3
+    u: Vec3
+    v: Vec3
     up: Vec3
     half: Vec3
 
@@ -138,20 +138,20 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
 
     some   triangles: first, one after the last, step
     """
-    size, one = direction(vec3.reject(side, up), Z_AXIS)
+    size, u = direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
-        one = any_tangent(up)
-    two = vec3.cross(up, one)
+        u = any_tangent(up)
+    v = vec3.cross(up, u)
     least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
     for k in range(some[0], some[1], some[2]):
         for i in range(3):
             x = corner(vertices, corners, k, i)
-            y = (vec3.dot(x, one), vec3.dot(x, two), vec3.dot(x, up))
+            y = (vec3.dot(x, u), vec3.dot(x, v), vec3.dot(x, up))
             least = (min(least[0], y[0]), min(least[1], y[1]), min(least[2], y[2]))
             most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
     mid, half = vec3.scale(0.5, vec3.add(least, most)), vec3.scale(0.5, vec3.sub(most, least))
-    middle = vec3.add(vec3.add(vec3.scale(mid[0], one), vec3.scale(mid[1], two)), vec3.scale(mid[2], up))
-    return OrientedBox(middle, one, two, up, half)
+    middle = vec3.add(vec3.add(vec3.scale(mid[0], u), vec3.scale(mid[1], v)), vec3.scale(mid[2], up))
+    return OrientedBox(middle, u, v, up, half)
 
 
 @jit
@@ -167,7 +167,7 @@ def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec
 
 
 @jit
-def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
+def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
     """Write the box round some triangles to the lane with first number `at`; it is thin along their mean normal.
 
     The other sides are along the longest edge, or, for several triangles, along an axis of space if this makes the box
@@ -182,15 +182,15 @@ def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: in
     if high - low > 1:
         box = box_along(vertices, corners, some, up, side)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-            other = box_along(vertices, corners, some, up, axis)
-            if other.half[0] * other.half[1] < box.half[0] * box.half[1]:
-                side, box = axis, other
+            candidate = box_along(vertices, corners, some, up, axis)
+            if candidate.half[0] * candidate.half[1] < box.half[0] * box.half[1]:
+                side, box = axis, candidate
     box = box_along(vertices, corners, (low, high, 1), up, side)
     widest = max(box.half[0], box.half[1], box.half[2])
     for i in range(3):
         lanes[at + LANES * i] = box.middle[i] - center[i]
         lanes[at + LANES * (3 + i)] = box.up[i]
-        lanes[at + LANES * (6 + i)] = box.one[i]
+        lanes[at + LANES * (6 + i)] = box.u[i]
         lanes[at + LANES * (9 + i)] = box.half[i] + ROUNDED_PLACE * size + ROUNDED_AXES * widest
 
 
@@ -226,9 +226,9 @@ def enclose(
                     lanes[at + LANES * field] = 0.0
                 lanes[at + LANES * 9] = NOTHING
             elif leaf:
-                put_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
+                write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                put_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
+                write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
         if not leaf:
             child += k
         work += count
