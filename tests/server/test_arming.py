@@ -83,8 +83,8 @@ def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> Non
 
 
 def test_a_button_pressed_before_the_start_does_not_arm(tmp_path: Path) -> None:
-    held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
-    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)
+    press = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
+    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)
     assert not run.forces.any() and run.state == "ready"
 
 
@@ -97,12 +97,12 @@ def test_a_button_arms(tmp_path: Path) -> None:
 
 
 def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
-    seen: list[str] = []
+    states: list[str] = []
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:
         if tick >= 0:
-            seen.append(control.ask("describe")["state"])
+            states.append(control.ask("describe")["state"])
         if tick > 1000 and not armed_at:
             control.arm()
             armed_at.append(tick)
@@ -111,7 +111,7 @@ def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
     run = Run(tmp_path, pressed(tmp_path / "p.csv"), "command", press, during)
     assert armed_at and not run.forces[: armed_at[0]].any()
     assert run.forces[-10] > TOUCH_N and run.state == "armed"
-    assert seen[0] == "ready" and seen[-1] == "armed"
+    assert states[0] == "ready" and states[-1] == "armed"
 
 
 def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:

@@ -61,10 +61,10 @@ def test_old_events_take_no_memory() -> None:
     try:
         for number in range(1000):
             box.event({"timestamp": old, "kind": "mark", "name": f"{number:010000d}"})
-        held, _ = tracemalloc.get_traced_memory()
+        allocated, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert held < 10 * 10_000  # bytes of ten names; a thousand would need a hundred times as much
+    assert allocated < 10 * 10_000  # bytes of ten names; a thousand would need a hundred times as much
 
 
 @pytest.mark.plain
@@ -79,14 +79,14 @@ def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
         box.log.handle(record)
     box.write(tmp_path / "box.mcap", {"scene_name": "s"})
     with (tmp_path / "box.mcap").open("rb") as file:
-        found = [
+        messages = [
             (channel.topic, message)
             for _, channel, _, message in make_reader(
                 file, decoder_factories=[DecoderFactory()]
             ).iter_decoded_messages()
         ]
-    assert [message.name for topic, message in found if topic == "event"] == ["1 s ago"]
-    ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in found if topic == "log"]
+    assert [message.name for topic, message in messages if topic == "event"] == ["1 s ago"]
+    ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in messages if topic == "log"]
     assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR in Foxglove's schema
 
 
@@ -157,9 +157,9 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
             next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
-        found = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
+        paths = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
         assert daemon.publisher.restarts == 1 and daemon.servo.is_running
-    (path,) = found
+    (path,) = paths
     ticks = ticks_in(path)
     assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]
     event = named_in(path)["publisher"]

@@ -91,10 +91,10 @@ def test_sample_can_be_copied(publisher):
 
 def test_lost_counts_the_gap_before_a_sample(publisher):
     records = synthetic(30)
-    kept = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
+    remaining = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
     with joined(publisher) as samples:
-        publisher.publish(kept)
-        lost = {sample.tick: sample.lost for _, sample in zip(kept, samples, strict=False)}
+        publisher.publish(remaining)
+        lost = {sample.tick: sample.lost for _, sample in zip(remaining, samples, strict=False)}
     assert {tick: n for tick, n in lost.items() if n} == {15: 5, 21: 1}
 
 

@@ -128,11 +128,11 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
     a, g, *_ = cont2discrete(
         (np.array([[0.0, 1.0], [0.0, -b / m]]), np.array([[0.0], [1.0 / m]]), np.eye(2), 0), period
     )
-    x, seen, under_way, expected = np.array([-0.002, 0.0]), -0.002, [0.0] * delay, []
+    x, previous_x, under_way, expected = np.array([-0.002, 0.0]), -0.002, [0.0] * delay, []
     for _ in range(count):
         expected.append(x[0])
-        under_way.append(-k * x[0] - damping * (x[0] - seen) / period)
-        seen, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
+        under_way.append(-k * x[0] - damping * (x[0] - previous_x) / period)
+        previous_x, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
     assert min(expected) < -0.001 and max(expected) < 0.0  # always in contact, and moving
     # Positions are of 10 mm and forces of 2 N: a few roundings of 1e-18 m in each of 18 ticks.
     np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
@@ -170,8 +170,8 @@ def test_cases_do_not_affect_each_other() -> None:
     state = make_rest_state((0.0, 0.0, 0.009))
     tunings = Packed(tuning, np.array([flatten(ice(k)) for k in stiffness]))
     figures = figures_of(tunings, plant, state, resting_at(0.009), 5000, 0.005)
-    left = figures[:, FIGURES.index("exit_tick")]
-    assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
+    exit_ticks = figures[:, FIGURES.index("exit_tick")]
+    assert (exit_ticks[[0, 2, 4]] == -1.0).all() and (exit_ticks[[1, 3]] > 0.0).all()
     assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()
     assert (figures[[0, 2], FIGURES.index("ticks")] == 5000.0).all()
     assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("exit_tick")]

@@ -118,36 +118,36 @@ def requests_of_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
-    asked = requests_of_all(tmp_path)
-    assert set(asked) == METHODS.keys() - AT_ONCE
+    requests = requests_of_all(tmp_path)
+    assert set(requests) == METHODS.keys() - AT_ONCE
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
-            for method, params in asked.items():
+            for method, params in requests.items():
                 assert eventually(lambda: forced(device)), method
-                other = Asking(endpoint)
+                second = Asking(endpoint)
                 for number in range(BEFORE):
-                    other.send("describe", {}, f"before {number}")
-                other.send(method, params, "last")
-                answered = [next(other.answers(WAIT_S))]  # so that all have arrived
+                    second.send("describe", {}, f"before {number}")
+                second.send(method, params, "last")
+                answered = [next(second.answers(WAIT_S))]  # so that all have arrived
                 assert control.disarm().armed is False
                 assert eventually(lambda: not forced(device)), method
-                answered += other.answers()
+                answered += second.answers()
                 assert "last" not in answered, method
                 assert len(answered) < BEFORE, method
                 while "last" not in answered:
-                    answered.append(next(other.answers(WAIT_S)))
-                other.close()
+                    answered.append(next(second.answers(WAIT_S)))
+                second.close()
                 assert not forced(device)
                 control.arm()
-            other = Asking(endpoint)
+            second = Asking(endpoint)
             for number in range(WAITING_MAX):
-                other.send("describe", {}, str(number))
-            assert next(other.answers(WAIT_S)) == "0"
+                second.send("describe", {}, str(number))
+            assert next(second.answers(WAIT_S)) == "0"
             assert control.stop().shutting_down
-            assert len(list(other.answers())) < WAITING_MAX - 1
+            assert len(list(second.answers())) < WAITING_MAX - 1
             assert daemon.wait(WAIT_S)
-            other.close()
+            second.close()
 
 
 @pytest.mark.real_time
@@ -215,18 +215,18 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
-            other = Asking(endpoint)
-            other.send("get_state", {}, "connected")
-            assert next(other.answers(WAIT_S)) == "connected"
+            second = Asking(endpoint)
+            second.send("get_state", {}, "connected")
+            assert next(second.answers(WAIT_S)) == "connected"
             assert eventually(lambda: forced(device))
             for number in range(BURST + 1):
-                other.send("arm", {}, str(number))
-            other.send("disarm", {}, "off")
+                second.send("arm", {}, str(number))
+            second.send("disarm", {}, "off")
             assert share_without(device) > 0.45
-            assert "off" in other.answers(WAIT_S) and not forced(device)
-            other.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
-            assert next(other.answers(WAIT_S)) == "declined"
-            other.close()
+            assert "off" in second.answers(WAIT_S) and not forced(device)
+            second.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
+            assert next(second.answers(WAIT_S)) == "declined"
+            second.close()
             assert control.describe()["armed"] is False
             control.arm()
             assert eventually(lambda: forced(device))

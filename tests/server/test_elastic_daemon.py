@@ -39,11 +39,11 @@ FADED_TICKS = 600
 
 def received(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
     """Return the messages of the topic `deformation` up to the first for which `is_last` is true."""
-    found: list[Any] = []
-    while not found or not is_last(found[-1]):
+    messages: list[Any] = []
+    while not messages or not is_last(messages[-1]):
         assert socket.poll(1000.0 * WAIT_S)
-        found.append(decode(*socket.recv_multipart()))
-    return found
+        messages.append(decode(*socket.recv_multipart()))
+    return messages
 
 
 def until_faded_in(daemon: Daemon) -> None:
@@ -94,10 +94,10 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         recorded = [message for _, _, _, message in reader.iter_decoded_messages(topics=[DEFORMATION])]
-    assert [(each.tick, [tuple(load.force) for load in each.loads]) for each in recorded][: len(sent)] == [
-        (each.tick, [load.force for load in each.loads]) for each in sent
+    assert [(entry.tick, [tuple(load.force) for load in entry.loads]) for entry in recorded][: len(sent)] == [
+        (entry.tick, [load.force for load in entry.loads]) for entry in sent
     ]
     replay = [sys.executable, "-m", "softfinger.server.cli", "replay", str(path), "--tolerance", "1e-12"]
     plain = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run(replay, capture_output=True, text=True, check=False, env=plain, timeout=WAIT_S)
-    assert done.returncode == 0 and " 0 differ" in done.stdout, done.stdout + done.stderr
+    completed = subprocess.run(replay, capture_output=True, text=True, check=False, env=plain, timeout=WAIT_S)
+    assert completed.returncode == 0 and " 0 differ" in completed.stdout, completed.stdout + completed.stderr

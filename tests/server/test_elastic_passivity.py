@@ -25,26 +25,26 @@ INSIDE = (0.002, 0.0045)
 def tuning(mode: str = "observe", **elastic: float) -> Tuning:
     """Return the frictionless pad, whose top is z = 0, with a guard that limits nothing after 10 ticks."""
     scene = describe(load_scene("press-a-pad"))
-    thing = scene["object"][0]
-    thing["elastic"] |= {"damping_s": 0.0} | elastic
-    thing["material"] = {"stiffness_n_per_m": STIFFNESS}
-    return tuning_of(thing, mode)
+    pad = scene["object"][0]
+    pad["elastic"] |= {"damping_s": 0.0} | elastic
+    pad["material"] = {"stiffness_n_per_m": STIFFNESS}
+    return tuning_of(pad, mode)
 
 
-def tuning_of(thing: dict[str, Any], mode: str) -> Tuning:
-    table = {"object": [thing], "fingertip": {"radius_m": RADIUS}, "passivity": {"mode": mode}}
+def tuning_of(surface: dict[str, Any], mode: str) -> Tuning:
+    table = {"object": [surface], "fingertip": {"radius_m": RADIUS}, "passivity": {"mode": mode}}
     return make_tuning(build(schema.Scene, table, "here"), schema.Guard(ramp_s=0.01, force_slew_n_per_s=1e5))
 
 
 def plane(mode: str, stiffness: float) -> Tuning:
-    thing = {"shape": "plane", "name": "a", "material": {"stiffness_n_per_m": stiffness}}
-    return tuning_of(thing, mode)
+    table = {"shape": "plane", "name": "a", "material": {"stiffness_n_per_m": stiffness}}
+    return tuning_of(table, mode)
 
 
 def poses(x: Any, y: Any, depth: Any) -> Any:
-    found = np.zeros((len(depth), 7))
-    found[:, 0], found[:, 1], found[:, 2], found[:, 3] = x, y, RADIUS - depth, 1.0
-    return found
+    track = np.zeros((len(depth), 7))
+    track[:, 0], track[:, 1], track[:, 2], track[:, 3] = x, y, RADIUS - depth, 1.0
+    return track
 
 
 def column(records: Any, name: str, size: int = 1) -> Any:
@@ -67,39 +67,39 @@ def test_a_damped_press_dissipates_the_work_of_its_time_constant() -> None:
     time, ticks, amplitude = 0.02, 100, 0.0003
     turn = 2.0 * np.pi * np.arange(5 * ticks + 1) / ticks
     track = poses(*INSIDE, 0.001 + amplitude * np.sin(turn))
-    still, moving = (simulate(tuning(damping_s=each), track, RATE_HZ)[-ticks - 1 :] for each in (0.0, time))
+    still, moving = (simulate(tuning(damping_s=damping_s), track, RATE_HZ)[-ticks - 1 :] for damping_s in (0.0, time))
     force, depth = column(still, "force", 3)[:, 2], RADIUS - track[-ticks - 1 :, 2]
     compliance = amplitude / (0.5 * np.ptp(force)) - 1.0 / STIFFNESS
     rate = (1.0 - np.exp(-1j * turn[1])) * RATE_HZ
     stiffness = 1.0 / (1.0 / STIFFNESS + compliance / (1.0 + rate * time))
-    taken = [
+    dissipated = [
         column(records, "passivity.energy")[-1]
         - column(records, "passivity.energy")[0]
         - 0.5 * np.sum(np.diff(column(records, "force", 3)[:, 2]) * -np.diff(depth))  # of sampling
         for records in (still, moving)
     ]
-    assert abs(taken[0]) < 1e-9
-    assert taken[1] == pytest.approx(np.pi * amplitude**2 * stiffness.imag, rel=0.03)
+    assert abs(dissipated[0]) < 1e-9
+    assert dissipated[1] == pytest.approx(np.pi * amplitude**2 * stiffness.imag, rel=0.03)
 
 
 def pressed_then_released(tunings: list[Tuning], depth: Any) -> Any:
     """Return the records (2, n) of a press under the first tuning and of the same path back under the second."""
     track = poses(*INSIDE, depth)[:, None]
     records, memory = np.zeros((2, len(track), 1, RECORD_SIZE)), packed(begin(tunings[0].scene))
-    for each, part, rows in zip(tunings, (track, track[::-1]), records, strict=True):
+    for stage, part, rows in zip(tunings, (track, track[::-1]), records, strict=True):
         dts = np.full(len(part), 1.0 / RATE_HZ)
-        tick_many(packed(each), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)
+        tick_many(packed(stage), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)
     return records[:, :, 0]
 
 
 def test_the_energy_of_a_modulus_that_rises_in_contact_is_dissipated_as_on_a_rigid_object() -> None:
     n, depth = 200, 0.002
-    way = depth * np.concatenate([np.full(50, -1.0 / n), np.arange(1, n + 1) / n])
+    depths = depth * np.concatenate([np.full(50, -1.0 / n), np.arange(1, n + 1) / n])
     energies = []
     for mode in ("observe", "control"):
-        soft, stiff = pressed_then_released([tuning(mode, youngs_pa=each) for each in (5e4, 1e5)], way)
+        soft, stiff = pressed_then_released([tuning(mode, youngs_pa=modulus) for modulus in (5e4, 1e5)], depths)
         rigid = [plane(mode, column(rows, "contact.normal_force").max() / depth) for rows in (soft, stiff)]
-        _, back = pressed_then_released(rigid, way)
+        _, back = pressed_then_released(rigid, depths)
         energies.append([column(rows, "passivity.energy")[n - 1] for rows in (stiff, back)])
         assert energies[-1][0] == pytest.approx(energies[-1][1], rel=0.03)
     assert energies[0][0] < -2e-4 and energies[1][0] > 0.7 * energies[0][0]

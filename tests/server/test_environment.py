@@ -74,8 +74,10 @@ def test_the_goal_stays_within_reach() -> None:
     env = Touch("paper-plane", home_m=HOME, reach_m=0.01)
     env.reset()
     for _ in range(30):
-        seen = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
-    np.testing.assert_allclose(seen["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12)  # rounding of a sum
+        observation = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
+    np.testing.assert_allclose(
+        observation["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12
+    )  # rounding of a sum
 
 
 @pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
@@ -92,11 +94,11 @@ def test_the_goal_turns_about_the_worlds_axes() -> None:
     env.reset()
     for axis in (5, 3):
         for _ in range(50):
-            seen = env.step(np.eye(6)[axis])[0]
+            observation = env.step(np.eye(6)[axis])[0]
     half = np.sqrt([0.5 + 0.5 * np.cos(1.0), 0.5 - 0.5 * np.cos(1.0)])  # cos and sin of 0.5
     about_z, about_x = half[0], half[1]
     expected = [half[0] * about_z, about_x * half[0], -about_x * half[1], half[0] * half[1]]
-    np.testing.assert_allclose(seen["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
+    np.testing.assert_allclose(observation["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
 
 
 def test_a_subclass_defines_reward_and_end() -> None:
@@ -122,8 +124,8 @@ def test_a_scene_of_two_fingers_is_refused() -> None:
 
 
 def test_docstring_examples_run() -> None:
-    found = doctest.testmod(environment)
-    assert found.attempted and not found.failed
+    results = doctest.testmod(environment)
+    assert results.attempted and not results.failed
 
 
 def test_the_example_of_the_docs_runs() -> None:
@@ -149,6 +151,6 @@ for name in ("environment", "lift_environment"):
 def test_without_gymnasium() -> None:
     command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
     environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    done = run_program(command, env=environ, check=True)
-    lines = done.stdout.splitlines()
+    completed = run_program(command, env=environ, check=True)
+    lines = completed.stdout.splitlines()
     assert len(lines) == 2 and all("pip install 'softfinger[gymnasium]'" in line for line in lines)

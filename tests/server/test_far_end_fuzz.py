@@ -282,8 +282,8 @@ class Session:
         time.sleep(0.3)  # the boards receive everything written before
         firsts = [len(cable.board.sent) for cable in self.cables]
         self.daemon.send_signal(signal.SIGCONT)
-        for found, first in zip(self.resumed, firsts, strict=True):
-            found.append(first)
+        for counts, first in zip(self.resumed, firsts, strict=True):
+            counts.append(first)
 
     def kill_publisher(self) -> None:
         for path in Path(f"/proc/{self.daemon.pid}/task").glob("*/children"):

@@ -60,7 +60,7 @@ def two(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
     return FaultyDevice(Options(own_clock=True)), FaultyDevice(Options(own_clock=True, **of_index))
 
 
-def told(records: np.ndarray) -> np.ndarray:
+def drop_clocked(records: np.ndarray) -> np.ndarray:
     """Return records without the columns that depend on the machine."""
     return np.delete(records, CLOCKED, axis=-1)
 
@@ -73,7 +73,7 @@ def test_two_replays_equal_simulate() -> None:
     count = min(map(len, poses))
     assert (ended.ending, ended.finger, len(records)) == (s.FINISHED, 1, count)
     simulated = simulate(make_tuning(two_fingers(), GUARD), np.stack([pose[:count] for pose in poses], axis=1), 1000.0)
-    np.testing.assert_array_equal(told(records), told(simulated))
+    np.testing.assert_array_equal(drop_clocked(records), drop_clocked(simulated))
     for place, device in enumerate(devices):
         assert np.linalg.norm(records[:, place, AT.force : AT.force + 3], axis=1).max() > 0.4
         np.testing.assert_array_equal(device.forces()[:count], records[:, place, AT.force : AT.force + 6])
@@ -136,9 +136,9 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: 
     devices = two(fault=fault, at=300, count=20)
     ended, records = run(*devices, ticks=600)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed[:, 0]))
     index = records[:, 1]
-    np.testing.assert_array_equal(told(index[:300]), told(undisturbed[:300, 1]))
+    np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed[:300, 1]))
     force, during = AT.force + 2, slice(300, 320)
     assert undisturbed[during, 1, force].min() > 0.4
     if fault == "nan":
@@ -162,7 +162,7 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
     devices = two(fault=fault, at=300, count=100)
     ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed[:, 0]))
     doubted = (records[:, 1, AT.servo_guard].astype(int) == bit).nonzero()[0]
     assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
     assert not devices[1].wrenches[doubted].any()
@@ -219,16 +219,16 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
     out = tmp_path / f"out{ending}"
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(out), "--plot", str(tmp_path / "p.png")]
     assert cli.main([*words, "--poses", "thumb=press-roll-spin-drag", "--poses", "index=tap"]) == 0
-    assert "thumb: 2281 ticks" in (said := capsys.readouterr().out) and "index: 2281 ticks" in said
+    assert "thumb: 2281 ticks" in (output := capsys.readouterr().out) and "index: 2281 ticks" in output
     names = ("press-roll-spin-drag", "tap")
     poses = np.stack([resample(load_poses(name), 1000.0)[:2281] for name in names], axis=1)
     records = simulate(make_tuning(two_fingers(), load_rig("replay").guard), poses, 1000.0)
     for place, name in enumerate(NAMES):
         np.testing.assert_array_equal(read_results(out, name), records[:, place])
         assert (tmp_path / f"p-{name}.png").stat().st_size > 1000
-    for other in ("", "ring"):
+    for unknown in ("", "ring"):
         with pytest.raises(RecordingError):
-            read_results(out, other)
+            read_results(out, unknown)
     if ending == ".csv":
         header = out.read_text("ascii").partition("\n")[0].split(",")
         assert header == [f"{name}.{column}" for name in NAMES for column in columns()]
@@ -238,7 +238,7 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(
-    ("poses", "said"),
+    ("poses", "message"),
     [
         (["tap"], "not the scene's fingers: give poses of thumb, index"),
         (["thumb=tap"], "poses of thumb: not the scene's fingers"),
@@ -247,12 +247,12 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
     ],
 )
 def test_simulate_refuses_recordings_that_do_not_match(
-    poses: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    poses: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
     assert cli.main([*words, *(word for pose in poses for word in ("--poses", pose))]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 AUDIT = """
@@ -274,8 +274,8 @@ def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip
-    done = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
-    bodies = functions(done.stdout)
+    completed = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
+    bodies = functions(completed.stdout)
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
     assert outside <= {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"}

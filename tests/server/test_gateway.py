@@ -181,11 +181,11 @@ def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
         try:
             assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
             children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-            its = next(each for each in children if b"socket_process" in Path(f"/proc/{each}/cmdline").read_bytes())
+            pid = next(child for child in children if b"socket_process" in Path(f"/proc/{child}/cmdline").read_bytes())
         finally:
             daemon.kill()
         daemon.stderr.close()
-    assert eventually(lambda: not Path(f"/proc/{its}/cmdline").exists())
+    assert eventually(lambda: not Path(f"/proc/{pid}/cmdline").exists())
 
 
 @contextlib.contextmanager
@@ -193,8 +193,8 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     """Run `softfinger forward`; yield it and its endpoint."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "kill_at_end": True}
     with Program([*COMMAND, "forward", "--json", *words], **pipes) as process:
-        said = next((line for line in process.stderr if "forwarded on" in line), "")
-        yield process, said.partition("forwarded on ")[2].partition(",")[0]
+        message = next((line for line in process.stderr if "forwarded on" in line), "")
+        yield process, message.partition("forwarded on ")[2].partition(",")[0]
 
 
 BATCH = 50
@@ -233,7 +233,7 @@ def test_forwarded_messages_equal_published_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ([], "add --to, --commands-to or --lsl"),
         (["--to", "tcp://0.0.0.0:*"], "is open to the network: set the allowed clients"),
@@ -245,11 +245,11 @@ def test_forwarded_messages_equal_published_ones() -> None:
     ],
 )  # fmt: skip
 def test_invalid_forwarding_options_are_refused(
-    ring: Ring, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+    ring: Ring, words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ring.folder)
-    done = called("forward", *words)
-    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    result = called("forward", *words)
+    assert result.returncode == 2 and message in result.stderr and result.stderr.count("\n") == 1, result.stderr
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
@@ -285,8 +285,8 @@ def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() ->
 
 
 def test_a_key_that_floods_is_barred(ring: Ring) -> None:
-    other, _ = make_pair(ring.folder / "keys", "second")
-    (ring.folder / "readers" / "second.key").write_bytes(other.read_bytes())
+    second_key, _ = make_pair(ring.folder / "keys", "second")
+    (ring.folder / "readers" / "second.key").write_bytes(second_key.read_bytes())
     locked = ["--keys", str(ring.folder / "keys" / "server.key_secret"), "--readers", str(ring.folder / "readers")]
     with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context, ticking(publisher):
         with forwarding("--from", publisher.endpoint, "--to", "tcp://0.0.0.0:*", *locked) as (process, endpoint):
@@ -339,13 +339,13 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     ):
         try:
             source = f"softfinger {publisher.endpoint}"
-            done = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
-            assert done.returncode == 0, done.stderr
+            completed = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
+            assert completed.returncode == 0, completed.stderr
             process.send_signal(signal.SIGINT)
             assert json.loads(process.stdout.read())["lsl"]["streams"] == ["softfinger"]
         finally:
             process.kill()
-    name, rate, names, units, values, _ = json.loads(done.stdout.splitlines()[-1])
+    name, rate, names, units, values, _ = json.loads(completed.stdout.splitlines()[-1])
     assert (name, rate, names) == ("softfinger", 0.0, columns())
     assert units == [field.unit for field in FIELDS for _ in range(field.size)]
     tick = int(values[AT.tick])

@@ -136,10 +136,10 @@ def test_a_pause_widens_neither_slew_nor_ramp(pause):
 @pytest.mark.parametrize("pause", [0.1001, 1.0, math.inf, math.nan])
 def test_a_long_pause_restarts_the_ramp(pause):
     """After a long pause the hand may have moved, so the force starts from zero as after engaging."""
-    held = g.GuardState((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
+    before = g.GuardState((5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 1.0)
     force, torque = (5.0, 0.0, 0.0), (0.0, 0.1, 0.0)
-    assert compiled(LIMITS, held, force, torque, pause) == compiled(LIMITS, g.INITIAL_GUARD_STATE, force, torque, DT)
-    assert norm(compiled(LIMITS, held, force, torque, pause)[0].force) <= 5.0 * DT / LIMITS.ramp
+    assert compiled(LIMITS, before, force, torque, pause) == compiled(LIMITS, g.INITIAL_GUARD_STATE, force, torque, DT)
+    assert norm(compiled(LIMITS, before, force, torque, pause)[0].force) <= 5.0 * DT / LIMITS.ramp
 
 
 def test_force_within_all_limits_passes_unchanged():
@@ -175,12 +175,12 @@ def test_the_moment_ramps_with_the_force():
         assert (before.force[0], before.torque[2]) == pytest.approx((n / 500.0, 0.1 * n / 500.0), abs=1e-12)
 
 
-@pytest.mark.parametrize("asked", [6.0, 100.0, 400.0, 2e4, 1e300])
-def test_the_ramp_has_the_same_length_on_a_stiff_wall(asked):
+@pytest.mark.parametrize("newtons", [6.0, 100.0, 400.0, 2e4, 1e300])
+def test_the_ramp_has_the_same_length_on_a_stiff_wall(newtons):
     before, free = g.INITIAL_GUARD_STATE, LIMITS._replace(force_slew=1e9, torque_slew=1e9)
-    whole = min(asked / free.force_max, 1.0)
+    whole = min(newtons / free.force_max, 1.0)
     for n in range(1, 501):
-        before, bits = compiled(free, before, (0.6 * asked, 0.0, 0.8 * asked), (0.0, asked, 0.0), DT)
+        before, bits = compiled(free, before, (0.6 * newtons, 0.0, 0.8 * newtons), (0.0, newtons, 0.0), DT)
         # Up to 500 additions of 0.002.
         assert norm(before.force) / free.force_max == pytest.approx(whole * n / 500.0, abs=1e-12)
         assert norm(before.torque) / free.torque_max == pytest.approx(n / 500.0, abs=1e-12)

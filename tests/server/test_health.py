@@ -17,13 +17,13 @@ def examined(health, bits, late, dt, period):
 
 def after(ticks, health=h.HEALTHY):
     """Return the health after ticks of (bits, late, dt), the first fault, and the ticks and time until then."""
-    gone = 0.0
+    elapsed = 0.0
     for number, (bits, late, dt) in enumerate(ticks):
         health, fault = examined(health, bits, late, dt, T)
-        gone += dt
+        elapsed += dt
         if fault:
-            return health, fault, number + 1, gone
-    return health, 0, len(ticks), gone
+            return health, fault, number + 1, elapsed
+    return health, 0, len(ticks), elapsed
 
 
 GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (NOT_FINITE, 0.0, T)
@@ -31,8 +31,8 @@ GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (
 
 @pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
 def test_half_a_second_without_a_force_is_a_fault(tick, fault):
-    _, found, count, _ = after([tick] * 2000)
-    assert (found, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
+    _, first_fault, count, _ = after([tick] * 2000)
+    assert (first_fault, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
 
 
 def test_frequent_bad_poses_are_a_fault_and_occasional_ones_are_not():
@@ -53,18 +53,18 @@ def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
     shortest, longest = stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
-        _, fault, _, gone = after([(0, 0.0, gap + T)] * 100)
+        _, fault, _, elapsed = after([(0, 0.0, gap + T)] * 100)
         assert fault == h.STARVED
-        assert gone == pytest.approx(starvation_time_s(gap), rel=1e-9)  # sums of many periods
-        assert shortest - T <= gone <= longest + T  # the range of `stall_range_s`
+        assert elapsed == pytest.approx(starvation_time_s(gap), rel=1e-9)  # sums of many periods
+        assert shortest - T <= elapsed <= longest + T  # the range of `stall_range_s`
     assert after([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
 
 
 def test_repeated_stalls_are_a_fault():
-    _, fault, count, gone = after([(0, 0.0, 0.241)] * 20)
+    _, fault, count, elapsed = after([(0, 0.0, 0.241)] * 20)
     assert fault == h.STARVED
     assert count == 5
-    assert gone < 2.0
+    assert elapsed < 2.0
 
 
 def test_short_stalls_and_one_long_sleep_are_no_fault():

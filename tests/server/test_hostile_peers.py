@@ -199,13 +199,13 @@ def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subproce
             process.kill()
 
 
-def told_to_end(process: subprocess.Popen[str]) -> Any:
+def end_publisher(process: subprocess.Popen[str]) -> Any:
     assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
-    found = answer(process)
+    report = answer(process)
     assert process.wait(60.0) == 0
-    return found
+    return report
 
 
 def read_on(local: Local, healthy: Subscription, seconds: float) -> int:
@@ -240,7 +240,7 @@ OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
 def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
-    attacked(names, "tcp://127.0.0.1:*", SECONDS)
+    attack(names, "tcp://127.0.0.1:*", SECONDS)
 
 
 @pytest.mark.exhaustive
@@ -248,14 +248,14 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ..
     ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
 )
 def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str, tmp_path: Path) -> None:
-    found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
+    report = attack((name,), endpoint_of(transport, tmp_path), ALONE_S)
     # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
     # `ipc_listener_t::accept` has no EMFILE.
     if name not in COSTLY and (name, transport) != ("connections that say nothing", "ipc"):
-        assert (found["missing"], found["restarts"]) == (0, 0)
+        assert (report["missing"], report["restarts"]) == (0, 0)
 
 
-def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
+def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
     """Attack a publisher for `seconds`; return its final report with the ticks a subscriber missed."""
     with publishing(endpoint) as (process, (bound, ring, pid)):
         with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
@@ -281,10 +281,10 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                 raise AssertionError("a healthy subscriber is not served again")
             grown = memory_bytes(process.pid, "VmHWM") - before
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
-        found = told_to_end(process)
+        report = end_publisher(process)
     assert grown < GROWN_BYTES
     assert files < 64  # files of the interpreter and the listener
-    return found | {"missing": missing}
+    return report | {"missing": missing}
 
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
@@ -385,8 +385,8 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
             assert watching.receive(60.0) is not None
         grown = memory_bytes(pid, "VmHWM") - before
-        found = told_to_end(process)
-    assert found["lost"] > 0 and found["restarts"] == 0
+        report = end_publisher(process)
+    assert report["lost"] > 0 and report["restarts"] == 0
     assert grown < 1.5 * BACKLOG * (41 * 2 * 64 + MESSAGE_BYTES)
 
 

@@ -47,23 +47,23 @@ MOMENT_S = 4.0
 
 def children(pid: int) -> list[int]:
     """Return child processes of all threads: the thread that supervises a process restarts it."""
-    found: list[int] = []
+    pids: list[int] = []
     for thread in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(FileNotFoundError, ProcessLookupError):
-            found += map(int, thread.read_text().split())
-    return found
+            pids += map(int, thread.read_text().split())
+    return pids
 
 
 def of_kind(kind: str, pid: int) -> int | None:
     """Return the process of a run with this role, if it has started."""
-    for each in (pid, *children(pid)):
+    for candidate in (pid, *children(pid)):
         with suppress(FileNotFoundError, ProcessLookupError):
-            if VICTIMS[kind] in Path(f"/proc/{each}/cmdline").read_bytes():
-                return each
+            if VICTIMS[kind] in Path(f"/proc/{candidate}/cmdline").read_bytes():
+                return candidate
     return None
 
 
-def gone(pid: int) -> bool:
+def has_exited(pid: int) -> bool:
     """Return True if a process has exited, also as a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
@@ -91,21 +91,21 @@ def command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
 def start_to_end(tmp_path: Path, rig: Path) -> None:
     """An undisturbed run exits with 0 and leaves no socket, not even one of a previous killed run."""
     words = command(tmp_path, rig, "--duration", "0.3")
-    done = run_program(words, timeout=START_S)
-    assert done.returncode == 0, done.stderr
+    completed = run_program(words, timeout=START_S)
+    assert completed.returncode == 0, completed.stderr
     assert not [path for path in tmp_path.iterdir() if path.is_socket()]
 
 
-def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
+def kill(process: subprocess.Popen[bytes], kind: str, log_path: Path) -> list[int]:
     """Kill one process of a run, wait until its end is reported, and return all that the daemon had."""
     until(lambda: of_kind(kind, process.pid) or process.poll() is not None, START_S, f"there is no {kind}")
     begun, victim = children(process.pid), of_kind(kind, process.pid)
-    assert victim is not None, told.read_text()
+    assert victim is not None, log_path.read_text()
     os.kill(victim, signal.SIGKILL)
     if kind != "daemon":
         words = f"the {kind} has ended"
-        until(lambda: words in told.read_text() or process.poll() is not None, START_S, f"{words}: not told")
-        assert words in told.read_text()
+        until(lambda: words in log_path.read_text() or process.poll() is not None, START_S, f"{words}: not told")
+        assert words in log_path.read_text()
     return begun + children(process.pid)
 
 
@@ -121,18 +121,18 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
         rig.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
         start_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
-            recording, told = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
-            with told.open("wb") as log, Program(
+            recording, log_path = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
+            with log_path.open("wb") as log, Program(
                 command(tmp_path, rig, "--record", str(recording)), stderr=log
             ) as process:  # fmt: skip
                 try:
                     time.sleep(drawn.uniform(0.0, MOMENT_S))
-                    begun = kill(process, kind, told)
+                    begun = kill(process, kind, log_path)
                     time.sleep(drawn.uniform(0.0, 0.5))  # the daemon restarts the process, or ends with an error
                     begun += children(process.pid)
                 finally:
                     process.kill()
-            until(lambda begun=begun: all(map(gone, begun)), END_S, f"kill {number}: a process is left")
+            until(lambda begun=begun: all(map(has_exited, begun)), END_S, f"kill {number}: a process is left")
             if recording.exists():
                 recorded += readable(recording)
         start_to_end(tmp_path, rig)

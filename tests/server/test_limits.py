@@ -145,9 +145,9 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
     whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
     assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and discrete steps
     rate = (1.0 + 3.0 / (1.0 - lim.WARM)) / 2.0
-    left = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
+    expected = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
     # Discrete steps have a first-order error, rate T / 2 = 0.4 % over a time of 1 / rate.
-    np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), left, rtol=0.03)
+    np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), expected, rtol=0.03)
     assert bits & g.MOTOR_HOT and max(heats) <= 1.0
     assert forces[-1] == pytest.approx(4.0, rel=1e-9) and min(forces) >= 4.0
     assert max(-np.diff(forces)) < 8.0 * rate * T  # smoothly: below a hundredth of the slew limit
@@ -186,10 +186,10 @@ def test_energy_given_in_a_contact_fades_the_force():
     for n in range(8000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
         shares.append(passed.guard_state.force[0] / 4.0)
-        given = passed.limit_state.energy_given
+        energy = passed.limit_state.energy_given
         if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
             expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
-            assert given == pytest.approx(expected, rel=1e-9) and given <= 0.1  # a thousand rounded steps
+            assert energy == pytest.approx(expected, rel=1e-9) and energy <= 0.1  # a thousand rounded steps
     whole = next(n for n, share in enumerate(shares) if share < 1.0)
     assert whole * T == pytest.approx(-math.log(1.0 - 0.1 / 0.4), abs=3 * T)
     # s P tau = E (2 - s): s = 2 E / (P tau + E) = 0.4; the work of a tick is forgotten a tick late, a thousandth.
@@ -242,8 +242,8 @@ BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
     ],
 )
 def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
-    found, out = lim.wall_force(wall, at)
-    np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
+    pushed, out = lim.wall_force(wall, at)
+    np.testing.assert_allclose(pushed, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
     passed, bits = tick(limited(workspace=wall), INITIAL_OUTPUT, at=at)
     np.testing.assert_allclose(passed.guard_state.force, force, atol=1e-13)
@@ -273,11 +273,11 @@ def test_an_unstable_wall_fades(energy):
     records = pressed_against_a_stiff_wall(energy, 1, 1500)
     late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
     spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
-    given = records[:, AT.limits_energy].max()
+    generated = records[:, AT.limits_energy].max()
     if energy == inf:
         assert late == 12.0 and not spent
     else:
-        assert late < 0.8 * 12.0 and spent and energy < given < 2.0 * energy
+        assert late < 0.8 * 12.0 and spent and energy < generated < 2.0 * energy
 
 
 def forgetful(works):
@@ -324,10 +324,10 @@ def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
     records = pressed_against_a_stiff_wall(energy, late, 1000)
     forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
     acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # constant from each tick to the next
-    given = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
+    generated = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
     first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
-    assert first > 0 and energy < given[first] <= (2 * late + 1) * energy
-    assert given.max() <= 2.0 * (2 * late + 1) * energy
+    assert first > 0 and energy < generated[first] <= (2 * late + 1) * energy
+    assert generated.max() <= 2.0 * (2 * late + 1) * energy
 
 
 def slewed(size, allowed):
@@ -384,10 +384,10 @@ def test_the_workspace_moves_with_the_offset_of_its_device():
     assert with_offsets(moved, tuning.offsets).guards[0].limits.workspace.center == pytest.approx((0.0, 0.0, 0.01))
 
 
-@pytest.mark.parametrize("asked", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
-def test_a_workspace_is_a_sphere_or_a_box(asked):
+@pytest.mark.parametrize("workspace", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
+def test_a_workspace_is_a_sphere_or_a_box(workspace):
     with pytest.raises(ConfigError, match="radius_m"):
-        build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": asked}}, "rig.toml")
+        build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": workspace}}, "rig.toml")
 
 
 def test_a_scene_that_is_replaced_does_not_cool_the_motors():
@@ -395,9 +395,9 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
-    first, other = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
-    assert first.limit_state == lim.INITIAL_LIMITS
-    assert other.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
+    first_state, second_state = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
+    assert first_state.limit_state == lim.INITIAL_LIMITS
+    assert second_state.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 
 
 def test_a_shipped_recording_reaches_no_limit():
@@ -428,10 +428,10 @@ def fits(name):
 @pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if fits(name)])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
     scene = load_scene(name)
-    for recordings in [RECORDED[name]] if name in RECORDED else [(each,) for each in ALONE]:
-        poses = [resample(load_poses(each), 1000.0) for each in recordings]
+    for recordings in [RECORDED[name]] if name in RECORDED else [(recording,) for recording in ALONE]:
+        poses = [resample(load_poses(recording), 1000.0) for recording in recordings]
         count = min(map(len, poses))
         tuning = make_tuning(scene, load_rig("omega-6").guard, [ARM] * len(recordings))
-        records = simulate(tuning, np.stack([each[:count] for each in poses], axis=1), 1000.0)
+        records = simulate(tuning, np.stack([recording[:count] for recording in poses], axis=1), 1000.0)
         bits = records[:, :, AT.servo_guard].astype(int)
         assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.MOTOR_HOT)).any(), recordings

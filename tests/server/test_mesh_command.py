@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def scene_of(*objects: dict[str, Any]) -> schema.Scene:
-    made = {"fingertip": {"radius_m": 0.01}, "object": [each | {"material": MATERIAL} for each in objects]}
+    made = {"fingertip": {"radius_m": 0.01}, "object": [table | {"material": MATERIAL} for table in objects]}
     return build(schema.Scene, made, "test scene")
 
 
@@ -118,7 +118,7 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("object_name", "message"),
     [
         (4, "bad_params: no object is 4: there are ball, hills, large, table"),
         ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
@@ -126,10 +126,10 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
         ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )
-def test_objects_without_triangles_are_refused(control: Control, asked: int | str, said: str) -> None:
+def test_objects_without_triangles_are_refused(control: Control, object_name: int | str, message: str) -> None:
     with pytest.raises(CommandRefused) as caught:
-        control.mesh(asked)
-    assert str(caught.value) == said
+        control.mesh(object_name)
+    assert str(caught.value) == message
 
 
 def test_a_map_with_a_missing_file_is_refused(control: Control, folder: Path) -> None:

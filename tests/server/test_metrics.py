@@ -168,11 +168,11 @@ def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
         board = json.load(answer)
     assert board == json.loads(DASHBOARD.read_text())
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
-    asked = {name for query in queries for name in COUNTED.findall(query)}
-    there = {name for name, _ in scraped(daemon)}
-    assert asked <= there
-    assert {re.sub("_(bucket|sum|count)$", "", name) for name in there} == {
-        re.sub("_(bucket|sum|count)$", "", name) for name in asked
+    queried = {name for query in queries for name in COUNTED.findall(query)}
+    published = {name for name, _ in scraped(daemon)}
+    assert queried <= published
+    assert {re.sub("_(bucket|sum|count)$", "", name) for name in published} == {
+        re.sub("_(bucket|sum|count)$", "", name) for name in queried
     }
 
 

@@ -21,7 +21,7 @@ import pytest
 import zmq
 from emulators.serialboard import Board
 from helpers.waits import until
-from test_kills import gone, of_kind
+from test_kills import has_exited, of_kind
 from test_process_faults import end, read
 from test_signals import END_S, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
@@ -50,16 +50,16 @@ def look_on(address: str, closing: ExitStack) -> None:
         closing.enter_context(connect_to_page(address))
 
 
-def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
+def process_of(process: subprocess.Popen[str], kind: str, previous: int = 0) -> int:
     """Wait for the process of a daemon with this role, other than `other`, and return its id."""
-    found: list[int] = []
+    pids: list[int] = []
 
-    def there() -> bool:
-        found[:] = [each for each in [of_kind(kind, process.pid)] if each not in (None, other)]
-        return bool(found)
+    def is_running() -> bool:
+        pids[:] = [candidate for candidate in [of_kind(kind, process.pid)] if candidate not in (None, previous)]
+        return bool(pids)
 
-    until(there, START_S, f"the {kind}")
-    return found[0]
+    until(is_running, START_S, f"the {kind}")
+    return pids[0]
 
 
 def zeroes_without_pause(board: Board, first: int) -> list[int]:
@@ -67,13 +67,13 @@ def zeroes_without_pause(board: Board, first: int) -> list[int]:
 
     After a pause the driver sends no force until it has a new sample, and the first steps of the ramp round to zero.
     """
-    found, resumed = [], first - SETTLE_FRAMES
+    frames, resumed = [], first - SETTLE_FRAMES
     for frame in range(first + 1, len(board.sent)):
         if board.sent_at[frame] - board.sent_at[frame - 1] > RESUME_NS * 1e-9:
             resumed = frame
         if board.sent[frame][2] <= 0 and frame - resumed >= SETTLE_FRAMES:
-            found.append(frame)
-    return found
+            frames.append(frame)
+    return frames
 
 
 def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
@@ -88,15 +88,15 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
                 stalled.subscribe(b"")
                 stalled.connect(f"ipc://{tmp_path}/t")
             take_memory(publisher)
-            until(lambda: gone(publisher), START_S, "the end of the publisher")
-        process_of(process, "telemetry process", other=publisher)
+            until(lambda: has_exited(publisher), START_S, "the end of the publisher")
+        process_of(process, "telemetry process", previous=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event is delayed by 1 s
         assert not zeroes_without_pause(board, first_frame)
-        said = end(process)
+        stderr = end(process)
         assert board.force == ZERO
-    assert "the telemetry process has ended with code" in said
+    assert "the telemetry process has ended with code" in stderr
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
@@ -111,10 +111,10 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         page = process_of(process, "page")
         with ExitStack() as closing:
             take_memory(page)
-            until(lambda: look_on(address, closing) or gone(page), START_S, "the end of the page")
+            until(lambda: look_on(address, closing) or has_exited(page), START_S, "the end of the page")
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "started again, 1 of 3 times" in ended
-        assert process_of(process, "page", other=page)
+        assert process_of(process, "page", previous=page)
         until(lambda: is_served(address), START_S, "an answer of the page")
         assert not zeroes_without_pause(board, first_frame)
         end(process)
@@ -154,15 +154,15 @@ def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_pa
             until(lambda first=first: len(board.sent) > first + 1000, END_S, "a thousand forces")
             assert process.poll() is None and of_kind(kind, process.pid) in (None, before)
             resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (hard, hard))
-            page = process_of(process, kind, other=before)
+            page = process_of(process, kind, previous=before)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             tick = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event is delayed by 1 s
         os.kill(page, signal.SIGTERM)
         assert "the page has ended" in line_with("to see it again: ", process.stderr)
         assert not zeroes_without_pause(board, first_frame)
-        said = end(process)
+        stderr = end(process)
         assert board.force == ZERO
-    assert said.count("cannot be started") == 0  # logged once each
+    assert stderr.count("cannot be started") == 0  # logged once each
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and {"publisher", "page"} <= {name for name, _ in events}

@@ -38,9 +38,9 @@ def soft_scene() -> Scene:
 
 @pytest.fixture
 def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
-    given: list[Tuning] = []
-    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
-    return given
+    tunings: list[Tuning] = []
+    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: tunings.append(tuning))
+    return tunings
 
 
 class Absent(Device):
@@ -68,8 +68,8 @@ def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], 
         return made[-1]
 
     yield make
-    for each in made:
-        each.servo.close()
+    for rendering in made:
+        rendering.servo.close()
 
 
 def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
@@ -119,16 +119,16 @@ def test_a_change_waits_for_a_replacement_and_no_longer(
     monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
     assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's ramp to zero
     rendering = rendering_of(pressed_scene())
-    held, go_on = threading.Event(), threading.Event()
+    locked, go_on = threading.Event(), threading.Event()
 
     def hand_over() -> None:
         with rendering._tuning_lock:
-            held.set()
+            locked.set()
             go_on.wait(60.0)
 
     thread = threading.Thread(target=hand_over)
     thread.start()
-    assert held.wait(60.0)
+    assert locked.wait(60.0)
     try:
         with pytest.raises(Replacing, match="try again"):
             rendering.set_parameters({STIFFNESS: 500.0}, "set_params")

@@ -207,11 +207,11 @@ def malformed(name: str, address: str) -> None:
 
 def slow(name: str, address: str) -> None:
     """Send a byte every 0.1 s: each byte is in time, but the whole request is not."""
-    said = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
+    request = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
     with dialled(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)
         until = time.monotonic() + CUT_S
-        for byte in said * 10:
+        for byte in request * 10:
             assert time.monotonic() < until, "it is not cut off"
             peer.sendall(bytes((byte,)))
             with contextlib.suppress(TimeoutError):
@@ -275,8 +275,8 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
             owners.enter_context(unharmed(peers, name))
         cut = [threads.submit(slow, name, peers.addresses[name]) for name in names]
         assert all(serves(name, peers.addresses[name]) for name in names)
-        for each in cut:
-            each.result()
+        for future in cut:
+            future.result()
 
 
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
@@ -326,10 +326,10 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
 
 
 def test_subscribers_are_the_connections_that_subscribe() -> None:
-    chance, asked = random.Random(7), list[bytes]()
+    chance, topics_read = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
         ends.callback(readers.peers.close)
         had: dict[socket.socket, dict[bytes, int]] = {}
 
@@ -354,24 +354,24 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
                 had[peer][topic] = max(count - 1, 0) if ends_it else count + 1
                 sync = b"sync%d" % number
                 peer.sendall(frame((b"\0" if ends_it else b"\1") + topic) + frame(b"\1" + sync))
-                until(lambda sync=sync: sync in asked)
-                with_sync = sum(other is peer or any(topics.values()) for other, topics in had.items())
+                until(lambda sync=sync: sync in topics_read)
+                with_sync = sum(subscriber is peer or any(topics.values()) for subscriber, topics in had.items())
                 assert readers.subscribers == with_sync
                 peer.sendall(frame(b"\0" + sync))
             until(lambda: readers.subscribers == sum(any(topics.values()) for topics in had.values()))
-        assert len(asked) > 60
+        assert len(topics_read) > 60
 
 
 def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
-    asked = list[bytes]()
+    topics_read = list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
         with greeted(bound.endpoint, b"SUB") as peer:
             for number in range(2 * TOPICS_MAX):
                 peer.sendall(frame(b"\1%d" % number))
             end = time.monotonic() + CUT_S
-            while len(asked) < 2 * TOPICS_MAX and time.monotonic() < end:
+            while len(topics_read) < 2 * TOPICS_MAX and time.monotonic() < end:
                 readers.take()
             assert readers.subscribers == 1
             (topics,) = readers._topics.values()

@@ -33,7 +33,7 @@ def way_from(tree, ticks=TICKS):
     return ramp.make_ramp(tree, ticks)
 
 
-def gone(ramp_state, tree, ticks):
+def advance(ramp_state, tree, ticks):
     for _ in range(ticks):
         if ramp_state.ticks_left[0] > 0:
             ramp.advance(ramp_state)
@@ -46,10 +46,10 @@ def test_all_values_that_affect_the_force_are_ramped_together():
     new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
     ramp_state = way_from(old)
     ramp.set_target(ramp_state, flatten(new))
-    half = gone(ramp_state, old, TICKS // 2)
+    half = advance(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
     assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
-    assert flatten(gone(ramp_state, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
+    assert flatten(advance(ramp_state, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
     assert ramp_state.ticks_left[0] == -1
 
 
@@ -60,15 +60,15 @@ def test_positions_and_limits_change_immediately():
     softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
     ramp_state = way_from(old)
     ramp.set_target(ramp_state, flatten(softer))
-    assert gone(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
+    assert advance(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
     lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
     ramp.set_target(ramp_state, flatten(weak))
-    now = gone(ramp_state, old, 1)
+    now = advance(ramp_state, old, 1)
     assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
     assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
-    assert gone(ramp_state, old, 39) == weak
+    assert advance(ramp_state, old, 39) == weak
 
 
 @pytest.mark.plain
@@ -91,7 +91,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
     ramp_state = way_from(old)
     ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
-        law = gone(ramp_state, old, 1).material.normal
+        law = advance(ramp_state, old, 1).material.normal
         assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
 
 
@@ -127,7 +127,7 @@ def test_a_ramp_without_ticks_is_immediate():
     old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     ramp_state = way_from(old, 0)
     ramp.set_target(ramp_state, flatten(new))
-    assert gone(ramp_state, old, 1) == new
+    assert advance(ramp_state, old, 1) == new
 
 
 @pytest.mark.real_time
@@ -148,8 +148,8 @@ def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
     out = np.empty((16384, RECORD_SIZE))
     records = out[: servo.records.take(out)]
     servo.close()
-    normal, felt = records[:, AT.contact_normal_force], records[:, AT.force + 2]
-    assert (normal[50:] == felt[50:]).all()
+    normal, device_force = records[:, AT.contact_normal_force], records[:, AT.force + 2]
+    assert (normal[50:] == device_force[50:]).all()
     assert normal[199] == 1000.0 * DEPTH_M and normal[changed[1] - 1] == 500.0 * DEPTH_M
     assert normal[-1] == pytest.approx(1000.0 * DEPTH_M, rel=1e-15)  # again a product of two numbers
     halved, raised = slice(199, changed[1]), slice(changed[1] - 1, changed[2])

@@ -35,11 +35,11 @@ RATE_HZ = 1000.0
 
 
 def follow(daemon: Daemon, path: Path) -> RecordingStats:
-    done: list[RecordingStats] = []
+    stats: list[RecordingStats] = []
 
     def take() -> None:
         with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
-            done.append(record(wire, {"": path}, timeout_s=60.0)[""])
+            stats.append(record(wire, {"": path}, timeout_s=60.0)[""])
 
     thread = threading.Thread(target=take)
     thread.start()
@@ -47,7 +47,7 @@ def follow(daemon: Daemon, path: Path) -> RecordingStats:
     daemon.wait(60.0)
     daemon.close()
     thread.join(30.0)
-    return done[0]
+    return stats[0]
 
 
 def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
@@ -65,11 +65,11 @@ def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) 
     assert totals.end_reason == "the server stopped"
     assert totals.lost == 0
     assert totals.poses > len(played) - 500, "the recorder was too late for most of it"
-    again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
-    assert len(again) == totals.poses
+    samples = Replay(Options(recording=str(file), loop=False), rate_hz).samples
+    assert len(samples) == totals.poses
     # after the end of the recording its last sample is read again
     expected = played[np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)]
-    assert again.tobytes() == expected.tobytes()
+    assert samples.tobytes() == expected.tobytes()
 
 
 def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
@@ -96,13 +96,13 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
         sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
     assert totals.lost == 0 and totals.poses > 1000
     sensed = sensed[(sensed[:, AT.tick] >= totals.first_tick) & (sensed[:, AT.tick] <= totals.last_tick)]
-    again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
+    samples = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
     # The time step of a pose includes deadlines missed before it.
     periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
-    at = np.cumsum(periods) - periods[0] + len(again) - 1 - (np.sum(periods) - periods[0])
+    at = np.cumsum(periods) - periods[0] + len(samples) - 1 - (np.sum(periods) - periods[0])
     pose = slice(AT.probe_position, AT.probe_position + 7)
     assert len(sensed) > 1000 and np.ptp(sensed[:, AT.probe_position]) > 0.005
-    assert again[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
+    assert samples[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
 
 
 def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:

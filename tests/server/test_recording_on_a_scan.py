@@ -53,10 +53,10 @@ def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     (folder / "scan.toml").write_text(SCENE)
     words = ["simulate", "--scene", "scan.toml", "--poses", "hand.csv", "--out", "out.npz"]
     command = [sys.executable, "-m", "softfinger.server.cli", *words]
-    done = run_program(command, cwd=folder, timeout=550)
-    assert done.returncode == 0, done.stderr
-    with np.load(folder / "out.npz") as found:
-        return dict(found)
+    completed = run_program(command, cwd=folder, timeout=550)
+    assert completed.returncode == 0, completed.stderr
+    with np.load(folder / "out.npz") as results:
+        return dict(results)
 
 
 def step(values: Array) -> Array:

@@ -150,17 +150,17 @@ def test_subscribers_stay_connected_and_get_an_event():
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
         running.replace(second)
-        ticks, told = [], None
-        while told is None or ticks[-1] < told["first"] + 50:
+        ticks, replaced = [], None
+        while replaced is None or ticks[-1] < replaced["first"] + 50:
             topic, body = socket.recv_multipart()
             message = msgpack.unpackb(body)
             if topic == b"contact":
                 ticks.append(message["tick"])
             elif message["name"] == "replaced":
-                told = message
+                replaced = message
     assert ticks == list(range(len(ticks)))
-    assert (told["kind"], told["device"]) == ("lifecycle", running.devices[0].info.name)
-    assert 50 < told["first"] <= ticks[-1]
+    assert (replaced["kind"], replaced["device"]) == ("lifecycle", running.devices[0].info.name)
+    assert 50 < replaced["first"] <= ticks[-1]
 
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
@@ -173,9 +173,9 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
     ]
     with started(rig, first, recorder.sink) as running:
         shared, devices = running.servo.shared, running.devices
-        for error, words, given in refused:
+        for error, words, arguments in refused:
             with pytest.raises(error, match=words):
-                running.replace(second, **given)
+                running.replace(second, **arguments)
         monkeypatch.setattr(rendering, "make_tuning", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             running.replace(second)

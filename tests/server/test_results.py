@@ -76,7 +76,7 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
     records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
     write_results(tmp_path / "o.npz", records)
     with ZipFile(tmp_path / "o.npz") as archive:
-        stored = {each.filename for each in archive.infolist() if each.compress_type == ZIP_STORED}
+        stored = {entry.filename for entry in archive.infolist() if entry.compress_type == ZIP_STORED}
     assert stored == {"records.npy", "tick.npy", "buttons.npy"}
 
 

@@ -32,12 +32,12 @@ def publish_on(slot, values, flag):
 @entry
 def read_on(slot, values, reads, flag):
     """Refresh `reads` times; return the numbers of torn, of older and of accepted copies."""
-    seen, torn, older, taken, last = -1, 0, 0, 0, -1.0
+    version, torn, older, accepted, last = -1, 0, 0, 0, -1.0
     for _ in range(reads):
-        sequence = refresh(slot, seen, values)
-        if sequence != seen:
-            seen = sequence
-            taken += 1
+        sequence = refresh(slot, version, values)
+        if sequence != version:
+            version = sequence
+            accepted += 1
             for i in range(1, values.shape[0]):
                 if values[i] != values[0]:
                     torn += 1
@@ -46,43 +46,43 @@ def read_on(slot, values, reads, flag):
                 older += 1
             last = values[0]
     store_relaxed(flag, 0, 1)
-    return torn, older, taken
+    return torn, older, accepted
 
 
 def test_no_read_is_torn_in_ten_million():
     slot, flag = make_slot(np.zeros(WIDTH)), np.ones(1, np.int64)
     publish_on(slot, np.zeros(WIDTH), flag)
     read_on(slot, np.zeros(WIDTH), 0, flag)
-    torn, older, taken, until = 0, 0, 0, time.monotonic() + WAIT_S
-    while taken <= 100 and time.monotonic() < until:  # on busy processors the two may not run simultaneously
+    torn, older, accepted, until = 0, 0, 0, time.monotonic() + WAIT_S
+    while accepted <= 100 and time.monotonic() < until:  # on busy processors the two may not run simultaneously
         flag[0] = 0
         writer = threading.Thread(target=publish_on, args=(slot, np.zeros(WIDTH), flag))
         writer.start()
-        found = read_on(slot, np.zeros(WIDTH), READS, flag)
+        counts = read_on(slot, np.zeros(WIDTH), READS, flag)
         writer.join()
-        torn, older, taken = torn + found[0], older + found[1], taken + found[2]
+        torn, older, accepted = torn + counts[0], older + counts[1], accepted + counts[2]
     assert (torn, older) == (0, 0)
-    assert taken > 100
+    assert accepted > 100
 
 
 def test_a_reader_keeps_its_copy_during_a_write():
     slot = make_slot(np.array([1.0]))
     values = np.zeros(1)
-    seen = refresh(slot, -1, values)
+    version = refresh(slot, -1, values)
     slot.sequence[0] += 1
-    assert refresh(slot, seen, values) == seen
+    assert refresh(slot, version, values) == version
     slot.sequence[0] += 1
-    assert refresh(slot, seen, values) == seen + 2
+    assert refresh(slot, version, values) == version + 2
 
 
 def test_an_unchanged_value_is_not_copied():
     slot = make_slot(np.array([1.0]))
     values = np.zeros(1)
-    seen = refresh(slot, -1, values)
+    version = refresh(slot, -1, values)
     values[0] = 5.0
-    assert refresh(slot, seen, values) == seen and values[0] == 5.0
+    assert refresh(slot, version, values) == version and values[0] == 5.0
     publish(slot, np.array([2.0]))
-    assert refresh(slot, seen, values) != seen and values[0] == 2.0
+    assert refresh(slot, version, values) != version and values[0] == 2.0
 
 
 def compiled(kernel, *arguments):
@@ -108,22 +108,22 @@ def following(body):
     """Return, for each of STEPS in a body, the steps that can follow it on any path through its blocks."""
     label = r"[\w.$-]+"
     blocks = dict(re.findall(rf"^({label}):[^\n]*\n(.*?)(?=^{label}:|^}})", body, re.MULTILINE | re.DOTALL))
-    steps, ways = {}, {}
+    steps, successors = {}, {}
     for name, text in blocks.items():
-        found = sorted((match.start(), step) for step, form in STEPS.items() for match in re.finditer(form, text))
-        steps[name], ways[name] = [step for _, step in found], set(re.findall(rf"label %({label})", text))
+        matches = sorted((match.start(), step) for step, form in STEPS.items() for match in re.finditer(form, text))
+        steps[name], successors[name] = [step for _, step in matches], set(re.findall(rf"label %({label})", text))
 
-    def reached(name, seen):
-        for way in ways[name] - seen:
-            seen.add(way)
-            reached(way, seen)
-        return seen
+    def reached(name, visited):
+        for successor in successors[name] - visited:
+            visited.add(successor)
+            reached(successor, visited)
+        return visited
 
     after = {}
-    for name, found in steps.items():
+    for name, matches in steps.items():
         later = {step for block in reached(name, set()) for step in steps[block]}
-        for number, step in enumerate(found):
-            after.setdefault(step, set()).update(found[number + 1 :], later)
+        for number, step in enumerate(matches):
+            after.setdefault(step, set()).update(matches[number + 1 :], later)
     return after
 
 

@@ -49,21 +49,21 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
                 hushed.append(time.monotonic())
 
         result = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
-        given = far.received()
+        wrenches = far.received()
     assert type(result.error) is DeviceTimeout, result.error
     (at,) = ticks_of(np.array(hushed), result)
-    ticks, norms = ticks_of(given[:, 0], result), np.linalg.norm(given[:, 1:], axis=1)
+    ticks, norms = ticks_of(wrenches[:, 0], result), np.linalg.norm(wrenches[:, 1:], axis=1)
     assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
     assert norms[-1] == 0.0
     zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
-    left = int(ticks[zero] - at)
-    assert left <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
+    zero_after = int(ticks[zero] - at)
+    assert zero_after <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
     assert result.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
     record_property(
         SEEN,
         {
             "hazard": "a device that is silent, or sends invalid data", "driver": name, "fault": "silence",
-            "ticks": left, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
+            "ticks": zero_after, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
             "handover": far.handover,
         },
     )  # fmt: skip

@@ -345,13 +345,13 @@ def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
         publisher.publish(synthetic(10, first_tick=count))
         while before[-1]["tick"] < count + 9:
             before += receive(stalled, 1, b"contact")
-        seen = [m["tick"] for m in before]
-    gaps = np.diff(seen)
+        late_ticks = [m["tick"] for m in before]
+    gaps = np.diff(late_ticks)
     assert (gaps > 0).all()
-    assert seen[-1] == count + 9
+    assert late_ticks[-1] == count + 9
     lost = int((gaps - 1).sum())
     assert lost > 0
-    assert lost == count + 10 - len(seen)
+    assert lost == count + 10 - len(late_ticks)
     assert 1 <= publisher.figures.lost < lost
 
 
@@ -399,8 +399,8 @@ def test_ipc_socket_is_for_user_and_group(tmp_path):
 
 def test_an_ipc_path_left_by_a_dead_server_is_reused(tmp_path):
     path = tmp_path / "telemetry"
-    with unix.socket(unix.AF_UNIX) as left:
-        left.bind(str(path))
+    with unix.socket(unix.AF_UNIX) as abandoned:
+        abandoned.bind(str(path))
     with Publisher(f"ipc://{path}") as publisher:
         socket = plain(publisher.endpoint, "event")
         join(publisher, socket)

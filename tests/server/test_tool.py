@@ -157,11 +157,11 @@ def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
     assert servo.records.take(records) == 600
     servo.close()
     wrenches = device.wrenches[:600]
-    felt = records[:, AT.force : AT.force + 3]
-    np.testing.assert_array_equal(wrenches[:, :3], felt)
-    carried = records[:, AT.torque : AT.torque + 3] + np.cross(arm, felt)
+    force = records[:, AT.force : AT.force + 3]
+    np.testing.assert_array_equal(wrenches[:, :3], force)
+    carried = records[:, AT.torque : AT.torque + 3] + np.cross(arm, force)
     np.testing.assert_allclose(wrenches[:, 3:], carried, rtol=0.0, atol=4.0 * EPS)
-    assert np.abs(np.cross(arm, felt)).max() > 0.02
+    assert np.abs(np.cross(arm, force)).max() > 0.02
     assert (records[:, AT.servo_device] == HELD).sum() == (20 if fault == "held" else 0)
     device.close()
 
@@ -176,11 +176,11 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     rig = load_rig(file)
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
     assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 2.0, 0.0, 0.0]"
-    other = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
-    assert other.device.tool is None  # the tool belongs to the other device
+    replay_rig = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
+    assert replay_rig.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")
     bare = load_rig(file, {"device.tool": {}})
-    having, without = (whole(simulate_devices(scene, each, 0.002)) for each in (rig, bare))
+    having, without = (whole(simulate_devices(scene, variant, 0.002)) for variant in (rig, bare))
     position, orientation = (slice(at, at + size) for at, size in ((AT.probe_position, 3), (AT.probe_orientation, 4)))
     handle = matrix(without[0, orientation])
     expected = without[0, position] + handle @ [0.0, 0.0, -0.1]
@@ -192,14 +192,14 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("tool", "said"),
+    ("tool", "message"),
     [
         ({"offset_m": [0.0, 0.0, 2.0]}, "device.tool.offset_m[2] = 2.0: must be a number from -1 to 1"),
         ({"orientation_wxyz": [0, 0, 0, 0]}, "device.tool.orientation_wxyz"),
         ({"length_m": 0.1}, "device.tool.length_m is not a key here"),
     ],
 )
-def test_invalid_tools_are_refused(tool: dict[str, Any], said: str) -> None:
+def test_invalid_tools_are_refused(tool: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build(schema.Rig, {"device": {"driver": "replay", "recording": "tap", "tool": tool}}, "rig")
-    assert said in str(caught.value)
+    assert message in str(caught.value)

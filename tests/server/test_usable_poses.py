@@ -48,10 +48,10 @@ def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_quaternion_is_about_unit(axis: int) -> None:
-    for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
+    for length, is_accepted in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
         quaternion = [0.0] * 4
         quaternion[axis] = -length
-        assert bool(has_pose(sample(0.0, 0.0, 0.0, *quaternion))) == taken
+        assert bool(has_pose(sample(0.0, 0.0, 0.0, *quaternion))) == is_accepted
 
 
 LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
@@ -62,11 +62,11 @@ NONE = (0.0, 0.0, 0.0)
 
 def doubts(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
     """Return the result of the check for each pose, one tick apart."""
-    seen = make_pose_memory()
-    told = statuses or [OK] * len(poses)
+    memory = make_pose_memory()
+    all_statuses = statuses or [OK] * len(poses)
     return [
-        int(check_pose(LIMITED, seen, sample(*pose), status, force, T))
-        for pose, status in zip(poses, told, strict=True)
+        int(check_pose(LIMITED, memory, sample(*pose), status, force, T))
+        for pose, status in zip(poses, all_statuses, strict=True)
     ]
 
 
@@ -92,19 +92,19 @@ def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
 def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
     broken = (math.nan,) * 7
     for waiting, status in ((at(0.0), STALE), (broken, OK)):
-        for x, said in ((0.059, 0), (0.061, POSE_JUMPED)):
-            assert doubts([at(0.0), *[waiting] * 5, at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [said]
+        for x, expected in ((0.059, 0), (0.061, POSE_JUMPED)):
+            assert doubts([at(0.0), *[waiting] * 5, at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [expected]
     assert doubts([at(0.0)] * 6 + [at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
 
 
 def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
-    same, other = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
-    assert doubts([*same, other], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
+    same, moved = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
+    assert doubts([*same, moved], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
     assert doubts(same, force=(0.0, 0.0, 0.009)) == [0] * 20
 
 
 def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
-    seen = make_pose_memory()
+    memory = make_pose_memory()
     for _ in range(30):
-        check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)
-    assert check_pose(LIMITED, seen, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN
+        check_pose(LIMITED, memory, sample(*at(0.0)), OK, PUSH, T)
+    assert check_pose(LIMITED, memory, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN

@@ -35,10 +35,10 @@ def port() -> Iterator[tuple[int, int]]:
     os.close(far)
 
 
-def watched(name: str, fd: int, told: bytes) -> str:
+def watched(name: str, fd: int, stdin: bytes) -> str:
     words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
     process = subprocess.run(
-        words, input=told, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
+        words, input=stdin, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
     )
     return process.stderr.decode()
 
@@ -71,7 +71,7 @@ def test_a_failed_zero_is_reported() -> None:
     far, near = os.openpty()
     name = os.ttyname(near)
     os.close(far)
-    said = watched(name, near, b"")
+    stderr = watched(name, near, b"")
     os.close(near)
     why = f"zero force could not be written to {name}: {os.strerror(errno.EIO)}"
-    assert said == f"softfinger watcher: the daemon has died: {why}\n"
+    assert stderr == f"softfinger watcher: the daemon has died: {why}\n"

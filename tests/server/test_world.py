@@ -66,24 +66,24 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     with Daemon(rig(), scene, ticks, sinks=[keep]) as running:
         running.recordings.record(tmp_path / "a.mcap", "key")
-        seen = []
+        published = []
         running.start()
         for tick, height in heights(running.publisher.endpoint):
-            seen.append((tick, height + 0.01))
+            published.append((tick, height + 0.01))
             if not running.servo.is_running or tick > ticks - 60:
                 break
         assert running.wait(60.0)
-    order = [tick for tick, _ in seen]
+    order = [tick for tick, _ in published]
     assert order == sorted(set(order)) and len(order) > 10
     share = 500.0 / (500.0 + 300.0)
-    assert min(down for _, down in seen) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
-    assert seen[-1][1] > -1e-4
+    assert min(down for _, down in published) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
+    assert published[-1][1] > -1e-4
 
     records = np.concatenate(rows)
     poses = resample(load_poses("tap"), 1000.0)[:ticks]
-    again = simulate(make_tuning(scene, rig().guard), poses, 1000.0)
+    offline = simulate(make_tuning(scene, rig().guard), poses, 1000.0)
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
-        np.testing.assert_array_equal(records[:, field], again[: len(records), field])
+        np.testing.assert_array_equal(records[:, field], offline[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
 
     past = load_run(tmp_path / "a.mcap", FIELDS)
@@ -212,8 +212,8 @@ SLEW = 20.0
 def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
-    with Daemon(rig(**given), scene, sinks=[keep]) as running:
+    changes = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
+    with Daemon(rig(**changes), scene, sinks=[keep]) as running:
         running.start()
         with (
             Control(f"ipc://{tmp_path}/c") as control,
@@ -222,15 +222,15 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
             resets = [control.reset_world().tick]
             while events.receive(0.1) is None:  # until the subscription is active
                 control.mark("begin")
-            for said in ("huge value", "solver", "huge value"):
+            for failure in ("huge value", "solver", "huge value"):
                 owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
                 wait_for(running, running.servo.ticks + 1500)  # the key is pressed in each
-                if said == "huge value":
+                if failure == "huge value":
                     owner.data.qvel[0] = math.inf
                 else:
                     owner.model.opt.solver = 77
                 message = next_fault(events)
-                assert said in message and "softfinger ctl reset_world" in message and "key.xml" in message
+                assert failure in message and "softfinger ctl reset_world" in message and "key.xml" in message
                 let_go = running.servo.ticks
                 wait_for(running, let_go + 1500)
                 resets.append(control.reset_world().tick)
@@ -244,8 +244,8 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
     force, tick = together[:, AT.force + 2], together[:, AT.tick]
     assert np.abs(np.diff(force)).max() <= SLEW * 1e-3 + 1e-12
     for begin in resets:
-        felt = np.abs(force[(tick >= begin) & (tick < begin + 1400)])
-        assert felt.max() > 0.05 and felt[0] <= SLEW * 1e-3
+        forces = np.abs(force[(tick >= begin) & (tick < begin + 1400)])
+        assert forces.max() > 0.05 and forces[0] <= SLEW * 1e-3
 
 
 def wait_for(running: Daemon, ticks: int) -> None:

@@ -51,10 +51,10 @@ def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
     reach = radius_m + RADIUS_M
     proxy = (poses[-1, 0] + 0.005) / reach - np.arcsin(0.005 / reach)
     x, z = poses[-1, 0], poses[-1, 2] + radius_m
-    beside = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
+    lag = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
     normal, force = records["contact.normal_force"][-1], records["force"][-1]
     tangential = float(np.sqrt(force @ force - normal**2))
-    assert tangential == pytest.approx(1000.0 * beside, rel=0.05)  # the damper of 1 N s/m contributes a few hundredths
+    assert tangential == pytest.approx(1000.0 * lag, rel=0.05)  # the damper of 1 N s/m contributes a few hundredths
     assert tangential < 0.6 * FRICTION * normal
 
 

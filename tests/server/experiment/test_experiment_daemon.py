@@ -168,7 +168,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
-    ("changes", "rig", "said"),
+    ("changes", "rig", "message"),
     [
         (limited(2.0), WEAK, "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"overrides": {"rig.guard.force_max_n": 2.0}}, WEAK,
@@ -180,10 +180,10 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
     ],
 )  # fmt: skip
 def test_an_unusable_experiment_is_refused_before_writing(
-    changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
+    changes: dict[str, Any], rig: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     running = settings(tmp_path)
-    with pytest.raises(HapticError, match=said):
+    with pytest.raises(HapticError, match=message):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
     assert not (tmp_path / "out").exists()
 
@@ -215,8 +215,8 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     monkeypatch.undo()
-    what = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
-    assert re.fullmatch(what + "the force is off, and no answer before is lost: make room .* this trial again",
+    start = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
+    assert re.fullmatch(start + "the force is off, and no answer before is lost: make room .* this trial again",
                         str(ended.value))  # fmt: skip
     assert presented == [1, 1, 2]
     assert force[-1] == 0.0 and max(force) > 0.3
@@ -246,9 +246,9 @@ def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsy
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
     content = json.loads(capsys.readouterr().out)
-    felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
+    armed_ticks = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
     late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
-    assert content["different"] == 0 and (0 if late else felt / 2) <= content["compared"] <= felt
+    assert content["different"] == 0 and (0 if late else armed_ticks / 2) <= content["compared"] <= armed_ticks
 
 
 def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
@@ -257,10 +257,10 @@ def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> 
     figures = folder / "figures"
     assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
     content = json.loads((figures / "numbers.json").read_text())
-    assert [each["condition"] for each in content] == ["damped", "plain"]
-    for each in content:
-        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == each["condition"]]
-        assert each["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
+    assert [entry["condition"] for entry in content] == ["damped", "plain"]
+    for entry in content:
+        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == entry["condition"]]
+        assert entry["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 
 
 def program(file: Path, folder: Path, *words: str) -> list[str]:
@@ -325,8 +325,8 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         os.close(theirs)
     rows = results(tmp_path / "out")
     assert all(0.0 < row["answer_s"] < WAIT_S for row in rows)
-    found = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
-    assert found == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
+    answers = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
+    assert answers == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
     assert ("right" if rows[0]["right"] else "wrong") in practised
     journal = read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl")
     assert [entry["kind"] for entry in journal] == [

@@ -104,12 +104,12 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     ]
     steps = [entry for entry in read(own / "sub-01_journal.jsonl") if entry["kind"] in ("begun", "done")]
     for number, (trial, group) in enumerate(groupby(steps, lambda entry: entry["trial"]), 1):
-        each = list(group)
+        entries = list(group)
         assert trial == number  # never an earlier trial
-        assert [entry["kind"] for entry in each] == ["begun"] * (len(each) - 1) + ["done"]
-        assert [entry["attempt"] for entry in each[:-1]] == list(range(1, len(each)))
-        assert each[-1]["attempt"] == len(each) - 1
+        assert [entry["kind"] for entry in entries] == ["begun"] * (len(entries) - 1) + ["done"]
+        assert [entry["attempt"] for entry in entries[:-1]] == list(range(1, len(entries)))
+        assert entries[-1]["attempt"] == len(entries) - 1
     for row in rows:
-        again = f"_attempt-{row['attempt']}" if row["attempt"] > 1 else ""
-        ticks = pd.read_csv(own / "trials" / f"sub-01_trial-{row['trial']:04d}{again}.csv")
+        suffix = f"_attempt-{row['attempt']}" if row["attempt"] > 1 else ""
+        ticks = pd.read_csv(own / "trials" / f"sub-01_trial-{row['trial']:04d}{suffix}.csv")
         assert len(ticks) + row["lost_ticks"] == row["last_tick"] - row["first_tick"] + 1

@@ -42,7 +42,7 @@ OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 def drawn(figure: Path) -> None:
     with Image.open(figure.with_suffix(".png")) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
-    paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
+    paths = [element for element in ET.parse(figure.with_suffix(".svg")).iter() if element.tag.endswith("}path")]
     assert len(paths) > 20
 
 
@@ -68,14 +68,14 @@ def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path:
     numbers = json.loads((figures / "numbers.json").read_text())
     with (figures / "numbers.csv").open() as file:
         same = list(csv.DictReader(file))
-    assert [row["condition"] for row in same] == [each["condition"] for each in numbers]
-    for row, each in zip(same, numbers, strict=True):
-        what = "threshold" if "threshold" in each else "exponent"
-        assert float(row[what]) == each[what] and each[f"{what}_95_low"] <= each[what] <= each[f"{what}_95_high"]
+    assert [row["condition"] for row in same] == [entry["condition"] for entry in numbers]
+    for row, entry in zip(same, numbers, strict=True):
+        key = "threshold" if "threshold" in entry else "exponent"
+        assert float(row[key]) == entry[key] and entry[f"{key}_95_low"] <= entry[key] <= entry[f"{key}_95_high"]
     with (tmp_path / "out" / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
-    assert sum(each["trials"] for each in numbers) == sum(row["practice"] == "False" for row in rows)
+    assert sum(entry["trials"] for entry in numbers) == sum(row["practice"] == "False" for row in rows)
 
 
 def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
@@ -121,9 +121,9 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # last line truncated, as by a power cut
-    again = experiment.run(tmp_path, 1, OFFLINE)
-    assert [row["level"] for row in again] == [row["level"] for row in rows]
-    assert [row["answer"] for row in again] == [row["answer"] for row in rows]
+    resumed = experiment.run(tmp_path, 1, OFFLINE)
+    assert [row["level"] for row in resumed] == [row["level"] for row in rows]
+    assert [row["answer"] for row in resumed] == [row["answer"] for row in rows]
 
 
 def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
@@ -256,7 +256,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
     assert [line.split()[0] for line in listed.splitlines()] == list_shipped()
-    for words, said in (
+    for words, message in (
         (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
@@ -264,4 +264,4 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["figure", str(tmp_path)], "was this folder written by `softfinger experiment`"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err

@@ -193,7 +193,7 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"catch": CATCH | {"rate": 1.5}}, "catch.rate = 1.5"),
         ({"catch": CATCH | {"level": 0.0}}, "catch.level = 0.0"),
@@ -227,8 +227,8 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
         ({"screen.image": "none.png"}, "cannot be read: No such file"),
     ],
 )
-def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         Experiment(small() | {key: value for key, value in changes.items() if "." not in key},
                    {key: value for key, value in changes.items() if "." in key})  # fmt: skip
 
@@ -247,7 +247,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
         'task = { kind = "compare", parameter = "object.table.material.stiffness_n_per_m", reference = 500.0, '
         'question = "?" }\n'
     )
-    for name, said in (
+    for name, message in (
         ("../outside.png", "outside the folder of the experiment"),
         (str(outside), "outside the folder of the experiment"),
         ("link.png", "outside the folder of the experiment"),
@@ -256,7 +256,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
         ("gone.png", "cannot be read"),
     ):
         (folder / "e.toml").write_text(text.replace("NAME", name))
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             Experiment(folder / "e.toml")
     (folder / "e.toml").write_text(text.replace("NAME", "good.png"))
     Experiment(folder / "e.toml").run(tmp_path / "out", 1, OFFLINE)

@@ -57,8 +57,8 @@ def test_simulated_numbers_are_within_their_bounds() -> None:
     file = Experiment(small(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
     question = file.survey[0].question[0]
     answers = {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)}
-    given = {SimulatedObserver(low_file(height), 1).survey(question, None, number) for number in range(200)}
-    assert answers == {1.0, 2.0} and given == {0.5, 1.0}
+    low_answers = {SimulatedObserver(low_file(height), 1).survey(question, None, number) for number in range(200)}
+    assert answers == {1.0, 2.0} and low_answers == {0.5, 1.0}
 
 
 def low_file(height: dict[str, Any]) -> Any:

@@ -24,8 +24,8 @@ def small(**tables: Any) -> dict[str, Any]:
     task = {"kind": "compare", "parameter": STIFFNESS, "reference": 500.0, "question": "Which was stiffer?"}
     procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": 4}
     factor = {"name": "damping", "parameter": "object.table.material.damping_ns_per_m", "levels": [0.0, 1.0, 2.0]}
-    given = {"title": "small", "scene": "paper-plane", "task": task, "procedure": procedure, "factor": [factor]}
-    return given | {"design": {"seed": 5}} | tables
+    defaults = {"title": "small", "scene": "paper-plane", "task": task, "procedure": procedure, "factor": [factor]}
+    return defaults | {"design": {"seed": 5}} | tables
 
 
 def file(**tables: Any) -> ExperimentFile:
@@ -41,9 +41,9 @@ def test_all_combinations_occur_equally_often() -> None:
 
 
 def test_the_order_depends_on_seed_and_participant() -> None:
-    one = plan_trials(file(), 1)
-    assert plan_trials(file(), 1) == one
-    assert plan_trials(file(), 2) != one and plan_trials(file(design={"seed": 6}), 1) != one
+    trials = plan_trials(file(), 1)
+    assert plan_trials(file(), 1) == trials
+    assert plan_trials(file(), 2) != trials and plan_trials(file(design={"seed": 6}), 1) != trials
 
 
 def test_the_reference_comes_first_as_often_as_second() -> None:
@@ -73,7 +73,7 @@ def test_practice_comes_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"task.reference": None}, "compare needs a reference"),
         ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
@@ -118,8 +118,8 @@ def test_practice_comes_first() -> None:
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )
-def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         Experiment(small(), changes)
 
 

@@ -147,19 +147,19 @@ def test_the_page_and_allowed_hosts_have_access(page: Page) -> None:
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_another_site_cannot_reach_the_page_in_a_browser(page: Page) -> None:
     attack = ATTACK.replace("VERSION", viser.__version__)
-    with HTTPServer(("127.0.0.1", 0), Elsewhere) as other, browser() as tab:
-        thread = threading.Thread(target=other.serve_forever)
+    with HTTPServer(("127.0.0.1", 0), Elsewhere) as other_site, browser() as tab:
+        thread = threading.Thread(target=other_site.serve_forever)
         thread.start()
         try:
             shown(tab, page.address)
             assert tab.title() == "softfinger" and tab.evaluate(attack, page.address) == "open"
-            tab.goto(f"http://localhost:{other.server_port}/")
+            tab.goto(f"http://localhost:{other_site.server_port}/")
             assert tab.evaluate(attack, page.address) == "refused"
             tab.set_content(f'<iframe src="{page.address}"></iframe>')
             tab.wait_for_load_state("load")
             assert [frame.url for frame in tab.frames[1:]] == ["chrome-error://chromewebdata/"]
         finally:
-            other.shutdown()
+            other_site.shutdown()
             thread.join()
 
 
@@ -176,17 +176,17 @@ def test_an_unguarded_server_is_refused() -> None:
 
 
 def say(stream: ClientConnection, control: Any, value: Any) -> None:
-    told = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
-    stream.send(msgspec.msgpack.encode(told))
+    message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
+    stream.send(msgspec.msgpack.encode(message))
 
 
 def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
     with closing(LivePage(page, Addresses(*endpoints))) as live:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
         fed(live, lambda: page.fingers and slider.value == 1000.0)
-        asked: list[Any] = []
-        live._tuning._params = lambda name, values: asked.append(values)
-        live._tuning._set_scene = lambda name, values: asked.append(values)
+        requests: list[Any] = []
+        live._tuning._params = lambda name, values: requests.append(values)
+        live._tuning._set_scene = lambda name, values: requests.append(values)
         with opened(page, path(page), f"http://{own(page)}") as stream:
             stream.send(msgspec.msgpack.encode(CAMERA))
             fed(live, page.server.get_clients)
@@ -194,10 +194,10 @@ def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tupl
                 right, before = control.value, control.update_timestamp
                 say(stream, control, wrong)
                 fed(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
-            assert not asked
+            assert not requests
             say(stream, slider, 740.0)
-            fed(live, lambda: asked)
-        assert asked == [{"object.0.material.stiffness_n_per_m": 740.0}]
+            fed(live, lambda: requests)
+        assert requests == [{"object.0.material.stiffness_n_per_m": 740.0}]
 
 
 def fed(live: LivePage, until: Callable[[], Any]) -> None:

@@ -29,8 +29,8 @@ def led() -> Iterator[tuple[HandControls, dict[str, Target | None]]]:
     sent: dict[str, Target | None] = {}
     try:
 
-        def hold(finger: str, done: Callable[[Target], None], failed: Callable[[], None]) -> None:
-            done(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
+        def hold(finger: str, on_target: Callable[[Target], None], failed: Callable[[], None]) -> None:
+            on_target(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
 
         hand = HandControls(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
@@ -99,12 +99,12 @@ def test_a_slider_moves_the_target_by_its_change(led: tuple[HandControls, dict[s
 def test_steps_before_the_hands_are_held_are_queued(led: tuple[HandControls, dict[str, Target | None]]) -> None:
     hand, sent = led
     answers: list[tuple[str, Callable[[Target], None], Callable[[], None]]] = []
-    hand._commands = hand._commands._replace(hold=lambda *asked: answers.append(asked))
+    hand._commands = hand._commands._replace(hold=lambda *request: answers.append(request))
     for _ in range(3):
         hand.nudge(Nudge(z=0.001))
     assert [finger for finger, _, _ in answers] == list(PLACES) and not sent
-    for finger, done, _ in answers:
-        done(Target(np.array(PLACES[finger]), (1.0, 0.0, 0.0, 0.0)))
+    for finger, on_target, _ in answers:
+        on_target(Target(np.array(PLACES[finger]), (1.0, 0.0, 0.0, 0.0)))
     assert places(sent) == {"thumb": [-0.04, 0.0, 0.023], "index": [0.04, 0.0, 0.023]}
     hand._release()
     hand.nudge(Nudge(z=0.001))
@@ -147,25 +147,25 @@ def test_a_pinch_drag_moves_both_fingers_together(led: tuple[HandControls, dict[
 
 
 def test_increments_of_two_hands_are_applied_once_and_clamped() -> None:
-    told = SimpleNamespace(value="")
+    text_field = SimpleNamespace(value="")
 
     class Gui:
         def add_html(self, content: str) -> None: ...
 
         def add_text(self, name: str, value: str) -> Any:
-            return SimpleNamespace(on_update=lambda call: told.__dict__.update(call=call))
+            return SimpleNamespace(on_update=lambda call: text_field.__dict__.update(call=call))
 
     hands = TwoHands(Gui())
 
-    def tell(text: str) -> tuple[Nudge, Nudge, float] | None:
+    def enter_text(text: str) -> tuple[Nudge, Nudge, float] | None:
         hands._field.value = text
-        told.call(SimpleNamespace(client=1))
+        text_field.call(SimpleNamespace(client=1))
         return hands.increment()
 
-    assert tell("1 a 1 0 0 0 2 0 0.5") == (Nudge(x=0.001), Nudge(y=0.002), 0.0005)
-    assert tell("2 b 1 0 0 0 0 0 0") == (Nudge(x=0.001), Nudge(), 0.0)
-    left, right, close = tell("9 a 4 0 0 0 2 0 0.5") or pytest.fail("nothing")
-    assert left.x == pytest.approx(0.003) and (right, close) == (Nudge(), 0.0)
-    assert (tell("9 c 1e9 0 0 0 -1e9 0 0") or pytest.fail("nothing"))[0].x == MAX_STEP_M
+    assert enter_text("1 a 1 0 0 0 2 0 0.5") == (Nudge(x=0.001), Nudge(y=0.002), 0.0005)
+    assert enter_text("2 b 1 0 0 0 0 0 0") == (Nudge(x=0.001), Nudge(), 0.0)
+    left_hand, right_hand, close = enter_text("9 a 4 0 0 0 2 0 0.5") or pytest.fail("nothing")
+    assert left_hand.x == pytest.approx(0.003) and (right_hand, close) == (Nudge(), 0.0)
+    assert (enter_text("9 c 1e9 0 0 0 -1e9 0 0") or pytest.fail("nothing"))[0].x == MAX_STEP_M
     for bad in ("", "1 a", "1 a 1 2 3", "1 a 1 2 3 4 5 6 nan", "1 a x 2 3 4 5 6 7", "1 a 1 2 3 4 5 6 7 8"):
-        assert tell(bad) is None
+        assert enter_text(bad) is None

@@ -83,10 +83,10 @@ def test_each_gesture_causes_its_motion() -> None:
 
 def test_a_slide_goes_towards_the_middle() -> None:
     """A slide that starts on the right moves left, which keeps it on objects in the middle of a scene."""
-    for x, way in ((0.03, -1.0), (0.0, 1.0)):
+    for x, sign in ((0.03, -1.0), (0.0, 1.0)):
         points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))
-        assert way * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
+        assert sign * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
 
 
 class MovableFinger(SimulatedHands):

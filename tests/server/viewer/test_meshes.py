@@ -71,8 +71,8 @@ def page() -> Iterator[Page]:
 
 
 def surfaces(page: Page) -> dict[str, Any]:
-    found = page.server.scene._handle_from_node_name
-    return {name: handle for name, handle in found.items() if name.startswith("/objects/")}
+    handles = page.server.scene._handle_from_node_name
+    return {name: handle for name, handle in handles.items() if name.startswith("/objects/")}
 
 
 def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
@@ -85,8 +85,8 @@ def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
     )
     assert len(drawn.faces) == 500
     assert drawn.opacity is None, "browsers draw transparent surfaces in an order that hides parts of the shadow"
-    gone = parse_scene(tmp_path / "gone.ply")
-    page.change(gone, BEGAN)
+    missing = parse_scene(tmp_path / "gone.ply")
+    page.change(missing, BEGAN)
     assert "/objects/1/surface" not in surfaces(page)
-    RecordedPage(page, LoadedRecording(records, gone, "part", 1000.0, BEGAN), 0)
+    RecordedPage(page, LoadedRecording(records, missing, "part", 1000.0, BEGAN), 0)
     assert "No such file" in page._message.content and "/objects/0/surface" in surfaces(page)

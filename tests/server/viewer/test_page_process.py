@@ -116,11 +116,11 @@ def test_a_page_that_hangs_at_start_is_killed(tmp_path: Path, monkeypatch: pytes
     hangs.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(hangs))
     monkeypatch.setattr(of_page, "START_TIMEOUT_S", 0.2)
-    told: list[str] = []
-    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
+    reports: list[str] = []
+    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], reports.append)
     shown.supervise()
     shown.close()
-    assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
+    assert len(reports) == 1 and "the page has ended, with exit code -9" in reports[0]
 
 
 BROWSER = """#!/bin/sh
@@ -173,8 +173,8 @@ def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
         screen = shown(page, address)
 
         def tick() -> int:
-            found = re.search(r"tick (\d+)", screen.page.inner_text("body"))
-            return int(found[1]) if found else -1
+            match = re.search(r"tick (\d+)", screen.page.inner_text("body"))
+            return int(match[1]) if match else -1
 
         assert eventually(lambda: tick() > 0)
         os.kill(child_of(process), signal.SIGKILL)

@@ -41,8 +41,8 @@ def daemon() -> Iterator[Daemon]:
 
 
 def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
-    found: Any = screen.page.evaluate(NODE, node)
-    return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=within_m))
+    position: Any = screen.page.evaluate(NODE, node)
+    return position is not None and bool(np.allclose(np.array(position) / CM, place, atol=within_m))
 
 
 def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client: Client) -> None:
@@ -65,8 +65,8 @@ def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> No
 
 
 def lid(client: Client) -> list[float]:
-    found: list[float] = client.describe()["scene"]["object"][1]["position_m"]
-    return found
+    position: list[float] = client.describe()["scene"]["object"][1]["position_m"]
+    return position
 
 
 def pull(screen: Screen, client: Client) -> None:

@@ -71,9 +71,9 @@ def test_a_file_without_a_recording_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
 def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
     code = f"import sys; sys.modules['viser'] = None; from softfinger.server.cli import main; sys.exit(main({words}))"
-    done = run_program([sys.executable, "-c", code])
-    assert done.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = run_program([sys.executable, "-c", code])
+    assert completed.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in completed.stderr
+    assert "Traceback" not in completed.stderr
 
 
 @pytest.fixture
@@ -251,14 +251,14 @@ HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
     node = handles._nodes[0]
-    for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
+    for phase, position in (("start", positions[0]), *(("update", target) for target in positions)):
         node.position = position
         handles._on_drag(0, SimpleNamespace(target=node, phase=phase))
 
 
 def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
     sent: list[Any] = []
-    handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
+    handles = ObjectControls(page.server.gui, page.server.scene, lambda *request: sent.append(request))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
     handles._switch.value = True
     handles._show()
@@ -299,16 +299,16 @@ def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
         assert fed(live, lambda: live._hand._fingers and live._hand._poses)
         live._hand.nudge(Nudge(z=-0.002))
         assert fed(live, lambda: live._hand._targets)
-        asked = daemon.rendering.servo.ticks
-        assert fed(live, lambda: daemon.rendering.servo.ticks > asked + 1000)
+        nudged_at = daemon.rendering.servo.ticks
+        assert fed(live, lambda: daemon.rendering.servo.ticks > nudged_at + 1000)
         assert not page.refusal
 
 
 def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
-    asked = []
-    hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
-    commands = HandCommands(lambda finger, target: asked.append(target), hold)
+    targets = []
+    hold = lambda finger, on_target, failed: on_target(hand.target(finger))  # noqa: E731
+    commands = HandCommands(lambda finger, target: targets.append(target), hold)
     hand = HandControls(page.server.gui, page.server.scene, commands)
     hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
@@ -320,4 +320,4 @@ def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch
     hand.nudge(Nudge(z=-0.004))
     hand.update_pose("", row)
     assert hand._sliders[2].value == pytest.approx(8.0)
-    assert [target.position[2] for target in asked] == pytest.approx([0.008])
+    assert [target.position[2] for target in targets] == pytest.approx([0.008])

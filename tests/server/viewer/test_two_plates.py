@@ -32,7 +32,7 @@ def daemon() -> Iterator[Daemon]:
 
 
 def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    found = list[float]()
+    friction_ratios = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
         def stroked() -> bool:
@@ -40,11 +40,11 @@ def drags(screen: Screen, client: Client, number: int) -> list[float]:
             while (sample := ticks.receive(0.0)) is not None:
                 contact = sample.data.contact
                 if (contact.mode, contact.object) == (SLIDING, number) and contact.normal_force > 0.2:
-                    found.append(float(np.hypot(*sample.data.force[:2])) / contact.normal_force)
-            return len(found) > 50
+                    friction_ratios.append(float(np.hypot(*sample.data.force[:2])) / contact.normal_force)
+            return len(friction_ratios) > 50
 
         assert eventually(stroked, every_s=STROKE_S)
-    return found
+    return friction_ratios
 
 
 @pytest.mark.exhaustive
