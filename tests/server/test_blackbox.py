@@ -38,7 +38,7 @@ def records(first: int, count: int) -> np.ndarray:
     return made
 
 
-def ticks_in(path: Path) -> list[int]:
+def read_ticks(path: Path) -> list[int]:
     parts = [part.records() for part in read_contents(path) if isinstance(part, TickBlock)]
     return [int(tick) for part in parts for tick in part[:, AT.tick]]
 
@@ -51,7 +51,7 @@ def test_the_last_ticks_are_written_in_order(batches: tuple[int, ...], tmp_path:
         box.take(records(first, count))
         first += count
     box.write(tmp_path / "box.mcap", {})
-    assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * HISTORY_S)), first))
+    assert read_ticks(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * HISTORY_S)), first))
 
 
 @pytest.mark.plain
@@ -131,7 +131,7 @@ def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
         yield daemon
 
 
-def named_in(path: Path) -> dict[str, dict[str, Any]]:
+def read_faults(path: Path) -> dict[str, dict[str, Any]]:
     events = [part.event for part in read_contents(path) if isinstance(part, Event)]
     return {event["name"]: event for event in events if event["kind"] == "fault"}
 
@@ -142,8 +142,8 @@ def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]
     assert path.stat().st_mode & 0o777 == 0o600
-    assert ticks_in(path) == list(range(700))
-    event = named_in(path)["device_lost"]
+    assert read_ticks(path) == list(range(700))
+    event = read_faults(path)["device_lost"]
     assert event["message"] == str(lost.value) and event["blackbox"] == str(path)
     assert event["tick"] == 699
 
@@ -160,9 +160,9 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
         paths = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
         assert daemon.publisher.restarts == 1 and daemon.servo.is_running
     (path,) = paths
-    ticks = ticks_in(path)
+    ticks = read_ticks(path)
     assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]
-    event = named_in(path)["publisher"]
+    event = read_faults(path)["publisher"]
     assert "was started again" in event["message"] and event["blackbox"] == str(path)
 
 

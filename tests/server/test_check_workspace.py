@@ -23,7 +23,7 @@ STEP_M = 1e-3
 """Spacing of the points on a drawn sphere, and the error of its chords."""
 
 
-def scene(**ball: object) -> Scene:
+def make_scene(**ball: object) -> Scene:
     table = {"name": "ball", "shape": "sphere", "radius_m": 0.01, **ball}
     return build(Scene, paper_mapping(table=table, material={"torsion": None}), "test scene")
 
@@ -37,7 +37,7 @@ def scene(**ball: object) -> Scene:
     ],
 )
 def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], description: str) -> None:
-    objects = workspace.place_objects(SPHERE, scene(position_m=list(place)))
+    objects = workspace.place_objects(SPHERE, make_scene(position_m=list(place)))
     assert workspace.rows(SPHERE, objects) == [("1 'ball'", description)]
     away = workspace.signed_distance(SPHERE, objects[0].points)
     apart = float(np.linalg.norm(np.array(place) - np.array(SPHERE.center_m)))
@@ -51,7 +51,7 @@ def test_signed_distance_of_a_box() -> None:
 
 
 def test_text_draws_wall_and_objects_to_scale() -> None:
-    turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
+    turned = make_scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
     lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
     middle = lines[1 + workspace.ROWS // 2].ljust(2 * workspace.COLUMNS + 3)

@@ -70,7 +70,7 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 PUSH = "effect.0.force_n"
 
 
-class Kept:
+class RecordSink:
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
         self.sink = Sink("kept", lambda records, drops: self.rows.append(records.copy()))
@@ -104,9 +104,9 @@ def rig(monkeypatch):
 
 
 @contextlib.contextmanager
-def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, Kept]]:
+def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, RecordSink]]:
     """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
-    recorder = Kept()
+    recorder = RecordSink()
     with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
@@ -124,15 +124,15 @@ def events(daemon: Daemon) -> Iterator[Any]:
         subscriber.connect(daemon.publisher.endpoint)
         assert eventually(lambda: daemon.publisher.subscribers == 1)
 
-        def following(kind: str) -> dict[str, Any]:
+        def next_event(kind: str) -> dict[str, Any]:
             while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
                 pass
             return event
 
-        yield following
+        yield next_event
 
 
-def largest_rise(rows: np.ndarray) -> float:
+def find_largest_rise(rows: np.ndarray) -> float:
     """Return the largest rise of the force per tick, except where a stall made the guard start from zero."""
     rises = np.diff(np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1))
     return float(rises[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
@@ -145,7 +145,7 @@ def unchanged(rows: np.ndarray) -> bool:
 
 
 def test_every_method_answers(rig):
-    with running(rig()) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig()) as (daemon, control, recorder), events(daemon) as next_event:
         state = control.get_state()
         assert state.active_field == "pressed" and state.position[2] == 0.009
         assert state.force[2] == pytest.approx(1000.0 * DEPTH_M + 1.0, rel=ROUNDING)
@@ -153,15 +153,15 @@ def test_every_method_answers(rig):
         assert control.heartbeat().timeout_ms == 0
         changed = control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]})
         assert {key: (c.before, c.after) for key, c in changed.changed.items()} == {STIFFNESS: (1000.0, 500.0)}
-        message = following("command")
+        message = next_event("command")
         assert message["name"] == "set_params" and message["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
         assert control.mark("trial 7", {"hand": "left"}).tick > 0
-        message = following("mark")
+        message = next_event("mark")
         assert (message["label"], message["data"]) == ("trial 7", {"hand": "left"}) and message["command_id"]
-        assert control.disarm().armed is False and following("command")["name"] == "disarm"
-        assert control.arm().armed is True and following("command")["what"] == {"armed": True}
+        assert control.disarm().armed is False and next_event("command")["name"] == "disarm"
+        assert control.arm().armed is True and next_event("command")["what"] == {"armed": True}
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
-        message = following("command")
+        message = next_event("command")
         assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
         assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
@@ -177,8 +177,8 @@ def test_every_method_answers(rig):
         assert reply["wire"]["schema"] == 1 and reply["versions"]["numba"] and reply["compiled"]["model"]
         assert json.dumps(reply)
         assert control.set_scene("frictionless-plane").active_field == "frictionless-plane"
-        assert following("lifecycle")["name"] == "replaced"
-        assert following("command")["what"]["scene"] == "frictionless-plane"
+        assert next_event("lifecycle")["name"] == "replaced"
+        assert next_event("command")["what"]["scene"] == "frictionless-plane"
         assert control.get_state().active_field == "frictionless-plane"
         assert control.stop().shutting_down is True
         assert daemon.wait(60.0)
@@ -202,18 +202,18 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
     published = []
     with (
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
-        subscribe(daemon.publisher.endpoint, ["event"]) as following,
+        subscribe(daemon.publisher.endpoint, ["event"]) as subscription,
     ):
         assert eventually(lambda: daemon.publisher.subscribers == 1)
         control.record_start("all.mcap")
 
-        def zeroed() -> bool:
+        def try_zero() -> bool:
             with contextlib.suppress(CommandRefused):  # while the force is fading out
                 control.zero((0.0, 0.0, 0.001))
                 return True
             return False
 
-        def refused(request: Any) -> None:
+        def assert_refused(request: Any) -> None:
             with pytest.raises(CommandRefused):
                 request()
 
@@ -224,38 +224,38 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
             "get_prompt": control.get_prompt,
             "answer": lambda: control.answer("first"),
             "disarm": control.disarm,
-            "zero": lambda: eventually(zeroed),
+            "zero": lambda: eventually(try_zero),
             "arm": control.arm,
             "drive": lambda: control.drive("lid.top", (0.0, 0.0, 0.0005)),
             "set_scene": lambda: control.set_scene("frictionless-plane"),
             "get_state": control.get_state,
             "describe": control.describe,
             "heartbeat": control.heartbeat,
-            "reset_world": lambda: refused(control.reset_world),
-            "mesh": lambda: refused(lambda: control.mesh(7)),
-            "hand": lambda: refused(lambda: control.hand((0.0, 0.0, 0.1))),
-            "hold": lambda: refused(control.hold),
+            "reset_world": lambda: assert_refused(control.reset_world),
+            "mesh": lambda: assert_refused(lambda: control.mesh(7)),
+            "hand": lambda: assert_refused(lambda: control.hand((0.0, 0.0, 0.1))),
+            "hold": lambda: assert_refused(control.hold),
         }
         for request in requests.values():
             request()
         assert set(METHODS) - set(requests) == {"record_start", "record_stop", "stop"}
         control.mark("the last")
         while not published or published[-1].get("label") != "the last":
-            published.append(following.receive(60.0).as_map())
+            published.append(subscription.receive(60.0).as_map())
         stopped = control.record_stop()
     assert stopped.error == "" and stopped.dropped == 0
     assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
     recorded = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
     own = {"schema", "timestamp", "tick"}  # time of writing differs
 
-    def essence(events):
+    def select_comparable(events):
         """Return the events of commands without time and order; contact and guard events follow from ticks."""
         kinds, recording = ("command", "mark", "lifecycle"), ("record_start", "record_stop")
         recorder = [entry for entry in events if entry["kind"] in kinds and entry["name"] not in recording]
         return sorted(json.dumps({key: entry[key] for key in sorted(entry.keys() - own)}) for entry in recorder)
 
-    assert len(essence(published)) >= 8
-    assert essence(recorded) == essence(published)
+    assert len(select_comparable(published)) >= 8
+    assert select_comparable(recorded) == select_comparable(published)
 
 
 def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
@@ -407,7 +407,8 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
             assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == answer.tick
         rows = recorder.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
-    assert largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # without the last zero, of a stop in contact
+    # without the last zero, of a stop in contact
+    assert find_largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)
 
 
 def test_disarm_fades_out_and_arm_fades_in(rig):
@@ -424,7 +425,7 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
         assert control.arm().armed is True
         assert eventually(lambda: recorder.force_n > 0.99)
         rows = recorder.since(first)
-        assert largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        assert find_largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
         fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
         # The ramp's ticks; the last one has the full force.
         assert len(fading) >= RAMP_S * 1000.0 - 1
@@ -437,19 +438,19 @@ def test_disarm_and_arm_cause_no_step_of_force(rig):
             control.disarm()
             control.arm()
         assert eventually(lambda: recorder.force_n > 1.99)
-        assert largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        assert find_largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
 
 
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         assert control.heartbeat().timeout_ms == 500
-        while (lost := following("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
+        while (lost := next_event("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
             pass
         assert lost["what"] == {"after_s": 0.5}
         assert eventually(lambda: recorder.force_n == 0.0)
         assert control.describe()["armed"] is False and recorder.force_n == 0.0
         control.heartbeat()
-        assert following("command")["what"] == {"armed": True}
+        assert next_event("command")["what"] == {"armed": True}
         with Control(daemon.commands_endpoint) as second, repeated(second.heartbeat, 0.05):
             assert eventually(lambda: recorder.force_n > 1.9)
             control.disarm()
@@ -471,11 +472,11 @@ def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
 
 
 def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         control.disarm()
         assert eventually(lambda: daemon.rendering.force.is_inhibited_by(SILENT))
         control.heartbeat()
-        while (message := following("command"))["name"] != "heartbeat":
+        while (message := next_event("command"))["name"] != "heartbeat":
             pass
         assert message["what"] == {"armed": False}
         tick = daemon.servo.ticks

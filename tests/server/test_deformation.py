@@ -22,7 +22,7 @@ pytestmark = pytest.mark.real_time
 FORCE = (0.1, -0.2, 1.5)
 
 
-def pressed(count: int) -> Any:
+def make_press(count: int) -> Any:
     rows = synthetic(count)
     for name in ("contacts0.force", "contacts1.force", "contacts2.force", "contact.displacement"):
         put(rows, name, 0.0)
@@ -49,7 +49,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
         socket.connect(daemon.publisher.endpoint)
         join(daemon.publisher, socket)
         # The daemon is not started; these ticks arrive in batches as from a hand.
-        for batch in np.array_split(pressed(600), 60):
+        for batch in np.array_split(make_press(600), 60):
             daemon.deformation.sink.take(batch, 0)
         daemon.publisher.event("test", "end")
         while (frames := socket.recv_multipart())[0] != b"event":
@@ -60,7 +60,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
             sent.append((tick, len(content["loads"])))
 
         changing = Deformation(daemon.rendering, [""], publish)
-        rows = pressed(1200)
+        rows = make_press(1200)
         rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
         for row in rows:
             changing.sink.take(row[None], 0)

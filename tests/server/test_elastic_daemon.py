@@ -37,7 +37,7 @@ FADED_TICKS = 600
 """The ramp of the rig `replay` takes 0.5 s."""
 
 
-def received(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
+def receive_until(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
     """Return the messages of the topic `deformation` up to the first for which `is_last` is true."""
     messages: list[Any] = []
     while not messages or not is_last(messages[-1]):
@@ -46,7 +46,7 @@ def received(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
     return messages
 
 
-def until_faded_in(daemon: Daemon) -> None:
+def wait_until_faded_in(daemon: Daemon) -> None:
     """Wait until the guard's ramp of the running scene has ended."""
     until(lambda: daemon.rendering.servo.ticks > daemon.rendering.since + FADED_TICKS, WAIT_S)
 
@@ -68,18 +68,18 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
         socket.connect(daemon.publisher.endpoint)
         daemon.recordings.record(path, "press-a-pad")
         daemon.start()
-        sent, firsts = received(socket, lambda message: message.loads), []
-        until_faded_in(daemon)
+        sent, firsts = receive_until(socket, lambda message: message.loads), []
+        wait_until_faded_in(daemon)
         with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=WAIT_S) as client:
             client.set_scene(rigid)
             firsts.append(daemon.rendering.since)
-            sent += received(socket, lambda message: message.tick >= firsts[0])
-            until_faded_in(daemon)
+            sent += receive_until(socket, lambda message: message.tick >= firsts[0])
+            wait_until_faded_in(daemon)
             assert not sent[-1].loads and not socket.poll(0)
             client.set_scene(elastic)
             firsts.append(daemon.rendering.since)
-            sent += received(socket, lambda message: message.loads)
-            until_faded_in(daemon)
+            sent += receive_until(socket, lambda message: message.loads)
+            wait_until_faded_in(daemon)
         daemon.stop()
         assert daemon.wait(WAIT_S)
     rigid_first, elastic_first = firsts

@@ -28,7 +28,7 @@ HOME = (0.0, 0.0, 0.0105)
 """0.5 mm above the plane for the fingertip."""
 
 
-def played(env: Touch, actions: np.ndarray) -> Records:
+def play(env: Touch, actions: np.ndarray) -> Records:
     _, info = env.reset(seed=0)
     parts = [info["records"], *(env.step(action)[4]["records"] for action in actions)]
     return Records(np.concatenate(parts))
@@ -48,7 +48,7 @@ def test_gymnasium_checker_accepts_the_environment(scene: str) -> None:
 def test_contact_equals_that_of_the_engine() -> None:
     actions = np.zeros((60, 6))
     actions[:20, 2], actions[20:40, 0], actions[40:, 4:] = -0.06, 0.08, 0.5
-    records = played(Touch("paper-plane", home_m=HOME), actions)
+    records = play(Touch("paper-plane", home_m=HOME), actions)
     assert set(records["contact.mode"]) == {0, 1, 2}
     poses = np.hstack([records["probe.position"], records["probe.orientation"]])
     expected = Engine("paper-plane").run(poses)
@@ -65,7 +65,7 @@ def test_hand_and_plane_share_the_depth() -> None:
     """Springs of hand and plane have 1000 N/m each: half of 1 mm of intended depth remains."""
     actions = np.zeros((150, 6))
     actions[:30, 2] = -0.05  # 1.5 mm down, 0.5 mm of them in the air
-    records = played(Touch("paper-plane", home_m=HOME), actions)
+    records = play(Touch("paper-plane", home_m=HOME), actions)
     # The friction of the omega.6, at most 0.1 N on an axis, stops the handle anywhere within this range.
     assert records["force"][-1, 2] == pytest.approx(0.5, abs=0.11)
 

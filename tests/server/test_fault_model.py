@@ -31,12 +31,12 @@ TURN = 5
 """Ticks that a thread of a far end may wait for the scheduler."""
 
 
-def functions(file):
+def list_functions(file):
     tree = ast.parse((ROOT / file).read_text("utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
-def faults_told():
+def list_fault_events():
     """Return the names of all events of kind `fault` that the server publishes."""
     names = set()
     for path in sorted((ROOT / "server").rglob("*.py")):
@@ -56,12 +56,12 @@ def test_each_row_has_an_existing_test():
         assert hazard.tests, hazard.name
         for test in hazard.tests:
             file, _, name = test.partition("::")
-            assert name in functions(file), test
+            assert name in list_functions(file), test
 
 
 def test_each_published_fault_has_a_row():
     rows = {event for hazard in HAZARDS for event in hazard.events}
-    faults = {f"fault {name}" for name in faults_told()}
+    faults = {f"fault {name}" for name in list_fault_events()}
     assert len(faults) >= 9
     assert {row for row in rows if row.startswith("fault ")} == faults
     assert {row for row in rows if row.startswith("guard ")} == {f"guard {name}" for name in {*GUARD_NAMES} - ORDINARY}

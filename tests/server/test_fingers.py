@@ -40,7 +40,7 @@ CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo
 """Columns that depend on the machine."""
 
 
-def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
+def run_servo(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
     """Run a servo with two devices and changed guard limits; return its end and records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
@@ -55,7 +55,7 @@ def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Loo
     return ended, records
 
 
-def two(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
+def make_two_devices(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
     """Return two devices that press, the second with a fault; both have a nominal clock."""
     return FaultyDevice(Options(own_clock=True)), FaultyDevice(Options(own_clock=True, **of_index))
 
@@ -68,7 +68,7 @@ def drop_clocked(records: np.ndarray) -> np.ndarray:
 def test_two_replays_equal_simulate() -> None:
     recordings = ("press-roll-spin-drag", "tap")
     devices = [Replay(ReplayOptions(recording=name, loop=False), 1000.0) for name in recordings]
-    ended, records = run(*devices)
+    ended, records = run_servo(*devices)
     poses = [resample(load_poses(name), 1000.0) for name in recordings]
     count = min(map(len, poses))
     assert (ended.ending, ended.finger, len(records)) == (s.FINISHED, 1, count)
@@ -92,7 +92,7 @@ def test_two_replays_equal_simulate() -> None:
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
     devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
-    ended, _ = run(*devices, ticks=400)
+    ended, _ = run_servo(*devices, ticks=400)
     assert (ended.ending, ended.status, ended.finger) == (ending, status, place)
     for device in devices:
         assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
@@ -102,16 +102,16 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
 
 
 def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
-    devices = two()
-    run(*devices, ticks=20)
+    devices = make_two_devices()
+    run_servo(*devices, ticks=20)
     threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
     assert len(threads) == 1
     assert [device.acts[0][::2] for device in devices] == [("arm", 0)] * 2
 
 
 def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
-    first, second = two(refuses_to_arm=True)
-    ended, records = run(first, second, ticks=100)
+    first, second = make_two_devices(refuses_to_arm=True)
+    ended, records = run_servo(first, second, ticks=100)
     assert ended.ending == s.CRASHED and "force button" in str(ended.error) and len(records) == 0
     assert [act for act, *_ in first.acts] == ["arm", "stop"] and not first.wrenches.any()
 
@@ -119,7 +119,7 @@ def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> None:
     devices = [FaultyDevice(Options(stop_fails=k == place)) for k in range(2)]
-    ended, _ = run(*devices, ticks=200)
+    ended, _ = run_servo(*devices, ticks=200)
     assert ended.ending == s.CRASHED and "could not be stopped" in str(ended.error)
     for device in devices:
         assert device.acts[-1][0] == "stop"
@@ -127,20 +127,20 @@ def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> 
 
 
 @pytest.fixture(scope="module")
-def undisturbed() -> np.ndarray:
-    return run(*two(), ticks=600)[1]
+def undisturbed_records() -> np.ndarray:
+    return run_servo(*make_two_devices(), ticks=600)[1]
 
 
 @pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
-def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: np.ndarray) -> None:
-    devices = two(fault=fault, at=300, count=20)
-    ended, records = run(*devices, ticks=600)
+def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_records: np.ndarray) -> None:
+    devices = make_two_devices(fault=fault, at=300, count=20)
+    ended, records = run_servo(*devices, ticks=600)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed_records[:, 0]))
     index = records[:, 1]
-    np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed[:300, 1]))
+    np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed_records[:300, 1]))
     force, during = AT.force + 2, slice(300, 320)
-    assert undisturbed[during, 1, force].min() > 0.4
+    assert undisturbed_records[during, 1, force].min() > 0.4
     if fault == "nan":
         assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
     else:
@@ -149,20 +149,21 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: 
     if fault == "held":
         assert (index[during, force] == index[299, force]).all()
     elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
-        assert index[during, force].max() <= 0.1 * undisturbed[during, 1, force].max() * (1.0 + 1e-12)  # rounding
+        largest = undisturbed_records[during, 1, force].max()
+        assert index[during, force].max() <= 0.1 * largest * (1.0 + 1e-12)  # rounding
     else:
         assert not index[during, force].any()
     np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
     if fault != "held":  # that device has moved deeper by then
-        assert index[-1, force] == undisturbed[-1, 1, force]
+        assert index[-1, force] == undisturbed_records[-1, 1, force]
 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
-def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed: np.ndarray) -> None:
-    devices = two(fault=fault, at=300, count=100)
-    ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
+def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed_records: np.ndarray) -> None:
+    devices = make_two_devices(fault=fault, at=300, count=100)
+    ended, records = run_servo(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed_records[:, 0]))
     doubted = (records[:, 1, AT.servo_guard].astype(int) == bit).nonzero()[0]
     assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
     assert not devices[1].wrenches[doubted].any()
@@ -170,8 +171,8 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
 
 @pytest.mark.parametrize(("fault", "ending"), [("jumps", JUMPING), ("nan", NO_POSE)])
 def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int) -> None:
-    devices = two(fault=fault, at=100, count=100_000)
-    ended, _ = run(*devices, ticks=3000, speed_max=10.0)
+    devices = make_two_devices(fault=fault, at=100, count=100_000)
+    ended, _ = run_servo(*devices, ticks=3000, speed_max=10.0)
     assert (ended.ending, ended.finger) == (ending, 1)
     assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
 
@@ -182,7 +183,7 @@ def test_time_is_nominal_if_all_devices_have_a_nominal_clock(both: bool) -> None
         FaultyDevice(Options(own_clock=True, fault="stall", at=100, stall_us=5_500)),
         FaultyDevice(Options(own_clock=both)),
     ]
-    _, records = run(*devices, ticks=200)
+    _, records = run_servo(*devices, ticks=200)
     dt = records[:, :, AT.dt]
     assert (dt[:, 0] == dt[:, 1]).all()
     assert (dt == 0.001).all() if both else dt.max() >= 0.005  # a stall of 5.5 periods skips five deadlines

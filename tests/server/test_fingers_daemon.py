@@ -165,7 +165,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
     assert recorded[0]["thumb"].first_tick == recorded[0]["index"].first_tick
 
 
-def two_records(count: int, first: int = 0) -> np.ndarray:
+def make_records(count: int, first: int = 0) -> np.ndarray:
     """Return rows (count, 2 x RECORD_SIZE) of a sliding thumb and a free index finger."""
     thumb, index = synthetic(count, first), synthetic(count, first, seed=2)
     put(thumb, "contact.mode", 2)
@@ -189,8 +189,8 @@ def test_clients_separate_the_fingers() -> None:
             plain.connect(publisher.endpoint)
             until(lambda: publisher.subscribers == 3)
             join(publisher, plain)
-            publisher.publish(two_records(1001))
-            publisher.publish(two_records(10, 1011))
+            publisher.publish(make_records(1001))
+            publisher.publish(make_records(10, 1011))
             lost, guards, count = dict.fromkeys(NAMES, 0), [], 0
             while count < 2 * 1011 or not guards or board.health is None:  # these arrive after their ticks
                 sample = next(samples)
@@ -224,7 +224,7 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
     with (
         Publisher("tcp://127.0.0.1:*", fingers=NAMES) as publisher,
         subscribe(publisher.endpoint, ("contact", "finger/", "event")) as wire,
-        repeated(lambda: publisher.publish(two_records(10, next(firsts))), 0.01),
+        repeated(lambda: publisher.publish(make_records(10, next(firsts))), 0.01),
         pytest.raises(ConfigError, match=r"several fingers, such as \w+: --poses \w+=FILE"),
     ):
         record(wire, {"": tmp_path / "one.csv"})

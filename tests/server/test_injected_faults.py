@@ -92,17 +92,17 @@ CASES = {
 }  # fmt: skip
 
 
-def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
+def run_with_fault(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
     """Run with a fault at a tick; return the far end, too, and its forces, each with its tick."""
     case = CASES[name]
     fault = case.fault | {"at_tick": at, "ticks": case.lasts}
     with FAR_ENDS[driver](tmp_path) as far:
         result = run(far.device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
         wrenches = far.received()
-    return result, far, np.column_stack([ticks_of(wrenches[:, 0], result), wrenches[:, 1:]])
+    return result, far, np.column_stack([find_ticks(wrenches[:, 0], result), wrenches[:, 1:]])
 
 
-def ticks_of(times: np.ndarray, result: Seen) -> np.ndarray:
+def find_ticks(times: np.ndarray, result: Seen) -> np.ndarray:
     """Return the tick of each time (n,), -1 before the first; ticks are counted on after the last one."""
     rows = np.arange(len(times), dtype=float)
     if not result.ticks:
@@ -144,7 +144,7 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
     case, at = CASES[name], MOMENTS[moment]
-    result, _, wrenches = injected("replay", name, at, tmp_path)
+    result, _, wrenches = run_with_fault("replay", name, at, tmp_path)
     check_end(name, at, result)
     norms = check_limits(wrenches[:, 1:])
     if case.zero is not None:
@@ -202,7 +202,7 @@ def test_on_every_driver(
     driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     case, at = CASES[name], 200
-    result, far, wrenches = injected(driver, name, at, tmp_path)
+    result, far, wrenches = run_with_fault(driver, name, at, tmp_path)
     check_end(name, at, result, far.withholds)
     ticks, norms = wrenches[:, 0], np.linalg.norm(wrenches[:, 1:], axis=1)
     assert norms[-1] == 0.0

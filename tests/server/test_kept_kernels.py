@@ -61,7 +61,7 @@ def run_compiler(scene: str, cache: Path) -> str:
 
 
 @pytest.fixture(scope="module", params=SCENES)
-def fresh(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
+def fresh_loop(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
     """Return a scene, a cache directory with its loop, and the compiler's output."""
     cache = tmp_path_factory.mktemp("kernels")
     if CACHE_DIR is not None and CACHE_DIR.is_dir():
@@ -75,8 +75,8 @@ def list_kernels(cache: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob("*.kernel")}
 
 
-def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
-    scene, _, output = fresh
+def test_loop_calls_only_what_is_listed(fresh_loop: tuple[str, Path, str]) -> None:
+    scene, _, output = fresh_loop
     bodies = functions(output)
     assert any("servo_loop" in name for name in bodies)
     called = {name for body in bodies.values() for name in called_in(body)}
@@ -90,12 +90,12 @@ def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
     assert through_pointers[next(name for name in bodies if "servo_loop" in name)] == 3
 
 
-def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> None:
+def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]) -> None:
     """`warmup` reuses the loop from a daemon's compiler; after it neither it nor a daemon compiles anything.
 
     `step_many`, which `Engine` calls, and the loop have the same kernels of contact: the second of them adds none.
     """
-    scene, cache, output = fresh
+    scene, cache, output = fresh_loop
     before = list_kernels(cache)
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}
     assert len(loops) == 1

@@ -25,7 +25,7 @@ OTHER = 65534
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 
 
-def mode(path: Path) -> int:
+def read_mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
@@ -36,7 +36,7 @@ def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> 
         public, secret = make_pair(tmp_path, "rig")
     finally:
         os.umask(before)
-    assert (mode(secret), mode(public)) == (0o600, 0o644)
+    assert (read_mode(secret), read_mode(public)) == (0o600, 0o644)
     assert zmq.auth.load_certificate(secret) == tuple(read_pair(secret))
     assert zmq.auth.load_certificate(public) == (read_public(public), None)
     assert zmq.curve_public(read_pair(secret).secret) == read_public(public)

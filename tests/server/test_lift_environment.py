@@ -19,7 +19,7 @@ from softfinger.server.bridges import lift_environment
 pytestmark = pytest.mark.plain
 
 
-def led(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
+def move(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
     return np.array([*thumb, *index])
 
 
@@ -39,7 +39,7 @@ def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
 @pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
     env = gymnasium.make(lift_environment.NAME).unwrapped
-    squeeze, up, hold = led((1, 0, 0), (-1, 0, 0)), led((0, 0, 1), (0, 0, 1)), led((0, 0, 0), (0, 0, 0))
+    squeeze, up, hold = move((1, 0, 0), (-1, 0, 0)), move((0, 0, 1), (0, 0, 1)), move((0, 0, 0), (0, 0, 0))
     ends = []
     for _ in range(2):
         start, _ = env.reset(seed=0)
@@ -62,12 +62,12 @@ def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
     env = lift_environment.Lift(step_ticks=10)
     env.reset(seed=0)
     for _ in range(16):
-        env.step(led((1, 0, 0), (-1, 0, 0)))
+        env.step(move((1, 0, 0), (-1, 0, 0)))
     copied = duplicate(env)
     assert copied.world is not env.world
-    ahead = [env.step(led((0, 0, 1), (0, 0, 1))) for _ in range(3)]
+    ahead = [env.step(move((0, 0, 1), (0, 0, 1))) for _ in range(3)]
     for observation, reward, *_ in ahead:
-        copied_observation, copied_reward, *_ = copied.step(led((0, 0, 1), (0, 0, 1)))
+        copied_observation, copied_reward, *_ = copied.step(move((0, 0, 1), (0, 0, 1)))
         assert copied_reward == reward
         for name, value in observation.items():
             np.testing.assert_array_equal(copied_observation[name], value)
@@ -77,7 +77,7 @@ def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
 
 def test_vector_environments_run() -> None:
     make = functools.partial(gymnasium.make, lift_environment.NAME, step_ticks=5)
-    actions = np.stack([led((1, 0, 0), (-1, 0, 0)), led((0, 0, 0), (0, 0, 0))])
+    actions = np.stack([move((1, 0, 0), (-1, 0, 0)), move((0, 0, 0), (0, 0, 0))])
     observations = []
     for vector in (gymnasium.vector.SyncVectorEnv([make, make]), gymnasium.vector.AsyncVectorEnv([make, make])):
         vector.reset(seed=1)

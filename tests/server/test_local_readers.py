@@ -70,14 +70,14 @@ def program(tmp_path_factory):
     return str(folder / "reader")
 
 
-def numbered(count, first=0):
+def make_numbered(count, first=0):
     """Return ticks; the last column shows if a row is complete."""
     records = synthetic(count, first)
     records[:, -1] = 0.5 * records[:, AT.tick]
     return records
 
 
-def opened(program, name, *more):
+def open_reader(program, name, *more):
     process = subprocess.Popen([program, name, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "open\n"
     return process
@@ -88,12 +88,12 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
         assert (memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
-        slow, killed, stopped = (opened(program, name, "slow") for _ in range(3))
+        slow, killed, stopped = (open_reader(program, name, "slow") for _ in range(3))
         stopped.send_signal(signal.SIGSTOP)
         with Local(name) as witness:
-            reading = opened(program, name)
+            reading = open_reader(program, name)
             for at in range(0, count, 1000):
-                publisher.publish(numbered(min(1000, count - at), at))
+                publisher.publish(make_numbered(min(1000, count - at), at))
                 if at == 3000:
                     killed.kill()
                 rows = 0

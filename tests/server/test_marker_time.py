@@ -57,7 +57,7 @@ class MarkedRun(NamedTuple):
     lsl: dict[str, Any] | None
 
 
-def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
+def start_inlets(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
     try:
         import pylsl  # noqa: F401
     except (ImportError, RuntimeError):
@@ -86,7 +86,7 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
         with Daemon(rig, load_scene("paper-plane")) as daemon, Client(*ends.values(), timeout_s=WAIT_S) as client:
             daemon.start()
             try:
-                lsl = listening(started, folder, ends["telemetry.endpoint"])
+                lsl = start_inlets(started, folder, ends["telemetry.endpoint"])
                 client.record_start("run.mcap")
                 events = client.subscribe((EVENT,), timeout_s=WAIT_S)
                 published: list[dict[str, Any]] = []
@@ -111,14 +111,14 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
     return MarkedRun(published, run, epoch_s, lsl_data)
 
 
-def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def select_marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [event for event in events if event["kind"] == "mark" and event["label"].startswith("mark ")]
 
 
 def test_a_marker_is_between_its_tick_and_the_next(marked_run: MarkedRun) -> None:
     ticks, times = marked_run.run.first["tick"], marked_run.run.first["timestamp"]
-    assert len(marks(marked_run.published)) == MARKS
-    for event in marks(marked_run.published):
+    assert len(select_marks(marked_run.published)) == MARKS
+    for event in select_marks(marked_run.published):
         at = int(np.searchsorted(ticks, event["tick"]))
         assert ticks[at] == event["tick"]
         after = times[at + 2]  # this tick starts after the end of the next one
@@ -126,9 +126,9 @@ def test_a_marker_is_between_its_tick_and_the_next(marked_run: MarkedRun) -> Non
 
 
 def test_recording_and_subscribers_have_equal_markers(marked_run: MarkedRun) -> None:
-    recorded = marks(marked_run.run.events)
+    recorded = select_marks(marked_run.run.events)
     assert [(e["label"], e["tick"], e["timestamp"]) for e in recorded] == [
-        (e["label"], e["tick"], e["timestamp"]) for e in marks(marked_run.published)
+        (e["label"], e["tick"], e["timestamp"]) for e in select_marks(marked_run.published)
     ]
 
 
@@ -141,7 +141,7 @@ def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
     markers = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
     assert len(markers) == MARKS
     for event, stamp in markers:
-        published = next(mark for mark in marks(marked_run.published) if mark["label"] == event["label"])
+        published = next(mark for mark in select_marks(marked_run.published) if mark["label"] == event["label"])
         assert event["tick"] == published["tick"] and event["data"] == published["data"]
         distance = stamp - stamps[event["tick"]]
         assert distance == pytest.approx(published["timestamp"] - times[event["tick"]], abs=DIGIT_S)

@@ -42,14 +42,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def scene_of(*objects: dict[str, Any]) -> schema.Scene:
+def make_scene(*objects: dict[str, Any]) -> schema.Scene:
     made = {"fingertip": {"radius_m": 0.01}, "object": [table | {"material": MATERIAL} for table in objects]}
     return build(schema.Scene, made, "test scene")
 
 
 @pytest.fixture(scope="module")
 def commands(folder: Path) -> Iterator[str]:
-    scene = scene_of(
+    scene = make_scene(
         {"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")},
         {"name": "hills", "shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
@@ -85,19 +85,19 @@ def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -
     assert sent == control.mesh(0) == asyncio.run(ask()) and sent.of == len(BALL.triangles) == 5120
     vertices, triangles = arrays(sent)
     corners, expected = vertices[triangles], BALL.vertices.astype("<f4")[BALL.triangles]
-    np.testing.assert_array_equal(in_order(corners), in_order(expected))
+    np.testing.assert_array_equal(order(corners), order(expected))
 
 
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
-    scene = scene_of({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
+    scene = make_scene({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
     with running("replay", scene) as daemon, Control(str(daemon.commands_endpoint), timeout_s=WAIT_S) as control:
         vertices, triangles = arrays(control.mesh("ball"))
-    np.testing.assert_array_equal(in_order(vertices[triangles]), in_order(BALL.vertices.astype("<f4")[BALL.triangles]))
+    np.testing.assert_array_equal(order(vertices[triangles]), order(BALL.vertices.astype("<f4")[BALL.triangles]))
 
 
-def in_order(corners: np.ndarray) -> np.ndarray:
+def order(corners: np.ndarray) -> np.ndarray:
     rows = np.sort(corners.reshape(len(corners), -1), axis=1)
     return rows[np.lexsort(rows.T)]
 

@@ -20,8 +20,8 @@ from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
 from helpers.programs import run_program
 from helpers.waits import until
-from test_kills import children
-from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state
+from test_kills import list_children
+from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, read_state
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
@@ -46,7 +46,7 @@ def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
     return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
 
 
-def end(process: subprocess.Popen[str]) -> str:
+def stop_daemon(process: subprocess.Popen[str]) -> str:
     """Stop a daemon by SIGINT; return its stderr."""
     process.send_signal(signal.SIGINT)
     stderr = process.communicate(timeout=END_S)[1]
@@ -54,14 +54,16 @@ def end(process: subprocess.Popen[str]) -> str:
     return stderr
 
 
-def process_of(pid: int, name: str) -> int:
+def find_child(pid: int, name: str) -> int:
     """Return the daemon's child process that has the endpoints `name`."""
     words = f"socket_process\0{name}".encode()
-    (child,) = [candidate for candidate in children(pid) if words in Path(f"/proc/{candidate}/cmdline").read_bytes()]
+    (child,) = [
+        candidate for candidate in list_children(pid) if words in Path(f"/proc/{candidate}/cmdline").read_bytes()
+    ]
     return child
 
 
-def fill(process: subprocess.Popen[str]) -> None:
+def fill_stderr(process: subprocess.Popen[str]) -> None:
     """Fill the pipe of a program's standard error, which the test reads no more."""
     pipe = os.open(f"/proc/{process.pid}/fd/2", os.O_WRONLY | os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
@@ -73,10 +75,10 @@ def fill(process: subprocess.Popen[str]) -> None:
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
-        everyone = [*children(process.pid), process.pid]
+        everyone = [*list_children(process.pid), process.pid]
         for member in everyone:
             os.kill(member, signal.SIGSTOP)
-        until(lambda: all(state(member) == "T" for member in everyone), END_S, "the stop")
+        until(lambda: all(read_state(member) == "T" for member in everyone), END_S, "the stop")
         time.sleep(0.05)  # frames in transit have arrived
         count = len(board.sent)
         time.sleep(SLEPT_S)
@@ -89,7 +91,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         assert first <= 1, "more than the tick that was under way had a force"
         # Without a wall the hand gets 4 mm deep, and overshoots to at most twice that, a fiftieth of 8 N.
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
-        end(process)
+        stop_daemon(process)
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks)))
     assert "ramping" in [name for name, _ in events]
@@ -100,9 +102,9 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
-        publisher = process_of(process.pid, "telemetry")
+        publisher = find_child(process.pid, "telemetry")
         os.kill(publisher, signal.SIGSTOP)
-        until(lambda: state(publisher) == "T", END_S, "the stop")
+        until(lambda: read_state(publisher) == "T", END_S, "the stop")
         count = len(board.sent)
         until(lambda: len(board.sent) > count + 1000, END_S, "a thousand forces")
         forces = [frame[2] for frame in board.sent[count : count + 1000]]
@@ -110,8 +112,8 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=END_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 100)
-        fill(process)
-        os.kill(process_of(process.pid, "commands"), signal.SIGKILL)
+        fill_stderr(process)
+        os.kill(find_child(process.pid, "commands"), signal.SIGKILL)
         with Control(f"ipc://{tmp_path}/t.commands", END_S) as control:
             assert control.disarm().armed is False
             until(lambda: board.force == ZERO, END_S, "the zero")
@@ -128,7 +130,7 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
     record_property(SEEN, hazard | reaction | {"state": "armed", "recovery": "none needed"})
 
 
-def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
+def make_clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
     """Return the environment with clocks from tests/stubs/clock.c, and a function that sets both."""
     library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
     file.write_bytes(bytes(16))
@@ -147,7 +149,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 ) -> None:
     """Time stops during a suspension, so there is no gap, but the force ramps from zero in the tick that wakes."""
     recording = tmp_path / "slept.mcap"
-    environment, set_clocks = clocks(tmp_path)
+    environment, set_clocks = make_clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
         time.sleep(RAMP_TICKS / 1000.0)  # the initial ramp is over
         count = len(board.sent)
@@ -158,7 +160,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
         first = next((place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS), None)
         assert first is not None, "the force was carried over"
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2  # as above
-        end(process)
+        stop_daemon(process)
     rows = [row for part in read_contents(recording) if isinstance(part, TickBlock) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
@@ -172,7 +174,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "set.mcap"
-    environment, set_clocks = clocks(tmp_path)
+    environment, set_clocks = make_clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
         with Control(f"ipc://{tmp_path}/t.commands", START_S) as control:
             control.mark("before")
@@ -181,7 +183,7 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
             until(lambda: len(board.sent) > count + 500, END_S, "forces after it")
             control.mark("after")
         forces = [frame[2] for frame in board.sent[count : count + 500]]
-        end(process)
+        stop_daemon(process)
     assert min(forces) > 0.0
     parts = list(read_contents(recording))
     rows = [row for part in parts if isinstance(part, TickBlock) for row in part.records()]

@@ -176,7 +176,7 @@ def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPat
     assert reported == ["kernels that call the device", "summary", "end"]
 
 
-class Looking(Folder):
+class ProgressFolder(Folder):
     """Folder of cached kernels that stores the progress text while a kernel is loaded."""
 
     def __init__(self, path: Path) -> None:
@@ -201,7 +201,7 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
     def doubled(number: float) -> float:
         return 2.0 * number
 
-    folder = Looking(tmp_path / "kernels")
+    folder = ProgressFolder(tmp_path / "kernels")
     for _ in range(2):  # the second one finds the cached kernel
         kernel: Any = numba.njit(**OPTIONS)(doubled)
         kernel._cache = KernelCache(doubled, folder)

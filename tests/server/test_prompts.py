@@ -22,7 +22,7 @@ WAIT_S = 60.0
 daemon = daemon_of("simulated-hand", "paper-plane")
 
 
-def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
+def subscribe_events(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
     received: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
@@ -34,7 +34,7 @@ def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
 
 
 def test_a_question_is_shown_and_answered_once(client: Client) -> None:
-    events, received = subscribed(client)
+    events, received = subscribe_events(client)
     screen = {"colour": "#3366cc", "image": "data:image/png;base64,AAAA", "masking_noise": "pink", "volume": 0.5}
     question = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
     assert client.get_prompt() == question and question.open and question.answer is None
@@ -71,7 +71,7 @@ def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -
 
 def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
     """Its length is limited and it is not in the event, because a text in a recording may be personal."""
-    events, received = subscribed(client)
+    events, received = subscribe_events(client)
     question = client.set_prompt("remarks", "Any?", text_length=12)
     assert question.prompt == Prompt("remarks", "Any?", text_length=12)
     for value in ("", "   ", "x" * 13, 1.0):

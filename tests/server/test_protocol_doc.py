@@ -70,20 +70,20 @@ CODE_TABLES = {
 }
 
 
-def cells(line):
+def split_cells(line):
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def rows_below(text, heading):
+def read_tables(text, heading):
     tables, head = {}, None
     for line in text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0].splitlines():
         if not line.startswith("|"):
             head = None
         elif head is None:
-            head = tuple(cells(line))
+            head = tuple(split_cells(line))
             tables[head] = []
         elif "---" not in line:
-            tables[head].append(cells(line))
+            tables[head].append(split_cells(line))
     return tables
 
 
@@ -91,14 +91,14 @@ def doc_tables():
     """Return the types by key for `contact`, `event`, ... in the reference; ticks have the record's keys."""
     tables = {}
     for topic in re.findall(r"^## `(\w+)`$", TELEMETRY, re.MULTILINE):
-        below = rows_below(TELEMETRY, f"## `{topic}`")
+        below = read_tables(TELEMETRY, f"## `{topic}`")
         tables[topic] = {} if topic == "state" else {"`schema`": "int"}  # defined at the top of the page
         tables[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
         for kinds, key, kind, _ in below.pop(KINDS, []):
             for word in kinds.split(", "):
                 tables.setdefault(f"{topic} {word.strip('`')}", {})[key] = kind.partition(",")[0]
         assert not below
-    (record,) = [rows for head, rows in rows_below(RECORD, "# The record of a tick").items() if head == HEADER]
+    (record,) = [rows for head, rows in read_tables(RECORD, "# The record of a tick").items() if head == HEADER]
     tables["contact"] |= {key.replace("contacts0", "contacts[]"): kind.partition(",")[0] for key, kind, _ in record}
     return {title: {key.strip("`"): kind for key, kind in keys.items()} for title, keys in tables.items()}
 

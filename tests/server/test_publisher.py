@@ -57,7 +57,7 @@ def sockets():
             socket.close()
 
 
-def until_event(socket, name):
+def receive_until(socket, name):
     """Return the frames of all messages before the event of that name."""
     messages = []
     while True:
@@ -67,24 +67,24 @@ def until_event(socket, name):
         messages.append(frames)
 
 
-def same(a, b):
+def is_same(a, b):
     """Return True if values and types are equal at every depth, with nan equal to nan."""
     if type(a) is not type(b):
         return False
     if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(is_same(a[key], b[key]) for key in a)
     if isinstance(a, list):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(is_same, a, b))
     return a == b or (a != a and b != b)
 
 
-def with_every_set_of_patches(records):
+def insert_patch_sets(records):
     for i in range(PATCHES):
         put(records, f"contacts{i}.object", np.where(np.arange(len(records)) >> i & 1, i + 3, -1))
     return records
 
 
-def odd(records):
+def insert_odd_values(records):
     """Insert values that have broken an encoder: nan, infinities, and the limits of integers and floats."""
     put(records[1:2], "buttons", np.nan)
     put(records[2:3], "buttons", -np.inf)
@@ -98,8 +98,8 @@ def odd(records):
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_messages_equal_those_of_the_encoder(sockets, every):
-    rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
-    second_rows = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
+    rows = insert_odd_values(insert_patch_sets(synthetic(40, seed=4)))
+    second_rows = insert_patch_sets(synthetic(40, seed=5))[:, :]
     with (
         Publisher("tcp://127.0.0.1:*", every) as single,
         Publisher("tcp://127.0.0.1:*", every, fingers=FINGERS) as both,
@@ -113,12 +113,12 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
             join(publisher, socket)
             publisher.publish(np.hstack(list(records.values())))
             publisher.event("test", "end")
-            messages = until_event(socket, "end")
+            messages = receive_until(socket, "end")
             for topic, of_finger in records.items():
                 got = [msgpack.unpackb(body) for name, body in messages if name == topic]
-                assert same(got, [contact_map(record, every) for record in of_finger[::every]])
+                assert is_same(got, [contact_map(record, every) for record in of_finger[::every]])
             states = [msgpack.unpackb(body) for name, body in messages if name == b"state"]
-            assert same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
+            assert is_same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
 
 
 def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
@@ -128,10 +128,10 @@ def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
         for name, first in (("a", 0), ("b" * 300, 400)):
             publisher.set_state_info(StateInfo(name, 8000.0))
             publisher.event("test", "shown")
-            until_event(socket, "shown")
+            receive_until(socket, "shown")
             publisher.publish(synthetic(400, first_tick=first))
             publisher.event("test", name)
-            states = [msgpack.unpackb(body) for topic, body in until_event(socket, name) if topic == b"state"]
+            states = [msgpack.unpackb(body) for topic, body in receive_until(socket, name) if topic == b"state"]
             assert [state["sequence"] for state in states] == list(range(first, first + 400, 40))
             assert {state["active_field"] for state in states} == {name}
 
@@ -143,7 +143,7 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
         records = synthetic(1103)
         publisher.publish(records)
         publisher.event("test", "before")
-        until_event(early, "before")
+        receive_until(early, "before")
         time.sleep(2.0 * QUIET_S)
         socket = sockets(publisher.endpoint, b"")
         messages = {topic: msgpack.unpackb(body) for topic, body in (socket.recv_multipart() for _ in range(4))}
@@ -165,7 +165,7 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
             later.unsubscribe(b"health")
         publisher.event("test", "after")
         # A subscriber to all topics receives them once more, and nothing else.
-        topics = [topic for topic, _ in until_event(socket, "after")]
+        topics = [topic for topic, _ in receive_until(socket, "after")]
         assert sorted(topics) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
@@ -184,7 +184,7 @@ def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
                 sockets(publisher.endpoint, b"contact")
             time.sleep(0.0005)
         publisher.event("test", "end")
-        ticks = [msgpack.unpackb(body)["tick"] for topic, body in until_event(socket, "end") if topic == b"contact"]
+        ticks = [msgpack.unpackb(body)["tick"] for topic, body in receive_until(socket, "end") if topic == b"contact"]
     assert ticks == list(range(2000))
 
 
@@ -193,12 +193,12 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
         publisher.set_state_info(StateInfo(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
         join(publisher, socket)
-        records = [with_every_set_of_patches(synthetic(1200, seed=seed)) for seed in range(2)]
+        records = [insert_patch_sets(synthetic(1200, seed=seed)) for seed in range(2)]
         put(records[0][700:701], "contact.cause", 1)
         publisher.publish(np.hstack(records))
         publisher.event("command", "set_params", command_id="1", what={"a": {"from": 1.0, "to": 2.0}})
         publisher.event("test", "end")
-        messages = until_event(socket, "end")
+        messages = receive_until(socket, "end")
     late = {b"schema", b"finger/index", b"finger/thumb", b"state", b"health", b"event"}
     assert {frames[0] for frames in messages} | {b"schema"} == late
     assert [faults for frames in messages if (faults := complaints(frames, ("state",)))] == []

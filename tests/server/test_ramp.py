@@ -25,11 +25,11 @@ MATERIAL = "object.table.material"
 ROUNDING = 1e-9  # of forces around 1 N that change by 5 mN per tick
 
 
-def scene(**changes):
+def make_scene(**changes):
     return load_scene("paper-plane", {f"{MATERIAL}.{key}": value for key, value in changes.items()})
 
 
-def way_from(tree, ticks=TICKS):
+def start_ramp(tree, ticks=TICKS):
     return ramp.make_ramp(tree, ticks)
 
 
@@ -42,9 +42,9 @@ def advance(ramp_state, tree, ticks):
 
 @pytest.mark.plain
 def test_all_values_that_affect_the_force_are_ramped_together():
-    old = build_scene(scene())
-    new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
-    ramp_state = way_from(old)
+    old = build_scene(make_scene())
+    new = build_scene(make_scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
     half = advance(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
@@ -56,9 +56,9 @@ def test_all_values_that_affect_the_force_are_ramped_together():
 @pytest.mark.plain
 def test_positions_and_limits_change_immediately():
     guard = load_rig("replay").guard
-    old = make_tuning(scene(), guard)
-    softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
-    ramp_state = way_from(old)
+    old = make_tuning(make_scene(), guard)
+    softer = old._replace(scene=build_scene(make_scene(stiffness_n_per_m=500.0)))
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(softer))
     assert advance(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
@@ -75,7 +75,7 @@ def test_positions_and_limits_change_immediately():
 def test_an_array_changes_immediately():
     """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
     ramp.advance(ramp_state)
     assert ramp_state.now.tobytes() == flatten(new).tobytes()
@@ -88,7 +88,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
         law = advance(ramp_state, old, 1).material.normal
@@ -96,7 +96,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
 
 
 @entry
-def stiffness_of(like, values, index):
+def read_stiffness(like, values, index):
     body = object_at(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
@@ -110,13 +110,13 @@ def test_many_objects_are_ramped():
         return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
 
     old, new = tiles(1000.0), tiles(500.0)
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_now(ramp_state, ramp.flatten_tuning(old))
     ramp.set_target(ramp_state, ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
             ramp.advance(ramp_state)
-        stiffness, friction = np.transpose([stiffness_of(old, ramp_state.now, float(k)) for k in range(9)])
+        stiffness, friction = np.transpose([read_stiffness(old, ramp_state.now, float(k)) for k in range(9)])
         assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
         assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
     assert old.objects.entries[3].normal.stiffness == 1000.0 and ramp_state.ticks_left[0] == -1
@@ -124,8 +124,8 @@ def test_many_objects_are_ramped():
 
 @pytest.mark.plain
 def test_a_ramp_without_ticks_is_immediate():
-    old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
-    ramp_state = way_from(old, 0)
+    old, new = (build_scene(make_scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
+    ramp_state = start_ramp(old, 0)
     ramp.set_target(ramp_state, flatten(new))
     assert advance(ramp_state, old, 1) == new
 
@@ -133,7 +133,7 @@ def test_a_ramp_without_ticks_is_immediate():
 @pytest.mark.real_time
 def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
-    tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
+    tunings = {k: make_tuning(make_scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
     servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
     servo.compile()
     servo.start()

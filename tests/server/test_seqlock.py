@@ -18,7 +18,7 @@ WAIT_S = 120.0
 
 
 @entry
-def publish_on(slot, values, flag):
+def publish_repeatedly(slot, values, flag):
     """Publish increasing numbers, the same in every element, until the flag is set."""
     number = slot.values[0]
     while load_relaxed(flag, 0) == 0:
@@ -30,7 +30,7 @@ def publish_on(slot, values, flag):
 
 
 @entry
-def read_on(slot, values, reads, flag):
+def read_repeatedly(slot, values, reads, flag):
     """Refresh `reads` times; return the numbers of torn, of older and of accepted copies."""
     version, torn, older, accepted, last = -1, 0, 0, 0, -1.0
     for _ in range(reads):
@@ -51,14 +51,14 @@ def read_on(slot, values, reads, flag):
 
 def test_no_read_is_torn_in_ten_million():
     slot, flag = make_slot(np.zeros(WIDTH)), np.ones(1, np.int64)
-    publish_on(slot, np.zeros(WIDTH), flag)
-    read_on(slot, np.zeros(WIDTH), 0, flag)
+    publish_repeatedly(slot, np.zeros(WIDTH), flag)
+    read_repeatedly(slot, np.zeros(WIDTH), 0, flag)
     torn, older, accepted, until = 0, 0, 0, time.monotonic() + WAIT_S
     while accepted <= 100 and time.monotonic() < until:  # on busy processors the two may not run simultaneously
         flag[0] = 0
-        writer = threading.Thread(target=publish_on, args=(slot, np.zeros(WIDTH), flag))
+        writer = threading.Thread(target=publish_repeatedly, args=(slot, np.zeros(WIDTH), flag))
         writer.start()
-        counts = read_on(slot, np.zeros(WIDTH), READS, flag)
+        counts = read_repeatedly(slot, np.zeros(WIDTH), READS, flag)
         writer.join()
         torn, older, accepted = torn + counts[0], older + counts[1], accepted + counts[2]
     assert (torn, older) == (0, 0)
@@ -85,7 +85,7 @@ def test_an_unchanged_value_is_not_copied():
     assert refresh(slot, version, values) != version and values[0] == 2.0
 
 
-def compiled(kernel, *arguments):
+def compile_body(kernel, *arguments):
     dispatcher = numba.njit(**OPTIONS)(kernel.py_func)
     dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
     (ir,) = dispatcher.inspect_llvm().values()
@@ -104,7 +104,7 @@ STEPS = {
 }
 
 
-def following(body):
+def find_followers(body):
     """Return, for each of STEPS in a body, the steps that can follow it on any path through its blocks."""
     label = r"[\w.$-]+"
     blocks = dict(re.findall(rf"^({label}):[^\n]*\n(.*?)(?=^{label}:|^}})", body, re.MULTILINE | re.DOTALL))
@@ -129,13 +129,13 @@ def following(body):
 
 def test_compiled_code_has_the_order_of_the_lock():
     slot, values = make_slot(np.zeros(WIDTH)), np.zeros(WIDTH)
-    assert following(compiled(refresh, slot, 0, values)) == {
+    assert find_followers(compile_body(refresh, slot, 0, values)) == {
         "load acquire": {"copy", "fence acquire", "load relaxed"},
         "copy": {"fence acquire", "load relaxed"},
         "fence acquire": {"load relaxed"},
         "load relaxed": set(),
     }
-    assert following(compiled(publish, slot, values)) == {
+    assert find_followers(compile_body(publish, slot, values)) == {
         "load relaxed": {"store relaxed", "fence release", "copy", "store release"},
         "store relaxed": {"fence release", "copy", "store release"},
         "fence release": {"copy", "store release"},

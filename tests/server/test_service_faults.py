@@ -26,7 +26,7 @@ pytestmark = pytest.mark.plain
 WAIT_S = 20.0
 
 
-class Broken:
+class BrokenSource:
     def __getattr__(self, name: str) -> Any:
         raise OSError(f"{name} is gone")
 
@@ -40,7 +40,7 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
         events.append((kind, fault_name, message))
         came.set()
 
-    broken = cast(Any, Broken())
+    broken = cast(Any, BrokenSource())
     if name == "metrics":
         counts = MetricsCollector(
             [""],

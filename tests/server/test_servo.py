@@ -157,7 +157,7 @@ def test_an_unusable_pose_means_zero_force_immediately(fault):
     assert records[700, AT.contact_mode] == 0
 
 
-def named(records):
+def list_guard_events(records):
     return [event["name"] for event in RecordEvents(GUARD_NAMES).observe(records) if event["kind"] == "guard"]
 
 
@@ -169,7 +169,7 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
     ended, records = finish(servo)
     guard, wrenches = records[:, AT.servo_guard].astype(int), device.wrenches
     assert ended.ending == s.FINISHED
-    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900] and "pose_jumped" in named(records)
+    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900] and "pose_jumped" in list_guard_events(records)
     for tick in (700, 900):
         assert guard[tick] == POSE_JUMPED and records[tick, AT.contact_mode] == 0
         assert wrenches[tick - 1, 2] > 0.3 and not wrenches[tick].any() and 0.0 < wrenches[tick + 1, 2] < 0.01
@@ -190,7 +190,7 @@ def test_a_frozen_pose_removes_the_force_until_it_changes():
     device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
-    assert ended.ending == s.FINISHED and "pose_frozen" in named(records)
+    assert ended.ending == s.FINISHED and "pose_frozen" in list_guard_events(records)
     assert frozen.tolist() == list(range(901, 1700))
     assert device.wrenches[700:901, 2].min() > 0.9
     assert not device.wrenches[901:1700].any() and 0.0 < device.wrenches[1700, 2] < 0.01
@@ -342,7 +342,7 @@ def test_loop_runs_while_python_holds_the_interpreter_lock():
 
 
 def test_no_page_fault_in_the_loop():
-    def faults_of(ticks: int) -> int:
+    def count_page_faults(ticks: int) -> int:
         fault_counts = []
 
         def count_faults() -> None:
@@ -356,10 +356,10 @@ def test_no_page_fault_in_the_loop():
         finish(servo)
         return fault_counts[1] - fault_counts[0]
 
-    faults_of(50)
+    count_page_faults(50)
     # The device stores its wrenches in new memory: 48 bytes per tick, a page every 85 ticks.
     kept_by_device = 5000 * 48 // 4096 + 1
-    assert faults_of(5000) - faults_of(50) <= kept_by_device + 2
+    assert count_page_faults(5000) - count_page_faults(50) <= kept_by_device + 2
 
 
 COUNT = """

@@ -71,11 +71,11 @@ def device(motor: Motor) -> Device:
 
 
 @pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
-def fails(error: BaseException) -> Any:
+def make_failing(error: BaseException) -> Any:
     def act(*_: object) -> None:
         raise error
 
@@ -86,7 +86,12 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
     steps_run: list[int] = []
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
-        steps = (fails(first), lambda: steps_run.append(1), fails(KeyboardInterrupt()), lambda: steps_run.append(2))
+        steps = (
+            make_failing(first),
+            lambda: steps_run.append(1),
+            make_failing(KeyboardInterrupt()),
+            lambda: steps_run.append(2),
+        )
         assert shutdown.run_all_steps(*steps) is first
     assert steps_run == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
@@ -96,7 +101,7 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
 def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
-        assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
+        assert shutdown.run_all_steps(make_failing(OSError("gone")), first=before) is before
     assert "besides: gone" in caplog.text
 
 
@@ -155,7 +160,7 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
         shutdown.close(device(Motor(RuntimeError())))
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
@@ -165,7 +170,7 @@ def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureF
     hangs.free.set()
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
@@ -196,7 +201,7 @@ def test_devices_are_called_simultaneously() -> None:
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):

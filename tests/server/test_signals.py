@@ -88,7 +88,7 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
 OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
 
 
-def watcher_of(process: subprocess.Popen[str]) -> int:
+def find_watcher(process: subprocess.Popen[str]) -> int:
     """Return the process id of a daemon's watcher, its only child except the publisher."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
 
@@ -101,7 +101,7 @@ def watcher_of(process: subprocess.Popen[str]) -> int:
     return watcher
 
 
-def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
+def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> None:
     """End a daemon by a signal; other signals during its shutdown have no effect."""
     process.send_signal(number)
     time.sleep(0.1)  # of pending signals Python takes the lowest number first
@@ -119,14 +119,14 @@ def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
 @pytest.mark.parametrize("number", OTHERS)
 def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
     with pressing(tmp_path) as (board, process):
-        end_by(process, board, number)
+        end_by_signal(process, board, number)
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (board, process):
-        watcher = watcher_of(process)
+        watcher = find_watcher(process)
         process.send_signal(signal.SIGTSTP)
-        until(lambda: state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
+        until(lambda: read_state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
         assert process.poll() is None, process.communicate()[1]
         time.sleep(0.05)  # frames in transit have arrived
         assert board.force == ZERO
@@ -138,17 +138,17 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         forces = [frame[2] for frame in board.sent[count:]]
         first = next(force for force in forces if force > 0)
         assert first < 0.1 * 1e3 * FORCE_N  # start of a ramp
-        end_by(process, board, signal.SIGHUP)
+        end_by_signal(process, board, signal.SIGHUP)
         assert not Path(f"/proc/{watcher}").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (board, process):
-        watcher = watcher_of(process)
+        watcher = find_watcher(process)
         os.kill(watcher, signal.SIGTERM)
         time.sleep(0.1)
-        assert state(watcher) == "S"
+        assert read_state(watcher) == "S"
         process.send_signal(number)
         stderr = process.communicate(timeout=END_S)[1]
         assert process.returncode == -number
@@ -365,7 +365,7 @@ def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
     assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], output
 
 
-def state(pid: int) -> str:
+def read_state(pid: int) -> str:
     """Return the state of a process from the kernel: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 

@@ -44,7 +44,7 @@ EXPECTED = {
 }
 
 
-def states_in(state):
+def make_states(state):
     """Return states at `state` and the list of their later notifications."""
     changes = []
     states = States(lambda *change: changes.append(change))
@@ -57,7 +57,7 @@ def states_in(state):
 
 @pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
-    states, changes = states_in(state)
+    states, changes = make_states(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)
     assert states.now == (after or state)
@@ -87,7 +87,7 @@ def test_the_table_is_complete():
     ],
 )
 def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
-    states, changes = states_in(begun)
+    states, changes = make_states(begun)
     for _ in range(2):
         states.follow(reasons)
     assert [str(change[1]) for change in changes] == after
@@ -96,7 +96,7 @@ def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
 
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
-    states, changes = states_in(DaemonState.ARMED)
+    states, changes = make_states(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):
         states.follow(reasons)

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.plain
 WAIT_S = 20.0
 
 
-class Broken:
+class BrokenServo:
     is_ticking = True
 
     @property
@@ -36,7 +36,7 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
         errors.append(error)
         failed.set()
 
-    supervisor = Supervisor(cast(Any, Broken()), fail, lambda *words, **fields: None)
+    supervisor = Supervisor(cast(Any, BrokenServo()), fail, lambda *words, **fields: None)
     supervisor.start()
     assert failed.wait(WAIT_S)
     supervisor.stop()
@@ -74,7 +74,7 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
     assert calls[0] == "no tick" and sorted(calls[1:3]) == ["stop a", "stop b"] and calls[3:] == ["fault stalled"]
 
 
-class Stalled:
+class StalledServo:
     is_ticking, is_armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
@@ -103,7 +103,7 @@ def test_a_stall_is_longer_without_a_hand(
 ) -> None:
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
-    servo, errors = Stalled(*hold_a_force), list[HapticError]()
+    servo, errors = StalledServo(*hold_a_force), list[HapticError]()
     Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
@@ -146,7 +146,7 @@ def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     assert STALL_POLLS * STALL_POLL_S - 1e-9 <= reaction <= STALL_MAX_S
 
 
-class Unarmed:
+class UnarmedServo:
     ticks, is_armed = 0, False
     devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
@@ -161,7 +161,9 @@ class Unarmed:
 
 def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
     calls: list[Any] = []
-    supervisor = Supervisor(cast(Any, Unarmed(8 * STALL_POLLS)), calls.append, lambda *words, **_: calls.append(words))
+    supervisor = Supervisor(
+        cast(Any, UnarmedServo(8 * STALL_POLLS)), calls.append, lambda *words, **_: calls.append(words)
+    )
     supervisor.work()
     assert calls == []
 

@@ -87,7 +87,7 @@ def test_readers_accept_either_address(folder: Path, daemons: list[Daemon], caps
 
 
 @pytest.fixture
-def named() -> Iterator[Daemon]:
+def named_daemon() -> Iterator[Daemon]:
     """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
     rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -97,9 +97,9 @@ def named() -> Iterator[Daemon]:
 
 @pytest.mark.real_time
 def test_a_daemon_with_named_commands_is_found_from_either_address(
-    folder: Path, named: Daemon, capsys: pytest.CaptureFixture[str]
+    folder: Path, named_daemon: Daemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = (named.publisher.endpoint, str(named.commands_endpoint))
+    both = (named_daemon.publisher.endpoint, str(named_daemon.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
             assert find_addresses(endpoint, to_command=to_command) == both
@@ -115,17 +115,17 @@ def test_a_daemon_with_named_commands_is_found_from_either_address(
         )  # sent by the daemon
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-            assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+            assert client.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint
 
 
 @pytest.mark.real_time
-def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
+def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named_daemon: Daemon) -> None:
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.page import Page
 
     page = Page("127.0.0.1", 0)
     try:
-        fed = LivePage(page, find_addresses(named.publisher.endpoint))
+        fed = LivePage(page, find_addresses(named_daemon.publisher.endpoint))
         try:
             until = time.monotonic() + WAIT_S
             while not page.fingers and time.monotonic() < until:
@@ -137,11 +137,11 @@ def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: 
     finally:
         page.close()
     gateway_endpoint = f"ipc://{folder.parent}/there"
-    words = ["forward", "--from", named.publisher.endpoint, "--commands-to", gateway_endpoint]
+    words = ["forward", "--from", named_daemon.publisher.endpoint, "--commands-to", gateway_endpoint]
     with Program([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
         try:
             with Control(gateway_endpoint, WAIT_S) as control:
-                assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+                assert control.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint
         finally:
             gateway.terminate()
 
@@ -210,17 +210,17 @@ def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
     assert not path.exists()
 
 
-def _writable(folder: Path) -> None:
+def _make_writable(folder: Path) -> None:
     folder.mkdir()
     folder.chmod(0o777)
 
 
-def _link(folder: Path) -> None:
+def _make_link(folder: Path) -> None:
     (folder.parent / "elsewhere").mkdir()
     folder.symlink_to("elsewhere")
 
 
-def _of_another(folder: Path) -> None:
+def _make_foreign(folder: Path) -> None:
     folder.mkdir()
     os.chown(folder, NOBODY, NOBODY)
 
@@ -228,10 +228,10 @@ def _of_another(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
-        (_writable, "other users may write to it"),
-        (_link, "is not a folder"),
+        (_make_writable, "other users may write to it"),
+        (_make_link, "is not a folder"),
         (Path.touch, "is not a folder"),
-        pytest.param(_of_another, "belongs to another user", marks=needs_root),
+        pytest.param(_make_foreign, "belongs to another user", marks=needs_root),
     ],
 )
 def test_a_folder_of_another_user_is_refused(folder: Path, plant, message: str) -> None:

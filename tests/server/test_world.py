@@ -46,12 +46,12 @@ def scene(tmp_path: Path) -> schema.Scene:
     return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
-def rig(**changes: Any) -> schema.Rig:
+def make_rig(**changes: Any) -> schema.Rig:
     keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
     return load_rig("replay", keys | {"device.recording": "tap", **changes})
 
 
-def heights(endpoint: str) -> Iterator[tuple[int, float]]:
+def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
     with subscribe(endpoint, ("world",), timeout_s=20.0) as samples:
         for sample in samples:
             (body,) = sample.bodies
@@ -64,11 +64,11 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    with Daemon(rig(), scene, ticks, sinks=[keep]) as running:
+    with Daemon(make_rig(), scene, ticks, sinks=[keep]) as running:
         running.recordings.record(tmp_path / "a.mcap", "key")
         published = []
         running.start()
-        for tick, height in heights(running.publisher.endpoint):
+        for tick, height in receive_heights(running.publisher.endpoint):
             published.append((tick, height + 0.01))
             if not running.servo.is_running or tick > ticks - 60:
                 break
@@ -81,7 +81,7 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
 
     records = np.concatenate(rows)
     poses = resample(load_poses("tap"), 1000.0)[:ticks]
-    offline = simulate(make_tuning(scene, rig().guard), poses, 1000.0)
+    offline = simulate(make_tuning(scene, make_rig().guard), poses, 1000.0)
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
         np.testing.assert_array_equal(records[:, field], offline[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
@@ -89,7 +89,7 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     past = load_run(tmp_path / "a.mcap", FIELDS)
     assert past.bodies.names == ("key",)
     assert len(past.bodies.ticks) > 10 and np.ptp(past.bodies.poses[:, 0, 2]) > 0.3 * share * PRESSED_M
-    now = replay(past, scene, rig())
+    now = replay(past, scene, make_rig())
     outcome = compare(past, now, {"": {}}, 0.0)
     assert (outcome.different, outcome.largest["key.position"]) == (0, 0.0)
     past.bodies.poses[5, 0, 2] += 1e-12
@@ -182,9 +182,9 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
     at_home = apply_overrides(scene, {"world.keyframe": "home"}, "test")
-    with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
+    with Daemon(make_rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
-        samples = heights(running.publisher.endpoint)
+        samples = receive_heights(running.publisher.endpoint)
         begun = [height for _, height in itertools.islice(samples, 5)]
         bodies = running.servo.tuning.scene.bodies
         assert bodies is not None
@@ -213,7 +213,7 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
     changes = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
-    with Daemon(rig(**changes), scene, sinks=[keep]) as running:
+    with Daemon(make_rig(**changes), scene, sinks=[keep]) as running:
         running.start()
         with (
             Control(f"ipc://{tmp_path}/c") as control,
@@ -259,7 +259,7 @@ def wait_for(running: Daemon, ticks: int) -> None:
 def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
     assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))
-    with Daemon(rig(), hasty) as running:
+    with Daemon(make_rig(), hasty) as running:
         running.start()
         wait_for(running, 500)
         owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
@@ -268,7 +268,7 @@ def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
 
 
 def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
-    tuning, away = make_tuning(scene, rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    tuning, away = make_tuning(scene, make_rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert tuning.scene.bodies is not None
     owner = tuning.scene.bodies.block.owner
     owner.model.opt.gravity[2] = -9.81

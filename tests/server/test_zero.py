@@ -25,7 +25,7 @@ HELD_M = 0.009
 SWAY_M_PER_S = 0.005 * 0.02 * 1000.0
 
 
-def zeroed(control: Control, **arguments):
+def zero_when_off(control: Control, **arguments):
     """Send `zero` as soon as the force is off."""
     answers = []
 
@@ -48,13 +48,13 @@ def test_a_zero_offset_changes_no_bit():
 
 def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
     """It is refused under a force; afterwards F_z = k d + f at the new depth, until a reset."""
-    with running(rig()) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig()) as (daemon, control, recorder), events(daemon) as next_event:
         with pytest.raises(CommandRefused, match=r"^refused: .* disarm first"):
             control.zero()
         control.disarm()
-        following("command")
-        answer = zeroed(control, position_m=(0.0, 0.0, HELD_M + 0.0005))
-        message = following("command")
+        next_event("command")
+        answer = zero_when_off(control, position_m=(0.0, 0.0, HELD_M + 0.0005))
+        message = next_event("command")
         assert message["name"] == "zero" and message["what"] == {"finger": "", "offset_m": list(answer.offset_m)}
         assert answer.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
         assert control.describe()["fingers"][0]["offset_m"] == list(answer.offset_m)
@@ -70,9 +70,9 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
         control.set_scene(describe(pressed_scene(stiffness_n_per_m=2000.0)))
         assert eventually(lambda: recorder.force_n == pytest.approx(1.0 + 1.0, rel=1e-9))
         control.disarm()
-        second_answer = zeroed(control, position_m=(0.0, 0.0, 0.009))
+        second_answer = zero_when_off(control, position_m=(0.0, 0.0, 0.009))
         assert second_answer.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of about 0.01
-        assert zeroed(control, reset=True).offset_m == (0.0, 0.0, 0.0)
+        assert zero_when_off(control, reset=True).offset_m == (0.0, 0.0, 0.0)
         control.arm()
         assert eventually(lambda: recorder.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
         assert recorder.rows[-1][-1, AT.probe_position + 2] == HELD_M
@@ -85,7 +85,7 @@ def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
         control.disarm()
         with pytest.raises(CommandRefused, match="give finger, one of thumb, index"):
             control.zero()
-        answer = zeroed(control, position_m=(0.0, 0.0, 0.0085), finger="index")
+        answer = zero_when_off(control, position_m=(0.0, 0.0, 0.0085), finger="index")
         assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > answer.tick + 2)
         heights = recorder.rows[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
         assert heights[0] == HELD_M and heights[1] == pytest.approx(0.0085, rel=ROUNDING)

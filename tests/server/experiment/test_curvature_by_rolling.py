@@ -27,7 +27,7 @@ FRICTION = 0.5
 """Kinetic friction coefficient of both scenes."""
 
 
-def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
+def simulate_condition(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[SINGLE_FINGER], experiment.turn[SINGLE_FINGER]
     times = np.arange(0.0, 1.5, 0.005)
@@ -41,7 +41,7 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
 @pytest.mark.parametrize("radius_m", [0.04, 0.02])  # reference radius and smallest radius of all levels
 def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
     """The finger never slides, and the tangential force is coupling stiffness times the lag of the rolling proxy."""
-    records, poses = rolled("rolls", radius_m)
+    records, poses = simulate_condition("rolls", radius_m)
     mode = records["contact.mode"]
     first = int(np.argmax(mode == ROLLING))
     assert (mode[first:] == ROLLING).all() and first < 100
@@ -59,7 +59,7 @@ def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
 
 
 def test_without_rolling_the_same_movement_drags() -> None:
-    records, _ = rolled("slides", 0.04)
+    records, _ = simulate_condition("slides", 0.04)
     slides = records["contact.mode"] == SLIDING
     assert slides[-100:].all()
     force, normal = records["force"][-100:], records["contact.normal_force"][-100:]

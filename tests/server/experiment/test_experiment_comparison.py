@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import optimize, stats
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, find_excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
@@ -44,7 +44,7 @@ def study() -> tuple[Experiment, list[dict[str, Any]]]:
 def test_confidence_follows_signal_detection() -> None:
     """The share of each mark is that of |x| in its interval, x normal with mean Phi^-1(p) and unit variance."""
     experiment = Experiment(
-        small(confidence={}, factor=[]),
+        make_tables(confidence={}, factor=[]),
         {"procedure.levels": [0.15], "procedure.repetitions": 2000, "observer.lapse": 0.0},
     )
     rows, observer = experiment.rehearse(), experiment.file.observer
@@ -101,7 +101,7 @@ def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, 
 def test_a_factor_without_effect_is_none() -> None:
     """At most 6 of 40 studies without an effect have p < 0.05; a higher count has a probability below 1 %."""
     procedure = {"kind": "constant", "levels": [0.05, 0.1, 0.2, 0.4], "repetitions": 20}
-    experiment, low = Experiment(small(procedure=procedure)), 0
+    experiment, low = Experiment(make_tables(procedure=procedure)), 0
     for participant in range(1, 41):
         rows = [row | row["levels"] | {"participant": "sub-01"} for row in experiment.rehearse(participant)]
         low += compare_models(experiment.file, rows)[0].p_value < 0.05
@@ -112,7 +112,7 @@ def test_numbers_are_compared_by_regression() -> None:
     """With an intercept per condition chi squared is n log(RSS0 / RSS1), checked by NumPy's least squares."""
     task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
     made = Experiment(
-        small(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
+        make_tables(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
         {"observer.by": {"2.0": {"scale": 15.0}}},
     )
     rows = [row | row["levels"] | {"participant": "sub-01"} for row in made.rehearse()]
@@ -168,7 +168,7 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
         {"name": name, "parameter": f"object.table.material.{key}", "levels": levels}
         for name, key, levels in (("a", "damping_ns_per_m", [0.0, 1.0]), ("b", "friction.static", [0.5, 0.7, 0.9]))
     ]
-    file, shift = Experiment(small(factor=factors)).file, {0.5: 0.0, 0.7: 10.0, 0.9: 30.0}
+    file, shift = Experiment(make_tables(factor=factors)).file, {0.5: 0.0, 0.7: 10.0, 0.9: 30.0}
     values = {
         (who, f"{a}, {b}"): extra + a + shift[b] * (1.0 + extra)
         for who, extra in (("sub-01", 0.0), ("sub-02", 0.1))
@@ -184,8 +184,8 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
 
 
 def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
-    experiment = Experiment(small(factor=[], catch=CATCH))
-    guessing = Experiment(small(factor=[], catch=CATCH), {"observer.threshold": 1e3})
+    experiment = Experiment(make_tables(factor=[], catch=CATCH))
+    guessing = Experiment(make_tables(factor=[], catch=CATCH), {"observer.threshold": 1e3})
     rows = [
         row | {"participant": f"sub-0{number}"}
         for number, variant in enumerate((experiment, experiment, guessing), 1)
@@ -197,8 +197,8 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
 
 
 def test_a_score_is_the_mean_of_all_ratings() -> None:
-    names = [question.name for question in Experiment(small(survey=[TLX])).file.survey[0].question]
-    made = Experiment(small(survey=[TLX])).file
+    names = [question.name for question in Experiment(make_tables(survey=[TLX])).file.survey[0].question]
+    made = Experiment(make_tables(survey=[TLX])).file
     row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
     answers = [row | {"question": name, "answer": 10.0 * k} for k, name in enumerate(names, 1)]
     table = survey_table(made, answers)
@@ -207,7 +207,7 @@ def test_a_score_is_the_mean_of_all_ratings() -> None:
 
 
 def test_scores_are_compared_within_participants() -> None:
-    made = Experiment(small(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
+    made = Experiment(make_tables(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
     answers = [
         {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,
          "answer": 30.0 + more}

@@ -60,13 +60,13 @@ realtime = "off"
 """
 
 
-def children(pid: int) -> list[int]:
+def list_children(pid: int) -> list[int]:
     with suppress(OSError):
         return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
 
 
-def killed(words: list[str], journal: Path, rng: random.Random) -> None:
+def kill_while_running(words: list[str], journal: Path, rng: random.Random) -> None:
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
@@ -78,7 +78,7 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
             pytest.fail("the session does not go on")
     time.sleep(rng.random() * (0.1 if until else 2.0))
     if rng.random() < 0.3:
-        for child in children(process.pid):
+        for child in list_children(process.pid):
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
         time.sleep(rng.random() * 0.1)
@@ -96,7 +96,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     words += ["--out", str(tmp_path / "out"), "--endpoint", f"ipc://{tmp_path}/t", "--commands", f"ipc://{tmp_path}/c"]
     own, rng = tmp_path / "out" / "sub-01", random.Random(11)
     for _ in range(kills):
-        killed(words, own / "sub-01_journal.jsonl", rng)
+        kill_while_running(words, own / "sub-01_journal.jsonl", rng)
     assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL, timeout=WAIT_S).returncode == 0
     rows = results(tmp_path / "out")
     assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [

@@ -297,7 +297,7 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
     assert not report["whole"] and report["ticks"] == len(ticks) and report["scene_name"] == "paper-plane"
 
 
-class Slow:
+class SlowFile:
     """File on a disk that blocks writes while `free` is not set."""
 
     def __init__(self, path: Path) -> None:
@@ -311,7 +311,7 @@ class Slow:
     def closed(self) -> bool:
         return self._file.closed
 
-    def __enter__(self) -> Slow:
+    def __enter__(self) -> SlowFile:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -326,7 +326,7 @@ class Slow:
 
 def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     reports: list[str] = []
-    file = Slow(tmp_path / "slow.mcap")
+    file = SlowFile(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
     recorder.take(run()[:1])
     assert eventually(lambda: recorder.recorded.ticks == 1)
@@ -353,7 +353,7 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
 
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     reports: list[str] = []
-    file = Slow(tmp_path / "slow.mcap")
+    file = SlowFile(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
     batch = np.tile(run()[:1], (1024, 1))
     numbers = iter(range(0, 10**9, 1024))

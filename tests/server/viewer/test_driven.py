@@ -79,16 +79,16 @@ def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> N
     places = {0: LID["position_m"], 499: LID["position_m"], 500: moves[500], 1500: moves[900]}
     with served(str(file)) as screen:
 
-        def stands(place: Any) -> bool:
+        def is_at(place: Any) -> bool:
             position = screen.page.evaluate(NODE)
             return position is not None and bool(np.allclose(np.array(position) / CM, place, atol=1e-6))
 
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (1500, 500, 499, 1500, 0):
             screen.fill("time, s", str(tick / 1000.0))
-            assert eventually(lambda tick=tick: stands(places[tick])), tick
+            assert eventually(lambda tick=tick: is_at(places[tick])), tick
         screen.choose("speed", "0.25")
         screen.fill("time, s", "0.85")
-        assert eventually(lambda: stands(moves[500]))
+        assert eventually(lambda: is_at(moves[500]))
         screen.page.get_by_label("play", exact=True).click()
-        assert eventually(lambda: stands(moves[900]))
+        assert eventually(lambda: is_at(moves[900]))

@@ -47,7 +47,7 @@ def make_object(table: dict[str, Any]) -> Any:
     return build(schema.Scene, mapping, "test scene").object[0]
 
 
-def volume(mesh: SurfaceMesh) -> float:
+def compute_volume(mesh: SurfaceMesh) -> float:
     """Return the volume enclosed by the triangles by the divergence theorem, positive if they face outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
@@ -58,7 +58,7 @@ def volume(mesh: SurfaceMesh) -> float:
 )
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
     """A polygon of 40 corners lacks 0.4 % of a circle's area; a meridian lacks half as much again."""
-    assert volume(surface_mesh(make_object(table))) == pytest.approx(exact, rel=0.015)
+    assert compute_volume(surface_mesh(make_object(table))) == pytest.approx(exact, rel=0.015)
 
 
 def test_a_plane_faces_along_its_normal() -> None:
@@ -256,7 +256,7 @@ def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
         np.testing.assert_allclose(foot.normal, UP, atol=1e-15)
 
 
-def tick(**values: float) -> np.ndarray:
+def make_record(**values: float) -> np.ndarray:
     row = np.zeros(RECORD_SIZE)
     for name, value in values.items():
         row[getattr(AT, name)] = value
@@ -275,11 +275,11 @@ def tick(**values: float) -> np.ndarray:
     ],
 )
 def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: VisibleState) -> None:
-    before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
+    before, now = make_record(contact_mode=1), make_record(timestamp=0.1, **after)
     assert classify_contact(before, now, 0.01) == state
     if state in (VisibleState.ROLLING, VisibleState.SPINNING):
-        late = tick(timestamp=9.0, **after)
-        assert {classify_contact(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {
+        late = make_record(timestamp=9.0, **after)
+        assert {classify_contact(*two, 0.01) for two in ((make_record(), now), (now, now), (before, late))} == {
             VisibleState.STICKING
         }
     assert set(COLOURS) == set(VisibleState) and len(set(COLOURS.values())) == len(COLOURS)
@@ -316,7 +316,7 @@ START = Target(np.array([0.01, 0.0, 0.02]), glyphs.IDENTITY)
 GRABBED = np.array([0.01, -0.01, 0.02])
 
 
-def pointer(to: np.ndarray) -> np.ndarray:
+def aim(to: np.ndarray) -> np.ndarray:
     look = GRABBED - EYE
     point = intersect_plane(EYE, to, GRABBED, look)
     assert point is not None
@@ -325,13 +325,13 @@ def pointer(to: np.ndarray) -> np.ndarray:
 
 def test_a_drag_moves_horizontally() -> None:
     to = GRABBED + np.array([0.02, 0.01, 0.0])
-    target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
+    target = drag_target(START, EYE, GRABBED, aim(to), "move", 0.01)
     assert target is not None and target.orientation == glyphs.IDENTITY
     np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
 def test_a_drag_with_shift_presses_vertically() -> None:
-    target = drag_target(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
+    target = drag_target(START, EYE, GRABBED, aim(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
 
@@ -339,7 +339,7 @@ def test_a_drag_with_shift_presses_vertically() -> None:
 def test_a_drag_rolls_like_a_ball() -> None:
     """A displacement of a quarter circumference along +x is a quarter turn about +y, without slip."""
     distance = 0.5 * pi * 0.01
-    target = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([distance, 0.0, 0.0])), "roll", 0.01)
+    target = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([distance, 0.0, 0.0])), "roll", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position + np.array([distance, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
@@ -350,7 +350,7 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
     assert on.orientation == pytest.approx(glyphs.IDENTITY)
     distance = 0.5 * pi * 0.01
-    by_mouse = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, distance, 0.0])), "roll", 0.01)
+    by_mouse = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([0.0, distance, 0.0])), "roll", 0.01)
     by_key = nudge_target(START, Nudge(roll_y=distance), 0.01)
     assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
     np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
@@ -385,7 +385,7 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
-    assert volume(mesh) > 4 / 3 * pi * radii.prod()
+    assert compute_volume(mesh) > 4 / 3 * pi * radii.prod()
     unit = mesh.vertices / radii
     distance = np.linalg.norm(unit, axis=1)
     assert distance.min() > 1.0 - 1e-12

@@ -100,11 +100,11 @@ def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
     screen.page.get_by_role("button", name="press", exact=True).click()
     screen.page.keyboard.press("u")
     place = np.array(client.get_state().position)
-    assert eventually(lambda: _rests(client)), place
+    assert eventually(lambda: _is_resting(client)), place
     assert client.get_state().force[2] == 0.0 and client.get_state().position[2] > 0.5 * start
 
 
-def _rests(client: Client) -> bool:
+def _is_resting(client: Client) -> bool:
     before = client.get_state()
     eventually(lambda: client.get_state().sequence > before.sequence + 1000)
     return float(np.linalg.norm(np.subtract(client.get_state().position, before.position))) < 1e-4

@@ -31,7 +31,7 @@ def daemon() -> Iterator[Daemon]:
         yield started
 
 
-def drags(screen: Screen, client: Client, number: int) -> list[float]:
+def measure_friction(screen: Screen, client: Client, number: int) -> list[float]:
     friction_ratios = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
@@ -67,4 +67,4 @@ def test_two_plates_have_different_drags(screen: Screen, client: Client) -> None
         friction = materials()[plate.name].values["friction"]["kinetic"]
         # The coupling oscillates for some ticks when sliding starts, so the median is used. 2 % is far below the
         # difference of static and kinetic friction and that of the plates.
-        assert np.median(drags(screen, client, number)) == pytest.approx(friction, rel=0.02)
+        assert np.median(measure_friction(screen, client, number)) == pytest.approx(friction, rel=0.02)
