@@ -273,7 +273,7 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("telemetry", "given", "expected"),
+    ("telemetry", "endpoint", "expected"),
     [
         ("tcp://127.0.0.1:5555", None, "ipc:///run/user/7/softfinger/5555.commands"),
         ("tcp://[::1]:65535", None, "ipc:///run/user/7/softfinger/65535.commands"),
@@ -284,10 +284,10 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
     ],
 )
 def test_command_endpoint_follows_from_the_telemetry_endpoint(
-    telemetry: str, given: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
+    telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
-    mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": given}} if given else {})
+    mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": endpoint}} if endpoint else {})
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
 
 
@@ -330,9 +330,9 @@ def test_object_names_must_differ() -> None:
 
 @pytest.mark.parametrize("name", ["1", "01.top"])
 def test_an_object_name_must_not_start_with_a_digit(name: str) -> None:
-    given = scene()
-    given["object"][0]["name"] = name
-    (fault,) = faults_of(Scene, given)
+    mapping = scene()
+    mapping["object"][0]["name"] = name
+    (fault,) = faults_of(Scene, mapping)
     assert f"object[0].name = {name!r}: starts with a digit, and object.1 is the second object" in fault
 
 
@@ -359,18 +359,18 @@ def pinched(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_fault_of_a_finger_names_it(changes: dict[str, Any], fault: str) -> None:
-    (said,) = faults_of(Scene, pinched(**changes))
-    assert said.startswith(f"f.toml: {fault}")
+    (message,) = faults_of(Scene, pinched(**changes))
+    assert message.startswith(f"f.toml: {fault}")
 
 
 def test_a_scene_has_fingertip_or_fingers() -> None:
     both = pinched() | {"fingertip": {"radius_m": 0.01}}
-    assert ["cannot be combined with [[finger]]" in said for said in faults_of(Scene, both)] == [True]
+    assert ["cannot be combined with [[finger]]" in message for message in faults_of(Scene, both)] == [True]
     soft = pinched(coupling={"stiffness_n_per_m": 100.0})
     build(Scene, soft, "f.toml")
     put(soft, "rolling.torque_stiffness_n_per_m", 500.0)
-    (said,) = faults_of(Scene, soft)
-    assert "must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m" in said
+    (message,) = faults_of(Scene, soft)
+    assert "must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m" in message
 
 
 def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
@@ -384,13 +384,13 @@ def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
 
 def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
     """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
-    given = scene() if fingers is None else {**pinched(), "finger": fingers}
+    scene_mapping = scene() if fingers is None else {**pinched(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig() if devices is None else {key: value for key, value in rig().items() if key != "device"}
     moved = pair(
-        build(Scene, given, "s.toml"), build(Rig, tables | ({"devices": drivers} if drivers else {}), "r.toml")
+        build(Scene, scene_mapping, "s.toml"), build(Rig, tables | ({"devices": drivers} if drivers else {}), "r.toml")
     )
-    return [(each.finger, each.table) for each in moved]
+    return [(move.finger, move.table) for move in moved]
 
 
 def test_each_finger_is_moved_by_its_device() -> None:
@@ -402,29 +402,29 @@ def test_each_finger_is_moved_by_its_device() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fingers", "devices", "said"),
+    ("fingers", "devices", "messages"),
     [
         (FINGERS, None, ["[[finger]] 'thumb', 'index'", "the rig [device]", "add [devices.thumb] and [devices.index]"]),
         (FINGERS, ["thumb"], ["the rig [devices.thumb]", "add [devices.index]", "a scene with [fingertip]"]),
         (None, ["thumb"], ["the scene has [fingertip]", "the rig [devices.thumb]", "take a rig with [device]"]),
     ],
 )
-def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, said: list[str]) -> None:
+def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, messages: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
         paired(fingers, devices)
-    assert [part for part in said if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
+    assert [part for part in messages if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
 
 
 def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
-    one, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
+    single, many = rig()["device"], {"thumb": {"driver": "replay", "recording": "tap"}}
     assert [
-        "cannot be combined with [devices]" in said for said in faults_of(Rig, rig() | {"devices": {"thumb": one}})
+        "cannot be combined with [devices]" in error for error in faults_of(Rig, rig() | {"devices": {"thumb": single}})
     ] == [True]
     rest = {key: value for key, value in rig().items() if key != "device"}
-    (said,) = faults_of(Rig, rest | {"devices": {"a.b": one}})
-    assert "must be text of 1 to 32 characters" in said
-    (said,) = faults_of(Rig, rest | {"devices": {"thumb": {}}})
-    assert said.startswith("f.toml: devices.thumb.driver is missing")
+    (message,) = faults_of(Rig, rest | {"devices": {"a.b": single}})
+    assert "must be text of 1 to 32 characters" in message
+    (message,) = faults_of(Rig, rest | {"devices": {"thumb": {}}})
+    assert message.startswith("f.toml: devices.thumb.driver is missing")
     built = build(Rig, rest | {"devices": many}, "f.toml")
     assert build(Rig, describe(built), "f.toml") == built
     with pytest.raises(ConfigError, match=r"\[devices.thumb\], and this is done with one device"):
@@ -589,8 +589,8 @@ def test_dotted_entry_names_match_the_longest_name() -> None:
 
 def test_another_driver_drops_the_options_of_the_first() -> None:
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
-    other = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
-    assert other == schema.DeviceConfig(driver="simulated", options={"gain": 2})
+    simulated = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
+    assert simulated == schema.DeviceConfig(driver="simulated", options={"gain": 2})
 
 
 def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
@@ -708,9 +708,9 @@ def test_no_file_content_raises_anything_but_config_error(
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
-    done = called("schema")
-    assert done.returncode == 0
-    printed = json.loads(done.stdout)
+    process = called("schema")
+    assert process.returncode == 0
+    printed = json.loads(process.stdout)
     radius = printed["scene"]["$defs"]["Fingertip"]["properties"]["radius_m"]
     assert (radius["minimum"], radius["maximum"], radius["unit"]) == (1e-5, 1e3, "m")
     assert printed["scene"]["$defs"]["Plane"]["properties"]["shape"] == {"enum": ["plane"]}

@@ -135,9 +135,9 @@ def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
     assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: mend these first" and len(lines) < 25
 
 
-def at(config: Any, *way: str | int) -> Any:
+def at(config: Any, *keys: str | int) -> Any:
     value = describe(config)
-    for part in way:
+    for part in keys:
         value = value[part]
     return value
 

@@ -37,14 +37,14 @@ FROM_FILES = {"heightmap"}
 
 def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
     """Return a scene of one object of that shape, in the layout of a file; None removes a key."""
-    thing = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
-    thing = {key: value for key, value in thing.items() if value is not None}
-    return {"fingertip": {"radius_m": fingertip}, "object": [thing]}
+    entry = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
+    entry = {key: value for key, value in entry.items() if value is not None}
+    return {"fingertip": {"radius_m": fingertip}, "object": [entry]}
 
 
 def thing_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
-    (thing,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
-    return thing
+    (item,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
+    return item
 
 
 def refused(raw: dict[str, Any]) -> list[str]:
@@ -57,9 +57,9 @@ def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:
     return refused(mapping(shape, fingertip, **keys))
 
 
-def signed_distance(thing: Any, x: tuple[float, float, float]) -> float:
+def signed_distance(item: Any, x: tuple[float, float, float]) -> float:
     """Gap to the nearest of an object's bodies, m."""
-    return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(thing))
+    return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(item))
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -49,8 +49,8 @@ def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
 
 def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path))
-    (thing,) = scene.object
-    assert isinstance(thing, schema.Heightmap) and Path(thing.file) == tmp_path / "hill.npy"
+    (heightmap,) = scene.object
+    assert isinstance(heightmap, schema.Heightmap) and Path(heightmap.file) == tmp_path / "hill.npy"
     assert build(schema.Scene, describe(scene), "again") == scene
 
 
@@ -63,7 +63,7 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heights", "said"),
+    ("heights", "reason"),
     [
         (np.zeros(()), "an array of shape (): must have rows and columns"),
         (
@@ -78,9 +78,9 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
         (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, 1000 m up or down is the most"),
     ],
 )
-def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, said: str) -> None:
+def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, reason: str) -> None:
     message = refusal(tmp_path, heights)
-    assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
+    assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and reason in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
 
 
@@ -95,7 +95,7 @@ def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "reason"),
     [
         ("pitch_m = 0.002", "pitch_m = 1e-7", "object[0].pitch_m = 1e-07: must be a number from 1e-06 to 10 m"),
         ("level_m = 0.5", "level_m = 0.0", "object[0].level_m = 0.0: must be a number from 1e-12 to 1000 m"),
@@ -103,10 +103,10 @@ def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
         ("level_m = 0.5", "level_m = 1.0\ninside = true", "object[0].inside is not a key here"),
     ],
 )
-def test_keys_have_ranges(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_keys_have_ranges(tmp_path: Path, old: str, new: str, reason: str) -> None:
     with pytest.raises(FaultyConfig) as caught:
         load_scene(scene_file(tmp_path, HEIGHTS, SCENE.replace(old, new)))
-    assert said in str(caught.value)
+    assert reason in str(caught.value)
 
 
 def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path) -> None:
@@ -122,22 +122,22 @@ def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path)
 
 
 def test_pictures_show_the_map(tmp_path: Path) -> None:
-    thing: Any = load_scene(scene_file(tmp_path)).object[0]
-    (vertices, faces), of = picture_of(thing)
+    heightmap: Any = load_scene(scene_file(tmp_path)).object[0]
+    (vertices, faces), of = picture_of(heightmap)
     np.testing.assert_allclose(vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(faces) == of == 2 * 29 * 39
-    (triangles,) = draw_object(thing)["triangles"]
+    (triangles,) = draw_object(heightmap)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
-    (vertices, faces), of = picture_of(thing)
+    (vertices, faces), of = picture_of(heightmap)
     assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
-    assert "texts" in draw_object(thing)
+    assert "texts" in draw_object(heightmap)
     with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
-        picture_of(thing)
+        picture_of(heightmap)
 
 
 @pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])

@@ -122,8 +122,8 @@ SCRIPT: list[Board] = []
 """Board of the running test: kernels receive only a handle."""
 
 
-def said(what: Any) -> None:
-    SCRIPT[0].done.append(what)
+def said(call: Any) -> None:
+    SCRIPT[0].done.append(call)
     assert len(SCRIPT[0].done) < 200, "it waits for ever"
 
 
@@ -290,10 +290,10 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
     assert board.read() == OK and board.done == ["drain"]
     assert board.sample[SAMPLE_TIME] == pytest.approx((board.now - OPENED) * 1e-9, rel=1e-15)
     assert board.sample[0] == 2.0
-    kept = board.sample.copy()
+    sample = board.sample.copy()
     board.later(MS)
     assert board.read() == STALE and board.done == ["drain"]
-    assert board.sample.tolist() == kept.tolist()
+    assert board.sample.tolist() == sample.tolist()
 
 
 def test_slow_ticks_are_no_pause(board: Board) -> None:
@@ -431,11 +431,11 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
     assert board.write(ZERO) == OK and board.done == ["zero"]
 
 
-@pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
-def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
+@pytest.mark.parametrize(("status", "unsent_bytes", "succeeded"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
+def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, succeeded: int, board: Board) -> None:
     board.heard()
-    board.zero, board.word[BOARD.unsent_bytes] = status, left
-    assert board.silence() == done and board.done == ["zero"]
+    board.zero, board.word[BOARD.unsent_bytes] = status, unsent_bytes
+    assert board.silence() == succeeded and board.done == ["zero"]
     assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD

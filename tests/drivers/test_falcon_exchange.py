@@ -66,9 +66,9 @@ class Usb(FarEnd):
         word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
         self.transfers = {at: np.zeros(8, np.int64) for at in (AT.transfer_in, AT.transfer_out)}
-        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+        for at, done_word in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
             word[at] = self.transfers[at].ctypes.data
-            self.transfers[at][5] = self.block.handle + 8 * done  # user_data
+            self.transfers[at][5] = self.block.handle + 8 * done_word  # user_data
         word[AT.context], word[AT.submit], word[AT.handle_events], word[AT.cancel] = CONTEXT, SUBMIT, STOPS_MAX, CANCEL
         word[AT.kick], word[AT.timeout_after], word[AT.lights] = KICK, TIMEOUT_NS, packets.GREEN
         word[AT.open] = word[AT.armed] = word[AT.in_done] = word[AT.out_done] = word[AT.homed] = 1
@@ -90,11 +90,11 @@ class Usb(FarEnd):
         self.transfers[at].view(np.int32)[6] = actual
         exchange.on_complete(int(self.word[at]))
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> int:
         assert self.word[AT.lock] == 1 or address == SUBMIT
         if address == STOPS_MAX:
-            return self._events(*given)
-        (transfer,) = given
+            return self._events(*arguments)
+        (transfer,) = arguments
         at = AT.transfer_in if transfer == self.word[AT.transfer_in] else AT.transfer_out
         assert transfer == self.word[at]
         if address == CANCEL:
@@ -116,8 +116,8 @@ class Usb(FarEnd):
             return ERROR_INTERRUPTED
         if self.error:
             return self.error
-        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
-            if at in self.cancelled and not self.word[done] and not self.stubborn:
+        for at, done_word in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+            if at in self.cancelled and not self.word[done_word] and not self.stubborn:
                 self._done(at, CANCELLED)
         if not self.word[AT.out_done] and not self.blocked:
             self._done(AT.transfer_out, COMPLETED, packets.SIZE)
@@ -207,12 +207,12 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
     assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
     usb.answers = False
-    taken = iter([[], [reply(100)], [reply(200)]])
+    replies = iter([[], [reply(100)], [reply(200)]])
     events = usb._events
 
-    def late(*given: Any) -> int:
-        usb.comes += next(taken, []) if given[1][1] else []
-        return events(*given)
+    def late(*arguments: Any) -> int:
+        usb.comes += next(replies, []) if arguments[1][1] else []
+        return events(*arguments)
 
     usb._events = late  # type: ignore[method-assign]
     status, sample = usb.read()
@@ -255,11 +255,11 @@ def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
     usb.clock.now += 31 * MS
     events = usb._events
 
-    def late(*given: Any) -> int:
+    def late(*arguments: Any) -> int:
         if usb.clock.now > begun + KICK and not usb.comes and not given_one:
             given_one.append(True)
             usb.comes.append(reply(9))
-        return events(*given)
+        return events(*arguments)
 
     begun, given_one = usb.clock.now, list[bool]()
     usb._events = late  # type: ignore[method-assign]
@@ -287,11 +287,11 @@ def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
     status, first = usb.read(reply(5))
     assert status == OK
     assert set(usb.waits) == {0}
-    status, again = usb.read()
-    assert (status, again.tolist()) == (STALE, first.tolist())
+    status, second = usb.read()
+    assert (status, second.tolist()) == (STALE, first.tolist())
     assert usb.read(reply(6)[:7])[0] == STALE
-    status, other = usb.read(reply(6)[7:])
-    assert status == OK and other[1] != first[1]
+    status, third = usb.read(reply(6)[7:])
+    assert status == OK and third[1] != first[1]
     assert usb.counts() == {"replies": 2}
 
 
@@ -347,8 +347,8 @@ def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
         usb.word[AT.error] = 0
         call = usb._call
 
-        def refusing(address: int, given: tuple[Any, ...], call: Any = call) -> int:
-            return ERROR_IO if address == SUBMIT else call(address, given)
+        def refusing(address: int, arguments: tuple[Any, ...], call: Any = call) -> int:
+            return ERROR_IO if address == SUBMIT else call(address, arguments)
 
         exchange.call_int32 = refusing
         assert (usb.read(reply(1))[0] if knob == AT.in_done else usb.write(*PULL)) == LOST
@@ -425,7 +425,7 @@ def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
     assert usb.write(*ZERO) == OK
     assert usb.write(*ZERO) == STALE
     assert usb.write(*PULL) == HELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, True, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, True, False]
     assert usb.forces() == {"written": 3, "held": 3}
     assert usb.read(reply(1))[0] == OK
     assert usb.write(*PULL) == HELD
@@ -499,7 +499,7 @@ def test_no_force_during_a_silence(usb: Usb) -> None:
     usb.later(1)
     assert usb.write(*PULL) == WITHHELD
     assert usb.write(*ZERO) == WITHHELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, False]
     usb.word[AT.has_sample], usb.word[AT.sampled_at] = 0, usb.clock.now
     assert usb.write(*PULL) == WITHHELD
 
@@ -534,7 +534,7 @@ def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
     assert usb.read()[0] == STALE
     usb.later(1)
     assert usb.read()[0] == WITHHELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, False, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, False, False]
     assert usb.forces() == {"written": 3, "kicks": 2}
     usb.word[AT.sampled_at] = usb.clock.now - TIMEOUT_NS
     usb.word[AT.sent_at] = usb.clock.now

@@ -68,13 +68,13 @@ def test_models_equal_the_vendors_header() -> None:
     }  # fmt: skip
     # Types in CHAI3D's driver, which names them by the device with the same constants.
     right = {102, 209, 112, 114, 117, 119, 121, 123, 125, 127, 129, 210, 115}
-    left = {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
+    lefts = {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
     types |= {110: "omega.3", 111: "delta.3", 133: "sigma.3", 115: "sigma.6", 116: "sigma.6"}
     types |= dict.fromkeys((102, 103, 209), "sigma.7")
     types |= dict.fromkeys((*range(112, 115), *range(117, 131), 210, 211), "lambda.7")
     assert {number: model.name for number, model in MODELS.items()} == types
     assert {number for number in types if MODELS[number].full_name.endswith("right")} - {34, 35, 104, 108, 131} == right
-    assert {number for number in types if MODELS[number].full_name.endswith("left")} - {36, 37, 105, 109, 132} == left
+    assert {number for number in types if MODELS[number].full_name.endswith("left")} - {36, 37, 105, 109, 132} == lefts
     for number in (34, 35, 104, 108, 131):
         assert MODELS[number].full_name.endswith("right")
     for number in (36, 37, 105, 109, 132):
@@ -115,8 +115,8 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: StubBen
 
 def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
     with bench.open():
-        seen = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
-        assert seen == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
+        state = {name: stub[name] for name in ("moved", "gravity", "brakes", "threshold", "watchdog", "force_on")}
+        assert state == {"moved": 0, "gravity": 0, "brakes": 0, "threshold": 0, "watchdog": 0, "force_on": 1}
         assert stub["expert"] == stub["expert_misuse"] == 0
     assert stub["brakes"] == 1 and stub["force_on"] == 0
     assert stub["disables"] == 2 and stub["stops"] == 1  # one of them at opening
@@ -126,8 +126,8 @@ def test_a_minimal_rig_changes_no_setting(stub: Stub, bench: StubBench) -> None:
 def test_settings_of_the_rig_are_made(stub: Stub, bench: StubBench) -> None:
     stub["initialized"] = 0
     with bench.open(velocity_threshold=300, calibrate=True, gravity_compensation=True):
-        seen = {name: stub[name] for name in ("moved", "gravity", "threshold", "regulated", "force_on")}
-        assert seen == {"moved": 1, "gravity": 1, "threshold": 300, "regulated": 0, "force_on": 1}
+        state = {name: stub[name] for name in ("moved", "gravity", "threshold", "regulated", "force_on")}
+        assert state == {"moved": 1, "gravity": 1, "threshold": 300, "regulated": 0, "force_on": 1}
         assert stub["expert"] == stub["expert_misuse"] == 0
 
 
@@ -301,14 +301,14 @@ def test_a_device_is_identified_without_force(stub: Stub) -> None:
     rig = DeviceConfig(driver="forcedimension", options={"library_file": str(stub.path)})
     stub.update(type=34, wrist=1, initialized=0)
     omega = SystemDevice("usb", 0x1451, 0x0402, "omega.x haptic device", "", "/dev/bus/usb/001/005")
-    diagnosis, said = devices.identify_device(omega, claim, rig)
+    diagnosis, reply = devices.identify_device(omega, claim, rig)
     assert diagnosis == Diagnosis("usable")
-    assert said == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
+    assert reply == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
     assert stub["opens"] == stub["closes"] == 1
     assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.identify_device(omega, claim, rig)
-    assert (diagnosis.state, said) == ("busy", None)
+    diagnosis, reply = devices.identify_device(omega, claim, rig)
+    assert (diagnosis.state, reply) == ("busy", None)
 
 
 def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
@@ -320,9 +320,9 @@ def test_watchdog_shorter_than_two_ticks_is_refused(bench: StubBench) -> None:
 
 
 def test_options_outside_their_range_are_refused_by_name() -> None:
-    given = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
+    options = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
     with pytest.raises(ConfigError) as caught:
-        build(forcedimension.Options, given, "rig [device]")
+        build(forcedimension.Options, options, "rig [device]")
     for word in ("watchdog_s = 0.5", "serial = -1", "number = 127", "velocity_threshold = -1", "omega.6", "spin"):
         assert word in str(caught.value)
 
@@ -360,8 +360,8 @@ def test_the_library_is_found_in_the_folders_of_the_sdk(variable: str, stub_libr
     folder.mkdir(parents=True)
     (folder / "libdrd.so.3.17.5").symlink_to(stub_library)
     (folder / "libdrd.so.3.9.0").write_text("older")
-    found = library.load(None, {"HOME": "/nowhere", variable: str(tmp_path)})
-    assert found._name == str(folder / "libdrd.so.3.17.5")
+    loaded = library.load(None, {"HOME": "/nowhere", variable: str(tmp_path)})
+    assert loaded._name == str(folder / "libdrd.so.3.17.5")
 
 
 def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.MonkeyPatch) -> None:

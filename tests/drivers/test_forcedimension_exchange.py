@@ -47,26 +47,26 @@ class Library(FarEnd):
         self.asked: list[str] = []
         self.wrenches: list[tuple[float, ...]] = []
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> int:
         name = LIBRARY_FUNCTIONS[int(address) - 100]
         self.asked.append(name)
         if name == "get_error":
-            assert given == ()
+            assert arguments == ()
         else:
-            assert given[-1] == ID and given[-1].itemsize == 4
+            assert arguments[-1] == ID and arguments[-1].itemsize == 4
         if name in ("get_frame", "get_position"):
             for k in range(3):
-                given[k][0] = self.place[k]
+                arguments[k][0] = self.place[k]
         if name == "get_frame":
             for k in range(9):
-                given[3][k] = self.rotation.ravel()[k]
+                arguments[3][k] = self.rotation.ravel()[k]
         if name == "get_gripper":
-            given[0][0] = self.angle
+            arguments[0][0] = self.angle
         if name == "get_status":
             for place, value in self.status.items():
-                given[0][place] = value
+                arguments[0][place] = value
         if name == "set_wrench":
-            self.wrenches.append(given[:-1])
+            self.wrenches.append(arguments[:-1])
         return self.gives.get(name, 0)
 
     def read(self) -> tuple[int, np.ndarray]:
@@ -188,11 +188,11 @@ def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
 
 def test_the_status_is_read_periodically(library: Library) -> None:
     """An armed device's status is read every fourth read; before arming its force is off, so it is not read."""
-    asked = []
+    has_asked = []
     for _ in range(12):
         assert library.read()[0] == OK
-        asked.append("get_status" in library.asked)
-    assert asked == 3 * [False, False, False, True]
+        has_asked.append("get_status" in library.asked)
+    assert has_asked == 3 * [False, False, False, True]
     library.word[AT.armed] = 0
     for _ in range(8):
         library.read()
@@ -208,10 +208,10 @@ def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], 
     library.status |= {CAUSE: 4, **words}
     library.place += 1.0
     assert library.read()[0] == status
-    kept = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
-    assert (kept == before.tolist()) is (status == FORCE_OFF)
-    told = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
-    assert (library.word[AT.cause], library.word[AT.faulty]) == told
+    sample = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
+    assert (sample == before.tolist()) is (status == FORCE_OFF)
+    expected = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
+    assert (library.word[AT.cause], library.word[AT.faulty]) == expected
     assert "get_error" not in library.asked
 
 

@@ -138,10 +138,10 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
     )
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--duration", "0.3"]
     for _ in range(5):
-        done = run_program(words)
-        if done.returncode == 0:
+        process = run_program(words)
+        if process.returncode == 0:
             return
-    raise AssertionError(done.stderr)
+    raise AssertionError(process.stderr)
 
 
 def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
@@ -215,29 +215,31 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
-    rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
+    rig, log = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
         f'[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n[servo]\nrealtime = "off"\n'
     )
     settings = ",".join(f"{name}={value}" for name, value in PRESSING.items())
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)]
-    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)}
+    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(log)}
     with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         for sample in subscribe(f"ipc://{tmp_path}/t"):
             if sample.force[2] > 0.5:
                 break
         process.send_signal(number)
-        _, said = process.communicate(timeout=60)
-    assert process.returncode == 0, said
-    state = {name: float(value) for name, value in (line.split() for line in left.read_text().splitlines())}
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 0, stderr
+    state = {name: float(value) for name, value in (line.split() for line in log.read_text().splitlines())}
     assert state["peak"] > 0.5
     assert state["motors"] == state["force_on"] == state["expert"] == state["unplugged"] == 0
     assert state["opens"] == state["closes"] == 1
 
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [name for name in list_shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
+    names = [
+        name for name in list_shipped(Rig) if (config := load_rig(name).device) and config.driver == "forcedimension"
+    ]
     assert names == ["omega-3", "omega-6", "omega-7"]
     for kind, name in zip((33, 34, 35), names, strict=True):
         rig = load_rig(name)

@@ -200,27 +200,27 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
 
 
 @pytest.mark.parametrize(
-    ("board", "rig", "said"),
+    ("board", "rig", "message"),
     [
         ("lpc1768-14", "woodenhaptics-2015", 'reports input 14 .*: set reports to "woodenhaptics-v2-lpc1768", whose'),
         ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'reports input 8 .*: set reports to "woodenhaptics-v1", whose'),
     ],
 )
-def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
+def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, message: str) -> None:
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
     process, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
     assert process.returncode == 4
-    assert re.search(said, process.stderr), process.stderr
+    assert re.search(message, process.stderr), process.stderr
     assert saw["reports"] == 0
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
-    for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
+    for serial, message in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
         process, _ = run(
             {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
         )
-        assert said in process.stderr
+        assert message in process.stderr
 
 
 TRY = """
@@ -252,12 +252,12 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
         ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
     ]
     rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
-    other = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
+    third_rig = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
-    process, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
+    process, _ = beside(case, sys.executable, "-c", TRY, *rigs, third_rig)
     assert process.returncode == 0, process.stderr
-    *said, of_the_other = process.stdout.splitlines()[:-1]
-    assert [line.startswith(wanted) for line, (_, wanted) in zip(said, tries, strict=True)] == [True] * 7, said
+    *lines, of_the_other = process.stdout.splitlines()[:-1]
+    assert [line.startswith(wanted) for line, (_, wanted) in zip(lines, tries, strict=True)] == [True] * 7, lines
     assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
 
 
@@ -265,8 +265,8 @@ def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
     rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
     process, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
-    said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
-    assert re.match(said, process.stdout), process.stderr
+    error = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
+    assert re.match(error, process.stdout), process.stderr
 
 
 HOLD = """

@@ -37,8 +37,8 @@ class Board:
         patch.setattr(exchange, "read_now", self._read)
         patch.setattr(exchange, "write_now", self.node.write)
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
-        given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
-        self.block = HidDevice(build(Options, given, "rig"), FD)._block
+        options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
+        self.block = HidDevice(build(Options, options, "rig"), FD)._block
         self.word = self.block.word
         self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
@@ -197,7 +197,7 @@ def test_results_of_writing_a_report(board: Board) -> None:
 
 
 def test_a_force_waits_for_the_pump(board: Board) -> None:
-    taken = board.link_by_threads()
+    value = board.link_by_threads()
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
@@ -207,11 +207,11 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.block.call(exchange.silence) == 1
     assert board.sent() == [given(0, 0, 1000), given(0, 0, 2000), given(0, 0, 0)]
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
-    taken.value = 2
+    value.value = 2
     board.word[BOARD.armed] = 1
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
-    taken.value = 3
+    value.value = 3
     assert board.write(*ZERO) == OK
     assert board.sent() == [given(0, 0, 3000), given(0, 0, 0)]
 
@@ -239,9 +239,9 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
-    fields = {way: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
-              for way, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
-    reports = {way: {"bytes": 4 * len(names), "field": each} for way, each in fields.items()}
+    fields = {direction: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
+              for direction, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
+    reports = {direction: {"bytes": 4 * len(names), "field": rows} for direction, rows in fields.items()}
     return {"kinematics": kind, "reports": reports}
 
 

@@ -49,20 +49,20 @@ def encoded(report: OutputReport, **values: float) -> tuple[bool, bytes]:
 
 def test_woodenhaptics_v1_layout() -> None:
     wire = rig_options("woodenhaptics-2015").reports
-    usable, seen = decoded(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
+    usable, values = decoded(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
     assert usable
-    assert [seen[k] for k in "abc"] == [-500, -800, 1200]
-    assert seen["buttons"] == 0
+    assert [values[k] for k in "abc"] == [-500, -800, 1200]
+    assert values["buttons"] == 0
     _, out = encoded(wire.output, current_a=-0.00063, current_b=0.27578, current_c=0.32046)
     assert out.hex() == "00" + "ffff" + "1401" + "4001" + "0000"
 
 
 def test_woodenhaptics_v2_layout() -> None:
     wire = rig_options("woodenhaptics-polhem-v1").reports
-    usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(64, b"\xff"))
+    usable, values = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(64, b"\xff"))
     assert usable
-    assert [seen[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
-    assert seen["buttons"] == 1 + 2
+    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
+    assert values["buttons"] == 1 + 2
     assert decoded(wire.input, struct.pack("<7h", 0, 0, 0, 5000, 0, 0, 0).ljust(64))[1]["buttons"] == 0
     _, out = encoded(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
     assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0).ljust(64, b"\0")
@@ -73,10 +73,10 @@ def test_woodenhaptics_v2_layout() -> None:
 
 def test_woodenhaptics_v2_layout_of_an_lpc1768() -> None:
     wire = rig_options("woodenhaptics-polhem-v1-lpc1768").reports
-    usable, seen = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1))
+    usable, values = decoded(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1))
     assert usable
-    assert [seen[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
-    assert seen["buttons"] == 1 + 2
+    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
+    assert values["buttons"] == 1 + 2
     _, out = encoded(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
     assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0)
     assert wire.preset is not None
@@ -85,7 +85,7 @@ def test_woodenhaptics_v2_layout_of_an_lpc1768() -> None:
 
 
 def test_makers_descriptors() -> None:
-    lengths = {name: [parse_descriptor(one.descriptor) for one in board.interfaces] for name, board in BOARDS.items()}
+    lengths = {name: [parse_descriptor(hid.descriptor) for hid in board.interfaces] for name, board in BOARDS.items()}
     assert lengths["teensy"] == [({0: 64}, {0: 64}), ({0: 64}, {0: 32})]
     assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})]
     assert lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
@@ -95,11 +95,11 @@ def test_makers_descriptors() -> None:
 def test_every_type_is_decoded_like_struct(kind: str, data: bytes, offset: int) -> None:
     field = InputField(meaning="x", offset=offset, type=kind, scale=2.0, bias=1.0)
     report = InputReport(bytes=offset + 4, field=(field,))
-    usable, seen = decoded(report, b"\x5a" * offset + data)
+    usable, values = decoded(report, b"\x5a" * offset + data)
     (raw,) = struct.unpack_from("<" + CODES[kind], data)
     assert usable == isfinite(raw)
     if usable:
-        assert seen["x"] == 2.0 * raw + 1.0
+        assert values["x"] == 2.0 * raw + 1.0
 
 
 @given(st.sampled_from(TYPES), st.floats(-1e10, 1e10), st.integers(0, 5))
@@ -150,18 +150,18 @@ def test_descriptors_give_report_lengths() -> None:
 @given(st.binary(max_size=200))
 def test_any_descriptor_is_parsed_or_rejected(data: bytes) -> None:
     try:
-        found = parse_descriptor(data)
+        lengths_by_interface = parse_descriptor(data)
     except ValueError:
         return
-    assert all(length >= 0 for lengths in found for length in lengths.values())
+    assert all(length >= 0 for lengths in lengths_by_interface for length in lengths.values())
 
 
 def test_a_number_that_is_not_finite_is_rejected() -> None:
     wire = build(Options, described(), "described").reports.input
     good = struct.pack("<7fBx", 1, 2, 3, 1, 0, 0, 0, 5)
-    usable, seen = decoded(wire, good)
+    usable, values = decoded(wire, good)
     assert usable
-    assert (seen["x"], seen["buttons"]) == (1e-3, 5)
+    assert (values["x"], values["buttons"]) == (1e-3, 5)
     assert not decoded(wire, struct.pack("<7fBx", 1, nan, 3, 1, 0, 0, 0, 0))[0]
 
 
@@ -232,7 +232,7 @@ def test_a_named_format_can_be_changed() -> None:
 
 def test_the_description_in_the_docs_is_valid() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "devices" / "hid.md").read_text("utf-8")
-    found = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
-    assert found is not None
-    rig = build(Rig, tomllib.loads(found[1]), "docs/devices/hid.md")
+    match = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert match is not None
+    rig = build(Rig, tomllib.loads(match[1]), "docs/devices/hid.md")
     assert build(Options, rig.device.options, "docs/devices/hid.md [device]").reports.input.id == 3

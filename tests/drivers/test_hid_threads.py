@@ -33,10 +33,10 @@ GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
 def no_thread_is_left() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
-    left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
-    for thread in left:  # a hung thread ends once its write returns
+    remaining = [thread for thread in set(threading.enumerate()) - before if thread.name.startswith("hid ")]
+    for thread in remaining:  # a hung thread ends once its write returns
         thread.join(5.0)
-    assert not any(thread.is_alive() for thread in left)
+    assert not any(thread.is_alive() for thread in remaining)
 
 
 class Linked:
@@ -242,7 +242,7 @@ def test_calibration_at_opening(rig: str) -> None:
 
 def test_a_failed_calibration_closes_the_device() -> None:
     options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
-    for answer, error, said in (
+    for answer, error, message in (
         (None, DeviceTimeout, "sends no report"),
         (b"\0" * 64, DeviceError, r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"),
     ):
@@ -250,7 +250,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
         with Answering(end, lambda _, answer=answer: answer):
             api = Api(fd)
             link = link_by_threads(api, options)
-            with pytest.raises(error, match=said):
+            with pytest.raises(error, match=message):
                 HidDevice(options, link.fd, link.threads)
             assert api.closed == 1
 
@@ -272,24 +272,24 @@ def test_a_hanging_preset_raises_an_error() -> None:
     api.held.set()  # after the last answer, which would clear it again
 
 
-@pytest.mark.parametrize("way", ["unplugged", "read", "write"])
-def test_a_disconnected_device_is_lost(way: str) -> None:
+@pytest.mark.parametrize("cause", ["unplugged", "read", "write"])
+def test_a_disconnected_device_is_lost(cause: str) -> None:
     with Linked() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        if way == "unplugged":
+        if cause == "unplugged":
             linked.answering.unplug()
-        elif way == "read":
+        elif cause == "read":
             linked.api.read = gone  # type: ignore[method-assign]
         else:
             linked.api.refuses = True
             linked.push(1.0)
         assert linked.until(lambda status: status < 0) == LOST
         linked.device.stop()
-        said = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
-        assert said.get(way, "hid ") in linked.device.reason()
-        if way == "read":
+        reasons = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
+        assert reasons.get(cause, "hid ") in linked.device.reason()
+        if cause == "read":
             assert linked.force() == (0, 0, 0)
         else:
             assert linked.servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (LOST, WITHHELD)

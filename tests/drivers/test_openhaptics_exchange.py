@@ -59,23 +59,23 @@ class Library(FarEnd):
         """(code, internal, device), the last is popped first."""
         self.asked: list[Any] = []
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> Any:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> Any:
         name = LIBRARY_FUNCTIONS[int(address) - 100]
-        what = int(given[0]) if given else 0
-        assert all(isinstance(one, np.int32) for one in given[:1])
-        self.asked.append((name, what) if given else name)
+        parameter = int(arguments[0]) if arguments else 0
+        assert all(isinstance(argument, np.int32) for argument in arguments[:1])
+        self.asked.append((name, parameter) if arguments else name)
         if name == "get_error":
             code, internal, device = self.errors.pop() if self.errors else (0, 0, NOBODY)
             return code | internal << 32, device | 0x5A << 32  # unused parts of the struct are undefined
         if name == "get_doubles":
-            given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[what]
-            (ctypes.c_double * len(given_to)).from_address(given[1])[:] = list(given_to)
+            given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[parameter]
+            (ctypes.c_double * len(given_to)).from_address(arguments[1])[:] = list(given_to)
         elif name == "get_integers":
-            ctypes.c_int32.from_address(given[1]).value = self.buttons
+            ctypes.c_int32.from_address(arguments[1]).value = self.buttons
         elif name == "get_booleans":
-            ctypes.c_uint8.from_address(given[1]).value = self.switch
+            ctypes.c_uint8.from_address(arguments[1]).value = self.switch
         elif name == "set_doubles":
-            self.asked[-1] = (name, what, tuple((ctypes.c_double * 3).from_address(given[1])))
+            self.asked[-1] = (name, parameter, tuple((ctypes.c_double * 3).from_address(arguments[1])))
         elif name in ("enable", "disable") and not self.refuses:
             self.output = int(name == "enable")
         return 0x5A00 | self.output if name == "is_enabled" else None  # a char, in an int
@@ -104,9 +104,9 @@ class Library(FarEnd):
         self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
         return super().write(*wrench)
 
-    def given(self, what: int = FORCE) -> list[float]:
+    def given(self, parameter: int = FORCE) -> list[float]:
         """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
-        (vector,) = [one[2] for one in self.asked if one[:2] == ("set_doubles", what)]
+        (vector,) = [call[2] for call in self.asked if call[:2] == ("set_doubles", parameter)]
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
@@ -135,13 +135,13 @@ def library(opening: Library) -> Library:
 
 def test_the_order_of_a_frame(library: Library) -> None:
     library.frame()
-    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.asked] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("get_booleans", INKWELL), ("set_doubles", FORCE), ("set_doubles", TORQUE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
     library.word[AT.has_torque] = library.word[AT.has_inkwell] = 0
     library.frame()
-    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.asked] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("set_doubles", FORCE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
@@ -152,7 +152,7 @@ def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
 
     def frame() -> None:
         opening.frame()
-        switches.append([one[0] for one in opening.asked if one[1:] == (OUTPUT,)])
+        switches.append([call[0] for call in opening.asked if call[1:] == (OUTPUT,)])
 
     frame()
     frame()
@@ -213,12 +213,12 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
-    asked, inkwell = [], []
+    frames, inkwell = [], []
     for number in range(301):
         opening.frame()
-        asked += [number] if ("get_doubles", TEMPERATURE) in opening.asked else []
+        frames += [number] if ("get_doubles", TEMPERATURE) in opening.asked else []
         inkwell += [] if ("get_booleans", INKWELL) in opening.asked else [number]
-    assert asked == [1, 99, 199, 299] and inkwell == [1]
+    assert frames == [1, 99, 199, 299] and inkwell == [1]
     for temperatures, wanted in (
         ([0.1, 0.25, 0.05, 0.0, 0.0, 0.0], 250), ([0.0] * 5 + [0.75], 750), ([nan, 0.5, inf, -inf, 0.25, 0.0], 500),
         ([1e300] + [0.0] * 5, 10000), ([-1.0] * 6, 0), ([nan] * 6, 0), ([0.5] * 6 + [0.9], 500),
@@ -365,10 +365,10 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
 def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> None:
     call = library._call
 
-    def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
+    def meanwhile(address: int, arguments: tuple[Any, ...]) -> Any:
         if LIBRARY_FUNCTIONS[address - 100] == "end_frame":
             library.word[AT.stopped] = library.word[AT.is_leaving] = 1
-        return call(address, given)
+        return call(address, arguments)
 
     exchange.call_void = meanwhile
     assert library.frame() == AGAIN
@@ -520,9 +520,9 @@ def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
 
 def test_a_frame_reads_eight_errors(library: Library) -> None:
     library.errors = [(COMM_ERROR, 1, OTHER)] * 20
-    for left in (12, 4, 0):
+    for remaining in (12, 4, 0):
         library.frame()
-        assert len(library.errors) == left
+        assert len(library.errors) == remaining
 
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])

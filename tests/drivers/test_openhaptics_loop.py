@@ -132,7 +132,7 @@ def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path
 
 def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -> None:
     """After SIGKILL the motors retain a force, within the limit. Other signals are in test_ways_out_at_far_ends.py."""
-    rig, left = tmp_path / "rig.toml", tmp_path / "journal"
+    rig, journal = tmp_path / "rig.toml", tmp_path / "journal"
     rig.write_text(
         f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
         f'[guard]\nforce_max_n = 1.5\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n'
@@ -140,7 +140,7 @@ def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -
     )
     settings = ",".join(f"{name}={value}" for name, value in DEEP.items())
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"]
-    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)}
+    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(journal)}
     with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         pressed = 0
         for sample in subscribe(f"ipc://{tmp_path}/t"):
@@ -149,7 +149,7 @@ def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -
                 break
         process.send_signal(signal.SIGKILL)
         process.communicate(timeout=60)
-    last = np.linalg.norm(journal_in(left)["force"], axis=1)
+    last = np.linalg.norm(journal_in(journal)["force"], axis=1)
     assert last.max() > 0.5
     assert 0.0 < last[-1] <= 1.5, "the stub's motors do not keep their force"
 

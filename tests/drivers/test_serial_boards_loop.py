@@ -160,15 +160,15 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
             assert abs(back[0]) < 0.005 and max(map(abs, np.diff(back))) < 0.01  # N m at the motor: it fades in
             stall()
             process.send_signal(signal.SIGTERM)
-            said = process.communicate(timeout=60)[1]
+            stderr = process.communicate(timeout=60)[1]
         ended = len(board.changes())
         line.stalled.clear()
         settled(lambda: line.waiting, lambda waiting: waiting == 0)
         assert not any(torque for _, torque in board.changes()[ended:])
         assert board.torque() == 0.0
-    assert process.returncode == 4, said
-    assert "zero force is not confirmed" in said and "force is zero" not in said
-    assert "too many frames wait in the port" in said
+    assert process.returncode == 4, stderr
+    assert "zero force is not confirmed" in stderr and "force is zero" not in stderr
+    assert "too many frames wait in the port" in stderr
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)

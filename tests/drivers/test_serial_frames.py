@@ -29,13 +29,13 @@ def framed(text: bytes) -> bytes:
 
 
 @entry
-def decode_all(given: Any, values: Any, usable: Any) -> None:
-    for n in range(len(given)):
-        usable[n] = frames.decode(given[n].ctypes.data, values[n])
+def decode_all(rows: Any, values: Any, usable: Any) -> None:
+    for n in range(len(rows)):
+        usable[n] = frames.decode(rows[n].ctypes.data, values[n])
 
 
 @entry
-def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
+def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, results: Any) -> int:
     at = came = 0
     newest = scratch[1]
     for size in sizes:
@@ -44,7 +44,7 @@ def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, found: Any) -> int:
         at += size
         if frames.decode_stream(buffer.ctypes.data, size, scratch[0], newest) > 0:
             for k in range(NUMBERS):
-                found[came, k] = newest[k]
+                results[came, k] = newest[k]
             came += 1
     return came
 
@@ -54,9 +54,9 @@ def encode_once(x: float, y: float, z: float, frame: Any) -> None:
     frames.encode((x, y, z), frame.ctypes.data)
 
 
-def decoded(*given: bytes) -> tuple[np.ndarray, np.ndarray]:
+def decoded(*messages: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers (n, NUMBERS) of frames, and which of them are valid."""
-    rows = np.frombuffer(b"".join(given), np.uint8).reshape(-1, FRAME_BYTES)
+    rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, FRAME_BYTES)
     values, usable = np.full((len(rows), NUMBERS), np.nan), np.zeros(len(rows), np.bool_)
     decode_all(rows, values, usable)
     return values, usable
@@ -138,9 +138,9 @@ def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
         assert np.abs(good[:, :3]).max() <= frames.REACH_MM
         assert np.abs(good[:, 3:7]).max() <= frames.ANGLE_MAX_RAD
         for n in range(cases(1000, 2000)):
-            said = expected(rows[n].tobytes())
-            assert (said is not None) == usable[n], rows[n].tobytes()
-            assert said is None or said == values[n].tolist()
+            numbers = expected(rows[n].tobytes())
+            assert (numbers is not None) == usable[n], rows[n].tobytes()
+            assert numbers is None or numbers == values[n].tolist()
     assert 0.1 < accepted / (blocks * block) < 0.9
 
 
@@ -172,12 +172,12 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
         stream += frame
     sizes = generator.integers(1, FRAME_BYTES + 1, len(stream) // 16)  # so that a piece completes at most one frame
     sizes = sizes[np.cumsum(sizes) <= len(stream)]
-    found = np.zeros((len(sizes), NUMBERS))
+    rows_out = np.zeros((len(sizes), NUMBERS))
     buffer = np.full(LOOKBACK + FRAME_BYTES, frames.NEWLINE, np.uint8)
-    found = found[: feed(np.frombuffer(bytes(stream), np.uint8), sizes, buffer, np.zeros((2, NUMBERS)), found)]
-    tells = found[:, 7]
+    rows_out = rows_out[: feed(np.frombuffer(bytes(stream), np.uint8), sizes, buffer, np.zeros((2, NUMBERS)), rows_out)]
+    tells = rows_out[:, 7]
     for column, scale in enumerate((1e3, -1e3, 500.0, 1e4, -1e4, 1e4)):
-        np.testing.assert_allclose(found[:, column] * scale, tells, atol=1e-6)  # rounding of numbers below 2e4
+        np.testing.assert_allclose(rows_out[:, column] * scale, tells, atol=1e-6)  # rounding of numbers below 2e4
     assert (np.diff(tells) > 0).all()
     certain = {n for n in range(1, count - 1) if whole[n] and whole[n - 1]}
     assert certain <= set(tells.astype(int).tolist())

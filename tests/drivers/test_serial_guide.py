@@ -151,8 +151,8 @@ def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
             # along y, both links turned by da: dy = (l cos a - elbow / (height - l sin a) * l sin a) da
             slope = 0.08 * np.cos(out) + elbow / (height - 0.08 * np.sin(out)) * 0.08 * np.sin(out)
             servo.write(0.0, 0.5, 0.0, 0.0, 0.0, 0.0)
-            one, two = settled(lambda: board.torques, lambda torques: any(torques))
-            assert one == -two
+            first, two = settled(lambda: board.torques, lambda torques: any(torques))
+            assert first == -two
             # of the two motors; steps of 0.1 mN m, and the angle's
             assert 2.0 * abs(two) == pytest.approx(0.5 * abs(slope), abs=2e-4)
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == (0.0, 0.0)

@@ -55,10 +55,10 @@ def test_closed_loop_through_the_daemon() -> None:
     places = records[:, AT.probe_position : AT.probe_position + 3] * 1e6
     np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
     # The board received forces of the ticks, to the millinewton, in order.
-    given = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
-    felt = [row for row in np.round(reached * 1e3).tolist() if any(row)]
-    assert len(felt) > 300
-    assert all(any(row == tick for tick in given) for row in felt)
+    forces = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
+    changes = [row for row in np.round(reached * 1e3).tolist() if any(row)]
+    assert len(changes) > 300
+    assert all(any(row == tick for tick in forces) for row in changes)
     # The hand's spring (300 N/m) and the wall's share the hand's depth; without a wall it would be 4 mm.
     stiffness = scene.object[0].material.stiffness_n_per_m
     # It presses half of the time: the middle of that half, since a late board lets the hand go deeper.
@@ -87,9 +87,9 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
             )
             until(lambda: board.force[2] >= 0.5)  # also after the second
             first.send_signal(signal.SIGINT)
-            said = first.communicate(timeout=60)[1]
-        assert first.returncode == 0, said
-        assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in said
-        assert "force is zero" in said
+            stderr = first.communicate(timeout=60)[1]
+        assert first.returncode == 0, stderr
+        assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in stderr
+        assert "force is zero" in stderr
         assert comes_to_rest(board)
         assert board.faults == []

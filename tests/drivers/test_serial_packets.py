@@ -27,7 +27,7 @@ PUBLISHED = {"sum8": 0xDD, "xor8": 0x31, "crc8": 0xF4, "crc16-ccitt": 0x29B1, "c
 
 
 @entry
-def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: Any, found: Any) -> int:
+def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: Any, counts: Any) -> int:
     shape, fields, scratch, spare, newest = memory
     at = came = 0
     for size in sizes:
@@ -40,22 +40,22 @@ def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: An
             packets.decode_stream(buffer.ctypes.data, filled, how[0] != 0, shape.ctypes.data, tables, (spare, newest))
             > 0
         ):
-            found[came] = newest[table.COUNTS]
+            counts[came] = newest[table.COUNTS]
             came += 1
     return came
 
 
 def found_in(frame: InputFrame, stream: bytes, sizes: Any, aligned: bool = False, big: bool = False) -> list[float]:
     fields = table.input_table(frame.field, big)
-    buffer, found = np.zeros(2 * frame.bytes + 2048, np.uint8), np.zeros(len(sizes))
+    buffer, counts = np.zeros(2 * frame.bytes + 2048, np.uint8), np.zeros(len(sizes))
     memory = (
         packets.make_shape(frame, big), fields, np.zeros(1, np.int64),
         np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE),
     )  # fmt: skip
-    given = np.frombuffer(stream, np.uint8)
+    data = np.frombuffer(stream, np.uint8)
     how = np.array([aligned, len(fields)])
-    count = feed(given, np.array(sizes), buffer, np.zeros(1, np.int64), how, memory, found)
-    return found[:count].tolist()
+    count = feed(data, np.array(sizes), buffer, np.zeros(1, np.int64), how, memory, counts)
+    return counts[:count].tolist()
 
 
 @pytest.mark.parametrize("kind", CHECKS)
@@ -117,17 +117,17 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
         stream += frame
     sizes = rng.integers(1, 7, len(stream) // 3)
     sizes = sizes[np.cumsum(sizes) <= len(stream)]
-    given = InputFrame(
+    layout = InputFrame(
         bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5), field=build_fields("int32", 1, least=0, most=1e5)
     )
-    found = found_in(given, bytes(stream), sizes)
+    counts = found_in(layout, bytes(stream), sizes)
     # a piece of six bytes may complete one frame and contain another: the later of two in a piece counts
-    rising = [n for n in found if n == int(n) and int(n) < count]
-    wrong = len(found) - len(rising) + int((np.diff(rising) <= 0).sum())
+    rising = [n for n in counts if n == int(n) and int(n) < count]
+    wrong = len(counts) - len(rising) + int((np.diff(rising) <= 0).sum())
     assert wrong <= 10  # at most some 3000 damaged frames, each with a few marks in it, 1 in 256 of which pass
     certain = {n for n in range(2, count - 10) if whole[n] and whole[n - 1] and whole[n - 2]}
     assert len(certain) > count // 4
-    assert len(certain - {int(n) for n in found}) <= 10
+    assert len(certain - {int(n) for n in counts}) <= 10
 
 
 def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
@@ -197,9 +197,9 @@ CHANGES: list[tuple[str, Any, str]] = [
 )
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
     options = copy.deepcopy(dict(load_rig("hapkit").device.options))
-    *way, last = path.split(".")
+    *tables, last = path.split(".")
     at: Any = options
-    for key in way:
+    for key in tables:
         at = at[int(key)] if key.isdigit() else at[key]
     if value is None:
         del at[last]

@@ -57,9 +57,9 @@ class Port:
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         if self.error:
             return -self.error
-        given, self.comes = self.comes[:size], self.comes[size:]
-        ctypes.memmove(address, given, len(given))
-        return len(given)
+        data, self.comes = self.comes[:size], self.comes[size:]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
 
     def write(self, fd: int, address: int, size: int) -> int:
         if self.error:
@@ -267,14 +267,14 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     before = len(run.reader.given)
     end(run)
     failure = run.device.zero_failure()
-    held = run.port.stalled
+    was_stalled = run.port.stalled
     run.goes_on()
-    kept = 3 if kind == "chip" else 0
-    assert old_forces(run) <= kept
-    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= kept + 1  # one force was being transmitted
+    buffered = 3 if kind == "chip" else 0
+    assert old_forces(run) <= buffered
+    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= buffered + 1  # one force was being transmitted
     assert not run.reader.pushes
     # confirmed only if the line transmits the zero
-    assert bool(failure) == (held and end is stopped)
+    assert bool(failure) == (was_stalled and end is stopped)
 
 
 def test_a_stop_reports_why_its_zero_is_not_confirmed(
@@ -287,9 +287,9 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(
     run.end()
     assert run.device.zero_failure() == "8 bytes have been pending for 1 s"
     assert 1000 * MS < run.clock.now - begun < 1100 * MS
-    again = run.clock.now
+    started = run.clock.now
     run.device.stop()
-    assert run.clock.now - again < 200 * MS
+    assert run.clock.now - started < 200 * MS
     assert caplog.text.count("zero force has not reached it: 8 bytes have been pending") == 1
     run.port.stalled = False
     run.device.stop()

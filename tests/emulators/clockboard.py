@@ -89,8 +89,8 @@ def _run(far: int, mode: str, log: Path) -> None:
     rest, due = b"", time.monotonic()
     with log.open("wb", buffering=0) as out:
         while True:
-            left = max(0.0, due - time.monotonic()) if mode == "stream" else None
-            if select.select([far], [], [], left)[0]:
+            remaining = max(0.0, due - time.monotonic()) if mode == "stream" else None
+            if select.select([far], [], [], remaining)[0]:
                 rest += os.read(far, 4096)
                 while len(rest) >= BYTES:
                     mark, _, _, force, check = FRAME.unpack_from(rest)

@@ -68,10 +68,10 @@ class Inverse:
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
     def force(self, now: float) -> tuple[float, float, float]:
-        for session, given in sorted(self.given.items(), key=lambda one: one[1].until):
-            if given.until <= now:
+        for session, request in sorted(self.given.items(), key=lambda entry: entry[1].until):
+            if request.until <= now:
                 del self.given[session]
-                self.log.append((given.until, *self._sum()))
+                self.log.append((request.until, *self._sum()))
         return self._sum()
 
     def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
@@ -107,7 +107,7 @@ class Inverse:
         }
 
     def _sum(self) -> tuple[float, float, float]:
-        x, y, z = (sum(given.force[k] for given in self.given.values()) for k in range(3))
+        x, y, z = (sum(request.force[k] for request in self.given.values()) for k in range(3))
         return (float(x), float(y), float(z))
 
 
@@ -115,12 +115,12 @@ class Service:
     def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
         self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
         self.devices: dict[str, dict[str, Inverse]] = {}
-        for one in devices:
-            group, _, name = one.partition(":")
+        for device in devices:
+            group, _, name = device.partition(":")
             self.devices.setdefault(group, {})[name] = Inverse(name)
         self.grips: dict[str, dict[str, dict[str, Any]]] = {}
-        for one in grips:
-            group, _, name = one.partition(":")
+        for device in grips:
+            group, _, name = device.partition(":")
             self.grips.setdefault(group, {})[name] = _grip(group)
         self.gone: set[str] = set()
         """Ids removed from the list."""
@@ -189,10 +189,10 @@ class Service:
                     force = entry.get("commands", {}).get("set_cursor_force", {}).get(self.force_key)
                     if device is None or force is None:
                         continue
-                    given = (force["x"], force["y"], force["z"])
-                    self.commands.setdefault(device.name, []).append((now, given))
+                    force_n = (force["x"], force["y"], force["z"])
+                    self.commands.setdefault(device.name, []).append((now, force_n))
                     if device.name not in self.gone:
-                        device.take(session, given, now, self.idle_s)
+                        device.take(session, force_n, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
         with self.lock:
@@ -237,7 +237,7 @@ class Service:
             if device is not None and key in ("force_gate", "damping"):
                 return 200, self._applied(body)
         if len(path) == 1 and path[0] in ("gravity_compensation", "torque_scaling"):
-            device = next((one for one in self.all() if one.name == body["device_id"]), None)
+            device = next((device for device in self.all() if device.name == body["device_id"]), None)
             if device is not None:
                 device.settings[path[0]]["enabled"] = body["enable"]
                 if "gravity_scaling_factor" in body:
