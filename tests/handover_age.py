@@ -156,17 +156,17 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def force_ages(taken: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
+def force_ages(arrivals: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the time (s) from each write (n,) until the stub first had its force; NaN if a newer force replaced
     it."""
-    found = np.full(len(written), np.nan)
+    ages_s = np.full(len(written), np.nan)
     ticks = np.arange(len(written))
-    for at, force in taken[taken[:, 1] > 0.5 * LOWEST_N]:
+    for at, force in arrivals[arrivals[:, 1] > 0.5 * LOWEST_N]:
         kind = round((force - LOWEST_N) / STEP_N)
         before = ticks[(ticks % FORCES == kind) & (written <= at)]
-        if len(before) and np.isnan(found[before[-1]]):
-            found[before[-1]] = at - written[before[-1]]
-    return found
+        if len(before) and np.isnan(ages_s[before[-1]]):
+            ages_s[before[-1]] = at - written[before[-1]]
+    return ages_s
 
 
 def ages(values: NDArray[np.float64]) -> dict[str, float]:
@@ -185,7 +185,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.ticks < 1 or not 1.0 <= args.rate <= 1e4:
         parser.error("--ticks must be 1 or more, --rate 1 to 10000")
-    found = {}
+    results = {}
     try:
         for name in args.driver or CASES:
             if COMPILER is None and name == "openhaptics":
@@ -193,16 +193,16 @@ def main() -> int:
                 continue
             with CASES[name]() as ends:
                 time.sleep(0.1)
-                found[name] = run(ends, args.ticks, args.rate)
+                results[name] = run(ends, args.ticks, args.rate)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     lines = [f"{'age, us':24}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
-    for name, one in found.items():
-        for what, share in (("pose", "new"), ("force", "arrived")):
-            row = "".join(f"{one[what][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
-            lines.append(f"{name + ', ' + what:24}{row}{one[share]:9.1%}")
-    measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": found}, args.json, lines)
+    for name, row_of in results.items():
+        for quantity, share in (("pose", "new"), ("force", "arrived")):
+            row = "".join(f"{row_of[quantity][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
+            lines.append(f"{name + ', ' + quantity:24}{row}{row_of[share]:9.1%}")
+    measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": results}, args.json, lines)
     return 0
 
 

@@ -238,7 +238,7 @@ def print_cpu_table(ended: Sequence[Running]) -> None:
     print(f"{programs:8.1f}  programs that tests started")
     print(f"{total - process - programs:8.1f}  starting pytest, collecting")
     print(f"\nThe {MOST_EXPENSIVE} most expensive tests: process, of which compiling, programs (all: {CPU_FOLDER}):")
-    for seconds, part_name, test in sorted(tests, key=lambda each: -each[0][0] - each[0][2])[:MOST_EXPENSIVE]:
+    for seconds, part_name, test in sorted(tests, key=lambda row: -row[0][0] - row[0][2])[:MOST_EXPENSIVE]:
         print("".join(f"{value:7.1f}" for value in seconds), f" {part_name:>9} | {test}")
 
 
@@ -249,7 +249,7 @@ def main(words: list[str]) -> int:
     ENVIRONMENT["PYTEST_ADDOPTS"] = f"{os.environ.get('PYTEST_ADDOPTS', '')} {hang_limit()}".strip()
     wanted = words.pop(0) if words and words[0] in ("--rest", "--system", "--coverage") else ""
     if wanted in ("--rest", "--system"):
-        ended = [part for one in (REST if wanted == "--rest" else SYSTEM) for part in run([one], words)]
+        ended = [part for separate in (REST if wanted == "--rest" else SYSTEM) for part in run([separate], words)]
     else:
         ended = quick(words, covered=wanted == "--coverage")
     counts, well = outcome(ended)

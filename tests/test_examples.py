@@ -33,9 +33,9 @@ def said(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    done = run_program(command, cwd=cwd, timeout=500, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    process = run_program(command, cwd=cwd, timeout=500, env=environment)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 def number(pattern: str, text: str) -> float:
@@ -57,10 +57,10 @@ def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
     text = said("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
     rows = re.findall(r"by ([0-9.]+) mm: the finger feels ([0-9.]+) N, the gripper presses with ([0-9.]+)", text)
     assert len(rows) == 3
-    for pulled, felt, pressed in (tuple(map(float, row)) for row in rows):
+    for pulled, shown, pressed in (tuple(map(float, row)) for row in rows):
         expected = max(1e-3 * pulled - 0.004, 0.0) / (1.0 / 2000.0 + 1.0 / 300.0)
-        assert felt == pytest.approx(pressed, abs=2e-3)
-        assert felt == pytest.approx(
+        assert shown == pytest.approx(pressed, abs=2e-3)
+        assert shown == pytest.approx(
             expected, rel=0.04
         )  # MuJoCo's contact is compliant: some hundredths of a millimetre
 
@@ -99,9 +99,9 @@ def test_friction_sweep() -> None:
 
 def test_stiffness_staircase() -> None:
     out = run_notebook("stiffness_staircase.ipynb")
-    found, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
+    threshold, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
     # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
-    assert 0.5 < found / expected < 1.65
+    assert 0.5 < threshold / expected < 1.65
     assert number(r"(\d+) pictures", out) == 1
 
 
@@ -136,8 +136,8 @@ def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
     write_csv(tmp_path / "trials.csv", [row | {"peak_force_n": force} for row, force in zip(rows, forces, strict=True)])
     tick = {"timestamp": 0.0, "x_m": 0.0, "z_m": 0.0, "fx_n": 0.0, "fy_n": 0.0, "fz_n": 1.0}
     counted = [number for number, row in enumerate(rows) if row["practice"] == "False"]
-    felt = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
-    write_csv(felt, [tick, tick | {"timestamp": 0.1}])
+    trial = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
+    write_csv(trial, [tick, tick | {"timestamp": 0.1}])
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
     (group,) = fit_groups(*load(tmp_path))
     assert isinstance(group.fit, PowerLaw)
@@ -166,8 +166,8 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 @pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
     out = said("my_driver_python.py", "1300", cwd=tmp_path)
-    alone, beside = out.splitlines()
-    assert alone.startswith("1300 ticks alone") and beside.startswith("1300 ticks beside a busy thread")
+    alone, busy = out.splitlines()
+    assert alone.startswith("1300 ticks alone") and busy.startswith("1300 ticks beside a busy thread")
     # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
     assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
 

@@ -23,6 +23,6 @@ def called(*words: str) -> Done:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code = cli.main(list(words))
-        except SystemExit as left:  # argparse
-            code = int(str(left.code))
+        except SystemExit as ended:  # argparse
+            code = int(str(ended.code))
     return Done(code, out.getvalue(), err.getvalue())

@@ -23,8 +23,8 @@ class Emulated(AskedBench):
 
     def open(self) -> Falcon:
         # A tick of the emulation waits for two other programs: it has longer silences than a bus.
-        given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
-        device = open_device(build(Options, given, "falcon [device]"), RATE_HZ)
+        options = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
+        device = open_device(build(Options, options, "falcon [device]"), RATE_HZ)
         device.arm()
         return device
 

@@ -70,10 +70,10 @@ class Timed(list[Any]):
 
 def rows(times: Any, forces: Any) -> NDArray[np.float64]:
     """Return `received` from times (n,) and forces (n, 1 to 3)."""
-    given = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
+    columns = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
     out = np.zeros((len(times), 4))
     out[:, 0] = times
-    out[:, 1 : 1 + given.shape[1]] = given
+    out[:, 1 : 1 + columns.shape[1]] = columns
     return out
 
 
@@ -215,7 +215,8 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         def received() -> NDArray[np.float64]:
             written = device.counts()["written"]
             described_boards.settled(
-                lambda: firmware.taken, lambda taken: taken >= written or at_rest(lambda: firmware.taken)
+                lambda: firmware.taken,
+                lambda written_bytes: written_bytes >= written or at_rest(lambda: firmware.taken),
             )
             return rows(firmware.given.times, firmware.given)
 
@@ -227,7 +228,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Hapkit with its sketch on a pseudo terminal, in the floor, with a trembling hand; its motor receives N m. Its log
     contains only changes."""
     needs(CXX, NO_CXX)
-    done = threading.Event()
+    ended = threading.Event()
     with (
         Hapkit(sketch_library()) as sketch,
         described_boards.opened("hapkit", sketch.path, **{"timeout_s": 2.0, **keys}) as device,
@@ -235,7 +236,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         sketch.turn(0.094)
 
         def tremble() -> None:
-            while not done.wait(0.002):
+            while not ended.wait(0.002):
                 sketch.turn(0.094 + 0.004 * np.sin(12.0 * time.monotonic()))
 
         hand = threading.Thread(target=tremble)
@@ -248,7 +249,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         try:
             yield FarEnd(device, received, most=0.03, hush=sketch.mute)
         finally:
-            done.set()
+            ended.set()
             hand.join()
 
 

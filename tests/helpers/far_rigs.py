@@ -68,8 +68,8 @@ class Far(NamedTuple):
 
     def newest(self) -> float:
         """Size (N) of the latest force; 0 before the first."""
-        given = self.given(-1)
-        return float(np.linalg.norm(given[-1, 1:])) if len(given) else 0.0
+        forces = self.given(-1)
+        return float(np.linalg.norm(forces[-1, 1:])) if len(forces) else 0.0
 
 
 @contextmanager
@@ -80,7 +80,7 @@ def when_forced(
 
     begin  called first, in the same thread, with an event that is set when the block ends
     """
-    done: list[float] = []
+    times: list[float] = []
     over = threading.Event()
 
     def wait() -> None:
@@ -88,14 +88,14 @@ def when_forced(
             begin(over)
         while not over.wait(0.002):
             if far.newest() > least_n and not over.is_set():
-                done.append(time.monotonic())
+                times.append(time.monotonic())
                 act()
                 return
 
     thread = threading.Thread(target=wait, daemon=True)
     thread.start()
     try:
-        yield done
+        yield times
     finally:
         over.set()
         thread.join()
@@ -113,10 +113,10 @@ def rig_file(folder: Path, name: str, **keys: object) -> str:
     return str(file)
 
 
-def slowly(put: Callable[[float], None]) -> None:
+def slowly(set_share: Callable[[float], None]) -> None:
     """Position of the hand, from 0 to 1, over time."""
     for share in np.linspace(0.0, 1.0, PRESS_TICKS):
-        put(float(share))
+        set_share(float(share))
         time.sleep(0.002)
 
 

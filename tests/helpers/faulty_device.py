@@ -92,19 +92,19 @@ def _write(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
     if word[ARMED] == 0 or word[WRITES] >= ROOM:
         return OK
-    kept = float64_at(word[KEPT] + 48 * word[WRITES])
+    wrenches = float64_at(word[KEPT] + 48 * word[WRITES])
     for i in range(6):
-        kept[i] = wrench[i]
+        wrenches[i] = wrench[i]
     word[WRITES] += 1
     if word[FAULT] == 4 and word[READS] > word[AT]:
         return LOST
     if word[FAULT] == 10 and word[AT] < word[READS] <= word[AT] + word[COUNT]:
         for i in range(6):
-            kept[i] = 0.0
+            wrenches[i] = 0.0
         return WITHHELD
     if word[FAULT] == 13 and word[AT] < word[READS] <= word[AT] + word[COUNT]:
         for i in range(6):
-            kept[i] = float64_at(word[KEPT] + 48 * (word[WRITES] - 2))[i]
+            wrenches[i] = float64_at(word[KEPT] + 48 * (word[WRITES] - 2))[i]
         return HELD
     return UNKNOWN if word[FAULT] == 15 and word[READS] > word[AT] else OK
 

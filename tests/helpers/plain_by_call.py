@@ -136,10 +136,10 @@ class File:
             return -self.error
         if not self.comes:
             return -EAGAIN
-        given, rest = self.comes[0][:size], self.comes[0][size:]
-        ctypes.memmove(address, given, len(given))
+        data, rest = self.comes[0][:size], self.comes[0][size:]
+        ctypes.memmove(address, data, len(data))
         self.comes[:1] = [rest] if rest and not self._packets else []
-        return len(given)
+        return len(data)
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         """Like the function of this name."""
@@ -152,13 +152,13 @@ class File:
         assert fd == self.number
         if self.error:
             return -self.error
-        taken = size if self.room is None else min(size, self.room)
-        if taken <= 0:
-            return -EAGAIN if taken == 0 else 0
-        self.sent.append(ctypes.string_at(int(address), taken))
+        count = size if self.room is None else min(size, self.room)
+        if count <= 0:
+            return -EAGAIN if count == 0 else 0
+        self.sent.append(ctypes.string_at(int(address), count))
         if self.room is not None:
-            self.room -= taken
-        return taken
+            self.room -= count
+        return count
 
 
 def matrix(q: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:

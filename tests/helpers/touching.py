@@ -101,7 +101,7 @@ def wander(seed: int, ticks: int, reach: float, speed: float = 1e-4) -> Array:
     rng = np.random.default_rng(seed)
     waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
     t = np.arange(ticks)[:, None] * speed / reach
-    way = np.zeros((ticks, 3))
+    path = np.zeros((ticks, 3))
     for k, a in enumerate(waves):
-        way += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
-    return reach * way / np.abs(way).max()
+        path += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
+    return reach * path / np.abs(path).max()

@@ -62,12 +62,12 @@ def visit(random: np.random.Generator, above: bool) -> Array:
         start[2] = abs(start[2]) + 2.0
     start /= np.linalg.norm(start)
     near, far = random.uniform(0.004, 0.007), 2.5 * (R + SIZE)
-    way = [start * far, start * near]
+    corners = [start * far, start * near]
     aside = np.cross(start, random.normal(size=3))
-    way.append(way[-1] + 0.006 * aside / np.linalg.norm(aside))
+    corners.append(corners[-1] + 0.006 * aside / np.linalg.norm(aside))
     leaving = start + 0.8 * aside / np.linalg.norm(aside)
-    way.append(way[-1] + 2.0 * far * leaving / np.linalg.norm(leaving))
-    legs = [np.linspace(a, b, max(int(np.linalg.norm(b - a) / STEP), 2), endpoint=False) for a, b in pairwise(way)]
+    corners.append(corners[-1] + 2.0 * far * leaving / np.linalg.norm(leaving))
+    legs = [np.linspace(a, b, max(int(np.linalg.norm(b - a) / STEP), 2), endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate(legs)
     turned = np.cumsum(np.full((len(places), 1), 1e-3), axis=0) * random.normal(size=3)
     quaternions = np.hstack([np.ones((len(places), 1)), 0.5 * turned])

@@ -62,7 +62,7 @@ SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
 
 
 def far(material: dict[str, Any]) -> list[dict[str, Any]]:
-    return [each | {"material": material} for each in FAR]
+    return [entry | {"material": material} for entry in FAR]
 
 
 def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
@@ -111,9 +111,9 @@ def check_out_of_reach(shape: str, method: str | None, folder: Path, material: d
     alone, company = engine([it], method, **tables), engine([others[0], it, *others[1:]], method, **tables)
     if "finger" in tables:
         both = {"thumb": poses, "index": handling(300, 12, 0.016)[::2]}
-        one, several = alone.run(both), company.run(both)
+        single, several = alone.run(both), company.run(both)
         for name in both:
-            assert_same_but_for_numbers(one[name], several[name], 1)
+            assert_same_but_for_numbers(single[name], several[name], 1)
         return
     assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
 
@@ -153,7 +153,7 @@ def test_an_object_out_of_reach_changes_no_bit_under_any_law(shape: str, law: st
 
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder"])
 def test_an_object_out_of_reach_changes_no_bit_for_an_ellipsoid(shape: str, tmp_path: Path) -> None:
-    others = [each | {"material": GRIP} for each in FAR if each["shape"] != "box"]  # an ellipsoid cannot touch boxes
+    others = [entry | {"material": GRIP} for entry in FAR if entry["shape"] != "box"]  # an ellipsoid cannot touch boxes
     it, form = thing(shape, tmp_path, GRIP), {"radii_m": [0.01, 0.008, 0.012]}
     poses = handling(300, 11, 0.016)[::2] + np.array([0.0, 0.0, R if shape == "plane" else 0.0, 0.0, 0.0, 0.0, 0.0])
     alone, company = engine([it], "midpoint", fingertip=form), engine([*others, it], "midpoint", fingertip=form)
@@ -271,11 +271,11 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
         for name, side in (("thumb", -1.0), ("index", 1.0))
     }
     records = running.run(pinch, dt)
-    held = {name: poses[-1:] for name, poses in pinch.items()}
+    last_poses = {name: poses[-1:] for name, poses in pinch.items()}
     # The squared frequency follows from the force on the sphere at a small displacement, compared with 2 K_t.
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
-    records = running.run(held, dt)
+    records = running.run(last_poses, dt)
     on_ball = -sum(float(record["force"][-1, 0]) for record in records.values())
     frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
     assert frequency == pytest.approx(expected, rel=1e-4)

@@ -74,11 +74,11 @@ def test_the_depth_is_never_negative(
     touched = 0
     for number in range(cases(3, 300)):
         stuff = {"stiffness_n_per_m": 1000.0} | NORMAL[number % 3] | FRICTION[(number // 3 + number) % 3]
-        things = [
+        objects = [
             SHAPES[shape] | {"name": f"{shape}-{k}", "material": stuff, "position_m": [0.004 * k, 0.0, 0.001 * k]}
             for k in range(count)
         ]
-        scene = load_scene({"fingertip": {"radius_m": R}, "object": things})
+        scene = load_scene({"fingertip": {"radius_m": R}, "object": objects})
         records = Engine(scene).run(handled(rng, cases(100, 150)))
         depth, force = records["contact.penetration"], records["contact.normal_force"]
         assert (depth >= 0.0).all(), (number, depth.min())

@@ -481,11 +481,11 @@ def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, dep
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}
     sliding = {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0, "pivot_m": [0.0, 0.1, 0.0]}}
-    given = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
-    running = Engine({"fingertip": {"radius_m": 0.01}, "object": given})
+    objects = [{**floor, "material": spring}, {**wall, **sliding, "material": spring}]
+    running = Engine({"fingertip": {"radius_m": 0.01}, "object": objects})
     for _ in range(200):  # until the filtered velocity has decayed
-        found = running.step([0.01 - sideways, 0.0, 0.01 - depth], [1.0, 0.0, 0.0, 0.0])
-    assert found.force == pytest.approx(
+        step = running.step([0.01 - sideways, 0.0, 0.01 - depth], [1.0, 0.0, 0.0, 0.0])
+    assert step.force == pytest.approx(
         [1000.0 * sideways, 0.0, 1000.0 * depth], abs=1e-9
     )  # two springs; 1e-9 N is rounding
 
@@ -496,6 +496,6 @@ def test_viscosity_of_a_moving_object_drags_the_hand() -> None:
     table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
     running = Engine({"fingertip": {"radius_m": 0.01}, "object": [table | effect | motion]})
     for _ in range(50):
-        found = running.step([0.0, 0.0, 0.009], [1.0, 0.0, 0.0, 0.0])
+        step = running.step([0.0, 0.0, 0.009], [1.0, 0.0, 0.0, 0.0])
     # The chord of a tick of 1 mrad is inclined by half of it: 5e-4 of the drag of 1 N.
-    assert found.force == pytest.approx([1.0, 0.0, 1.0], abs=1e-3)
+    assert step.force == pytest.approx([1.0, 0.0, 1.0], abs=1e-3)

@@ -75,7 +75,7 @@ def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch:
 def way(heights: Array, pitch: float, count: int) -> Array:
     """Path through the first `count` points of each of `hands`, each started from above all objects."""
     up = np.array([[0.0, 0.0, heights.max() + 3.0 * R + 2.0 * np.ptp(heights) + pitch * max(heights.shape)]])
-    return np.vstack([each for points in hands(heights, pitch).values() for each in (up, points[:count])])
+    return np.vstack([rows for points in hands(heights, pitch).values() for rows in (up, points[:count])])
 
 
 def some_of(cases: Cases, *numbers: int) -> list[str]:
@@ -92,12 +92,12 @@ def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys
         points, tables = way(heights, pitch, count), {"rolling": None} if keys else {}
         poses = posed(points, spun((0.0, 0.6, 0.8), np.sin(0.05 * np.arange(len(points)))))
         (folder / name).mkdir()
-        other = companion(kind, folder, heights, pitch, **keys)
-        records = engine(part(folder / name, heights, pitch, **keys), other, **tables).run(poses)
+        neighbour = companion(kind, folder, heights, pitch, **keys)
+        records = engine(part(folder / name, heights, pitch, **keys), neighbour, **tables).run(poses)
         centers = records["proxy.position"][records["contact.mode"] > 0]
         assert len(centers) > 0.1 * len(points) and np.isfinite(np.asarray(records)).all()
         assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
-        assert outside_of_companion(kind, other, heights, pitch, centers) >= -INSIDE * R, name
+        assert outside_of_companion(kind, neighbour, heights, pitch, centers) >= -INSIDE * R, name
         if keys:
             depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
             force = np.linalg.norm(records["force"], axis=1)
@@ -143,16 +143,16 @@ def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) 
             pitch, heights = MADE[name]()
             folder = tmp_path / situation / name
             (folder / "other").mkdir(parents=True)
-            things = [part(folder, heights, pitch)]
+            objects = [part(folder, heights, pitch)]
             if situation != "alone":
-                things.append(companion(situation, folder / "other", heights, pitch))
+                objects.append(companion(situation, folder / "other", heights, pitch))
             method = "montana_rk45" if situation == "alone" else "midpoint"
-            scenes.append((method, things, way(heights, pitch, 150)[:: cases(27, 9)].tolist()))
+            scenes.append((method, objects, way(heights, pitch, 150)[:: cases(27, 9)].tolist()))
             most.append(counted_asks.ALONE if situation == "alone" else counted_asks.IN_COMPANY)
     options = {"cwd": Path(counted_asks.__file__).parents[1], "env": os.environ | {"NUMBA_DISABLE_JIT": "1"}}
     command = [sys.executable, "-m", "helpers.counted_asks"]
     output = run_program(command, input=json.dumps(scenes), check=True, timeout=1200, **options).stdout
-    for bound, (method, things, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
+    for bound, (method, objects, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
         assert 0 < max(lookups) <= bound
-        records = engine(*things, rolling={"method": method}).run(counted_asks.poses_at(points))
+        records = engine(*objects, rolling={"method": method}).run(counted_asks.poses_at(points))
         np.testing.assert_allclose(records["proxy.position"], centers, rtol=0, atol=1e-9)

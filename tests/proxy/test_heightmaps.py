@@ -115,7 +115,7 @@ def test_the_surface_is_a_sum_of_b_splines(name: str) -> None:
     """Everywhere, also beyond the rim, heights equal NumPy's evaluation of the coefficients by truncated powers."""
     shape = SHAPES[name]
     half = 0.6 * np.array([shape.columns, shape.rows]) * shape.pitch
-    x, y = (np.random.default_rng(9).uniform(-each, each, 20) for each in half)
+    x, y = (np.random.default_rng(9).uniform(-extent, extent, 20) for extent in half)
     expected = grid_of(shape, x, y)
     # Sums of 16 terms of about the map's height, in two orders.
     np.testing.assert_allclose(heights_of(shape, *expected[:, :2].T)[:, 0], expected[:, 2], rtol=0, atol=1e-17)
@@ -257,9 +257,9 @@ def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
 
 
 def test_gap_to_a_cap_converges_with_fourth_order() -> None:
-    way = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
+    directions = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
     out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
-    points = way / np.linalg.norm(way, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
+    points = directions / np.linalg.norm(directions, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
     errors = []
     for pitch in (2e-3, 1e-3):
         heights = sampled(round(0.06 / pitch), round(0.06 / pitch), pitch, lambda x, y: cap_of(0.06, x, y))
@@ -337,7 +337,7 @@ def test_a_level_map_is_the_plane(tmp_path: Path, keys: dict[str, Any], modes: s
     poses = stroke(2, 1500, 0.03, 0.0085, 0.0125) if not keys else stroke(3, 1000, 0.006, 0.0085, 0.0115)
     height = 0.0 if keys else 0.002
     floor = part(tmp_path, np.full((40, 40), height), 1e-3, position_m=[0.0, 0.0, -height], **keys)
-    level, plane = (engine(each).run(poses) for each in (floor, thing("plane", "plane", **keys)))
+    level, plane = (engine(config).run(poses) for config in (floor, thing("plane", "plane", **keys)))
     assert modes <= set(plane["contact.mode"])
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
@@ -357,7 +357,7 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]
+    "name", [pytest.param(map_name, marks=pytest.mark.exhaustive if map_name == "noise" else ()) for map_name in MAPS]
 )
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
@@ -430,6 +430,6 @@ def test_every_method_rolls_over_a_cap_as_over_a_ball(method: Any) -> None:
     at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
     for k in range(100):
         turn = rotations.exp((0.01 * math.cos(0.05 * k), 0.01 * math.sin(0.05 * k), 0.004))
-        at, on = (compiled_roll(method, each, R, *place, turn)[:2] for each, place in ((shape, at), (BALL, on)))
+        at, on = (compiled_roll(method, body, R, *place, turn)[:2] for body, place in ((shape, at), (BALL, on)))
     assert abs(on[0][0]) > 1e-3  # it has moved
     np.testing.assert_allclose(np.add(at[0], [0.0, 0.0, 0.06]), on[0], rtol=0, atol=2e-8)

@@ -18,9 +18,9 @@ def test_two_fingers_on_one_mesh_are_independent(tmp_path, cases):
     part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
     poses = {name: hand(bumpy, ticks, R, np.random.default_rng(seed)) for seed, name in ((5, "thumb"), (26, "index"))}
     together = engine(part, fingertip=None, coupling=None, finger=FINGERS).run(poses)
-    for name, each in poses.items():
+    for name, path in poses.items():
         alone = engine(part, fingertip=None, coupling=None, finger=[f for f in FINGERS if f["name"] == name])
-        expected = alone.run({name: each})[name]
+        expected = alone.run({name: path})[name]
         assert (expected["contact.mode"] > 0).mean() > 0.2
         np.testing.assert_array_equal(np.asarray(together[name]), np.asarray(expected))
 
@@ -30,7 +30,7 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
     difference from the forces of the equivalent shapes is below 30 mN."""
     box, ball = bar(0.03, 0.03, 0.02), meshes.moved(meshes.geodesic(cases(10, 24), 0.03), (0.075, 0.0, 0.01))
     floor = thing("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
-    other = thing("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
+    sphere = thing("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
     parts = [
         thing(name, "mesh", file=saved(tmp_path, *made, name=f"{name}.ply"), material=SMOOTH)
         for name, made in (("box", box), ("ball", ball))
@@ -43,7 +43,7 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
     points = wander(3, 6000, 0.06)
     points[:, 2] = 0.02 + 0.3 * points[:, 2]
     points = np.concatenate([np.linspace((0.0, 0.0, 0.2), points[first], 2 * (last - first) // 5), points[first:last]])
-    mesh, solid = (go(engine(*those, floor, other, rolling=None), points) for those in (parts, shapes))
+    mesh, solid = (go(engine(*those, floor, sphere, rolling=None), points) for those in (parts, shapes))
     proxies = mesh["proxy.position"]
     for made in (box, ball):
         assert brute_distances(balls_of(*made), proxies).min() >= OUTSIDE
@@ -64,7 +64,9 @@ def test_a_moving_bumpy_mesh_is_touched_in_its_frame(tmp_path, cases):
     still[:, 0] += 0.03 * np.maximum(1.0 - np.arange(ticks) / 200.0, 0.0)
     records = go(engine(turns), still)
     cos, sin, proxy = np.cos(angle), np.sin(angle), records["proxy.position"]
-    seen = np.stack([cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1)
+    local = np.stack(
+        [cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1
+    )
     assert (records["contact.mode"] > 0).mean() > 0.7
-    assert brute_distances(balls_of(*bumpy), seen).min() >= OUTSIDE
+    assert brute_distances(balls_of(*bumpy), local).min() >= OUTSIDE
     assert np.isfinite(np.asarray(records)).all()

@@ -34,7 +34,7 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.025, 0.02)))
     shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
     some = slice(cases(1500, ticks))
-    mesh, solid = (go(engine(each, far), points[some], turned[some]) for each in (of_triangles, shape))
+    mesh, solid = (go(engine(body, far), points[some], turned[some]) for body in (of_triangles, shape))
     assert len(np.unique(solid["contact.mode"])) == 3
     for name, tolerance in (("force", 5e-3), ("torque", 5e-3 * R), ("contact.point", 1e-4)):
         np.testing.assert_allclose(mesh[name], solid[name], rtol=0.0, atol=tolerance)
@@ -61,7 +61,7 @@ def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
     points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
     rolling = {"rolling": {"method": method}}
     mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
-    on_mesh, on_plane = (go(each, points, turned) for each in (mesh, engine(thing("a", "plane"), **rolling)))
+    on_mesh, on_plane = (go(running, points, turned) for running in (mesh, engine(thing("a", "plane"), **rolling)))
     assert on_plane[-1, AT.contact_rolled] > 0.05
     np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
     np.testing.assert_allclose(on_mesh["contact.rolled"], on_plane["contact.rolled"], atol=1e-9)
@@ -79,21 +79,21 @@ def test_a_crease_pushes_with_both_sides(tmp_path):
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
     drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 300)
     records = go(running, np.concatenate([press, drag]))
-    each = 1.0 / np.sqrt(2.0)
+    component = 1.0 / np.sqrt(2.0)
     assert records[49, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     late = np.asarray(records)[150:]
-    assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * each, abs=1e-6)
+    assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * component, abs=1e-6)
     assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
-    held = go(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
-    assert abs(held[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * each / 1.25, rel=1e-6)
+    turning = go(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
+    assert abs(turning[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * component / 1.25, rel=1e-6)
 
 
 def errors_of_ball(tmp_path, frequency, shading="none"):
     """Errors of a faceted sphere: maxima of force, N, contact point, m, force direction, and its turn per tick."""
     part = meshes.geodesic(frequency, 0.05)
     t = np.linspace(0.0, 1.0, 800)
-    way = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
-    points = way * (0.0601 - 1.1e-3 * np.minimum(8.0 * t, 1.0))[:, None]
+    directions = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
+    points = directions * (0.0601 - 1.1e-3 * np.minimum(8.0 * t, 1.0))[:, None]
     turned = spun((0.0, 0.6, 0.8), 0.5 * t)
     file = saved(tmp_path, *part, name=f"{frequency}.ply")
     faceted = thing("ball", "mesh", file=file, shading=shading, material=SLIPPERY)
@@ -105,8 +105,8 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     true = expected / np.linalg.norm(expected, axis=1)[:, None]
     points_off = mesh["contact.point"] - 0.05 * normals
     return [
-        np.linalg.norm(each, axis=1).max()
-        for each in (forces - expected, points_off, along - true, np.diff(along, axis=0))
+        np.linalg.norm(errors, axis=1).max()
+        for errors in (forces - expected, points_off, along - true, np.diff(along, axis=0))
     ]
 
 
@@ -139,13 +139,13 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
     """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`. Away from the hole
     the forces are those of the hollow sphere."""
     ball = meshes.geodesic(16, 0.03)
-    kept = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
-    file = saved(tmp_path, ball.vertices, ball.triangles[kept])
-    way = wander(4, 1500, 0.024)
-    way[:, 2] = -np.abs(way[:, 2])
-    way = way * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
-    sheet, hollow = (go(engine(thing("cavity", "mesh", file=file, inside=inside)), way) for inside in (False, True))
-    whole = go(engine(thing("ball", "mesh", file=saved(tmp_path, *ball, name="ball.ply"), inside=True)), way)
+    lower = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
+    file = saved(tmp_path, ball.vertices, ball.triangles[lower])
+    path = wander(4, 1500, 0.024)
+    path[:, 2] = -np.abs(path[:, 2])
+    path = path * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
+    sheet, hollow = (go(engine(thing("cavity", "mesh", file=file, inside=inside)), path) for inside in (False, True))
+    whole = go(engine(thing("ball", "mesh", file=saved(tmp_path, *ball, name="ball.ply"), inside=True)), path)
     assert (np.asarray(sheet) == np.asarray(hollow)).all()
     assert (whole["contact.mode"] > 0).mean() > 0.1
     np.testing.assert_allclose(hollow["force"], whole["force"], rtol=0.0, atol=1e-6)
@@ -184,6 +184,6 @@ def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
     of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
     shape = thing("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
     points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
-    mesh, solid = (go(engine(each, far), points) for each in (of_triangles, shape))
+    mesh, solid = (go(engine(body, far), points) for body in (of_triangles, shape))
     assert np.abs(solid["force"]).max() > 1.0
     np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)

@@ -27,7 +27,7 @@ from softfinger.proxy.meshes.report import MeshReport
 pytestmark = pytest.mark.plain
 CORNERS = np.array([(x, y, z) for z in (-0.01, 0.01) for y in (-0.02, 0.02) for x in (-0.02, 0.02)])
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
+FACES = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
 VOLUME = 0.04 * 0.04 * 0.02
 FLOAT32 = 1e-6
 """Relative rounding: three float32 coordinates of 6e-8 each, and 0.01 is not exact in float32."""
@@ -39,10 +39,10 @@ def report(path: Path) -> MeshReport:
 
 def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
     path.write_bytes(data)
-    found = report(path)
-    assert (found.triangles, found.watertight, found.open_edges) == (triangles, True, 0)
-    assert found.size_m == pytest.approx((0.04, 0.04, 0.02), rel=1e-4)  # quantized positions have 14 bits
-    assert found.volume_m3 == pytest.approx(VOLUME, rel=2e-4)
+    result = report(path)
+    assert (result.triangles, result.watertight, result.open_edges) == (triangles, True, 0)
+    assert result.size_m == pytest.approx((0.04, 0.04, 0.02), rel=1e-4)  # quantized positions have 14 bits
+    assert result.volume_m3 == pytest.approx(VOLUME, rel=2e-4)
 
 
 def refusal(path: Path, data: bytes) -> str:
@@ -83,13 +83,13 @@ def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
     text = "\n".join(lines).replace("\\\n", " ")
     words = [line.partition("#")[0].split() for line in text.splitlines()]
     every = [tuple(map(float, line[1:4])) for line in words if line[:1] == ["v"]]
-    found, before = list[list[tuple[float, ...]]](), 0
+    polygons, before = list[list[tuple[float, ...]]](), 0
     for line in words:
         before += line[:1] == ["v"]
         if line[:1] == ["f"]:
             numbers = [int(word.partition("/")[0]) for word in line[1:]]
-            found.append([every[number - 1 if number > 0 else before + number] for number in numbers])
-    return found
+            polygons.append([every[number - 1 if number > 0 else before + number] for number in numbers])
+    return polygons
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
@@ -101,9 +101,9 @@ def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None
     fans = [(face[0], *pair) for face in expected for pair in itertools.pairwise(face[1:])]
     np.testing.assert_array_equal(read.vertices[read.triangles], fans)
     (tmp_path / "a.obj").write_bytes(data)
-    found = report(tmp_path / "a.obj")
-    assert (found.triangles, found.watertight, found.bodies) == (triangles, True, triangles // 12)
-    assert found.volume_m3 == pytest.approx(VOLUME * triangles / 12)
+    result = report(tmp_path / "a.obj")
+    assert (result.triangles, result.watertight, result.bodies) == (triangles, True, triangles // 12)
+    assert result.volume_m3 == pytest.approx(VOLUME * triangles / 12)
 
 
 def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
@@ -116,9 +116,9 @@ def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
         sides = [(k, (k + 1) % n, (k + 1) % n + n, k + n) for k in range(n)]
         lines += faces(of=[tuple(range(n))[::-1], tuple(range(n, 2 * n)), *sides])
         (tmp_path / f"{n}.obj").write_text("\n".join(lines))
-        found = report(tmp_path / f"{n}.obj")
-        assert (found.triangles, found.watertight, found.turned_triangles) == (2 * (n - 2) + 2 * n, True, 0)
-        assert found.volume_m3 == pytest.approx(area * 1e-6)
+        result = report(tmp_path / f"{n}.obj")
+        assert (result.triangles, result.watertight, result.turned_triangles) == (2 * (n - 2) + 2 * n, True, 0)
+        assert result.volume_m3 == pytest.approx(area * 1e-6)
         read = arrays_of("a.obj", (tmp_path / f"{n}.obj").read_bytes())
         lids = (read.vertices[read.triangles][:, :, 2] == 0.01).all(axis=1)
         a, b, d = (read.vertices[read.triangles[lids, k]] for k in range(3))
@@ -192,11 +192,11 @@ INDICES = "list uchar int vertex_indices"
 
 def ply(kind: str, face: list[str], rows: bytes, count: int = 12, more: str = "", name: str = "face") -> bytes:
     order = ">" if "big" in kind else "<"
-    points = b"".join(struct.pack(order + "fff", *each) for each in CORNERS.tolist())
+    points = b"".join(struct.pack(order + "fff", *corner) for corner in CORNERS.tolist())
     if kind == "ascii":
-        points = "".join("{} {} {}\n".format(*each) for each in CORNERS.tolist()).encode()
-    head = ["ply", f"format {kind} 1.0", "comment by hand", "element vertex 8", *(f"property {each}" for each in XYZ)]
-    head += [f"element {name} {count}", *(f"property {each}" for each in face)]
+        points = "".join("{} {} {}\n".format(*corner) for corner in CORNERS.tolist()).encode()
+    head = ["ply", f"format {kind} 1.0", "comment by hand", "element vertex 8", *(f"property {axis}" for axis in XYZ)]
+    head += [f"element {name} {count}", *(f"property {key}" for key in face)]
     return "\n".join([*head, f"{more}end_header\n"]).encode() + points + rows
 
 
@@ -223,12 +223,12 @@ PLYS = {
                         "element edge 1\nproperty int vertex1\nproperty int vertex2\n"),
     "quads": ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 4, *quad) for quad in QUADS), 6),
     "quads and triangles": ply(LITTLE, [INDICES],
-                               b"".join(struct.pack(f"<B{len(each)}i", len(each), *each) for each in MIXED), 7),
+                               b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in MIXED), 7),
     "quads and triangles, big endian, with flags": ply(
         BIG, [INDICES, "uchar flags"],
-        b"".join(struct.pack(f">B{len(each)}iB", len(each), *each, 1) for each in MIXED), 7),
+        b"".join(struct.pack(f">B{len(face)}iB", len(face), *face, 1) for face in MIXED), 7),
     "quads and triangles as text": ply(
-        "ascii", [INDICES], "".join(" ".join(map(str, (len(each), *each))) + "\n" for each in MIXED).encode(), 7),
+        "ascii", [INDICES], "".join(" ".join(map(str, (len(face), *face))) + "\n" for face in MIXED).encode(), 7),
     "strips": ply("ascii", ["list int int vertex_indices"], " ".join(map(str, (29, *STRIPS))).encode(), 1,
                   name="tristrips"),
     "strips in binary": ply(LITTLE, ["list int int vertex_indices"], struct.pack("<30i", 29, *STRIPS), 1,

@@ -47,18 +47,18 @@ def refusal(path: Path, **keys: Any) -> str:
 
 def corners(mesh: Arrays | Mesh) -> np.ndarray:
     """Coordinates of all corners (m, 3, 3) in a canonical order of triangles and corners."""
-    found = mesh.vertices[mesh.triangles]
-    keys = np.round(found, 6)
-    least = np.array([min(range(3), key=lambda k: tuple(each[k])) for each in keys])
-    turned = np.array([np.roll(each, -start, axis=0) for each, start in zip(found, least, strict=True)])
+    points = mesh.vertices[mesh.triangles]
+    keys = np.round(points, 6)
+    least = np.array([min(range(3), key=lambda k: tuple(triple[k])) for triple in keys])
+    turned = np.array([np.roll(triangle, -start, axis=0) for triangle, start in zip(points, least, strict=True)])
     order = np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])
     return turned[order]
 
 
 def ply_text(mesh: Mesh) -> bytes:
     """Return an ASCII PLY file, not written by trimesh."""
-    rows = [" ".join(map(repr, map(float, each))) for each in mesh.vertices]
-    faces = [" ".join(map(str, (3, *each))) for each in mesh.triangles]
+    rows = [" ".join(map(repr, map(float, vertex))) for vertex in mesh.vertices]
+    faces = [" ".join(map(str, (3, *triangle))) for triangle in mesh.triangles]
     head = [
         "ply", "format ascii 1.0", "comment by hand",
         f"element vertex {len(rows)}", *(f"property double {axis}" for axis in "xyz"),
@@ -84,8 +84,8 @@ def written(mesh: Mesh, kind: str) -> bytes:
     made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
     if kind == "ply text":
         return trimesh.exchange.ply.export_ply(made, encoding="ascii")
-    found = made.export(file_type={"stl text": "stl_ascii"}.get(kind, kind))
-    return found if isinstance(found, bytes) else found.encode()
+    data = made.export(file_type={"stl text": "stl_ascii"}.get(kind, kind))
+    return data if isinstance(data, bytes) else data.encode()
 
 
 FILES: dict[str, tuple[str, bytes]] = {
@@ -160,8 +160,8 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", output)
     assert main(["check", "--json", str(scene)]) == 0
-    (found,) = json.loads(capsys.readouterr().out)
-    assert found["meshes"]["part"]["triangles"] == 180 and found["meshes"]["part"]["open_edges"] == 0
+    (summary,) = json.loads(capsys.readouterr().out)
+    assert summary["meshes"]["part"]["triangles"] == 180 and summary["meshes"]["part"]["open_edges"] == 0
     scene.write_text(scene.read_text().replace('"ball.stl"\n', '"ball.stl"\ninside = true\n'))
     assert main(["check", str(scene)]) == 0 and "does nothing" not in capsys.readouterr().out
     (tmp_path / "ball.stl").write_bytes(stl_binary(Mesh(BALL.vertices, BALL.triangles[1:])))
@@ -269,7 +269,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     assert triangles.min() >= 0 and triangles.max() == len(vertices) - 1
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     assert (np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0).all()
-    assert len({tuple(sorted(each)) for each in triangles.tolist()}) == len(triangles)
+    assert len({tuple(sorted(triangle)) for triangle in triangles.tolist()}) == len(triangles)
     assert len(np.unique(vertices, axis=0)) == len(vertices)
 
 

@@ -38,9 +38,9 @@ def is_outside(made, records):
 
 def largest_query(running, points):
     shape = running.scene.objects.body.shape
-    found = np.zeros((len(points), 3))
-    ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, found)
-    return found[:, 2].max()
+    results = np.zeros((len(points), 3))
+    ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, results)
+    return results[:, 2].max()
 
 
 @pytest.mark.sampled(5)
@@ -72,11 +72,11 @@ def test_a_mended_mesh_equals_the_intact_one(tmp_path):
     ball, poses = meshes.geodesic(12, 0.05), hand(meshes.geodesic(12, 0.05), TICKS, R, np.random.default_rng(5))
     whole, _ = smooth_and_rough(tmp_path, ball)
     mended, _ = smooth_and_rough(tmp_path, hostile_meshes.messy_ball(12, 0.05))
-    expected, found = whole.run(poses), mended.run(poses)
+    expected, records = whole.run(poses), mended.run(poses)
     assert (expected["contact.mode"] > 0).mean() > 0.3
     # The order of two triangles decides which is touched at their edge, and thus the path around the edge.
-    np.testing.assert_allclose(found["force"], expected["force"], rtol=0.0, atol=0.02)
-    np.testing.assert_allclose(np.median(np.abs(found["force"] - expected["force"])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(records["force"], expected["force"], rtol=0.0, atol=0.02)
+    np.testing.assert_allclose(np.median(np.abs(records["force"] - expected["force"])), 0.0, atol=1e-9)
 
 
 @pytest.mark.scaled
@@ -89,8 +89,8 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
     """
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
-    way = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
-    ways = (way - way[20]) * np.minimum(np.arange(len(way)) / 200.0, 1.0)[:, None]
+    path = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
+    ways = (path - path[20]) * np.minimum(np.arange(len(path)) / 200.0, 1.0)[:, None]
     even, rubbed = go(smooth, ways), go(rough, ways)
     for records in (even, rubbed):
         assert np.isfinite(np.asarray(records)).all()
@@ -101,8 +101,8 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
             assert records["contact.budget"].all() and not records["contact.mode"].any()
             continue
         assert is_outside(made, records[:: cases(6, 1)])
-        held = records["contact.mode"] > 0
-        assert held[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
+        touching = records["contact.mode"] > 0
+        assert touching[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
 
 
 @pytest.mark.parametrize("room", [0.1, 0.3])

@@ -70,14 +70,14 @@ def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> fl
 def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: int) -> list[Array]:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 3.0 * radius
-    found = []
+    paths = []
     for _ in range(count):
         start = rng.normal(size=3)
         start = middle + reach * start / np.linalg.norm(start)
         step = rng.uniform(low, high) - start
         step /= np.linalg.norm(step)
-        found.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * step)
-    return found
+        paths.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * step)
+    return paths
 
 
 @pytest.mark.sampled(4)
@@ -122,14 +122,14 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = thing("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
     running = engine(part, fingertip=None, coupling=None, finger=FINGERS)
-    corners, held = np.ascontiguousarray(mesh.vertices[mesh.triangles]), 0
+    corners, blocked = np.ascontiguousarray(mesh.vertices[mesh.triangles]), 0
     ways = [strokes(mesh, f["radius_m"], np.random.default_rng(seed), count) for seed, f in enumerate(FINGERS)]
     for thumb, index in zip(*ways, strict=True):
         ticks = min(len(thumb), len(index)) // coarse
         seconds = 1e-3 * np.arange(1, ticks + 1)[:, None]  # objects are at their position at the end of the tick
         sway = moves * np.sin(2.0 * np.pi * SWAY["frequency_hz"] * seconds) * SWAY["translation_m"]
-        one = thumb[::coarse][:ticks]
-        relative = {"thumb": one, "index": index[::coarse][:ticks] if moves else one[::-1]}
+        forward = thumb[::coarse][:ticks]
+        relative = {"thumb": forward, "index": index[::coarse][:ticks] if moves else forward[::-1]}
         running.reset()
         records_of = running.run({name: posed(step + sway) for name, step in relative.items()})
         for name, finger in zip(relative, FINGERS, strict=True):
@@ -140,9 +140,9 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
                 if records[tick, AT.contact_mode] == FREE:
                     assert not records[tick, AT.force : AT.force + 3].any()
                 elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - probe[tick]) > 1e-6:
-                    held += 1
+                    blocked += 1
                     assert unexplained(corners, radius, proxy[tick], probe[tick]) < UNEXPLAINED, (kind, name, tick)
-    assert held or kind in SLIDES
+    assert blocked or kind in SLIDES
 
 
 @pytest.fixture(scope="module")
@@ -249,8 +249,8 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
         expected = 1000.0 * np.maximum(radius - height, 0.0)[:, None] * [0.0, 0.0, 1.0]
         np.testing.assert_allclose(records[:, AT.force : AT.force + 3], expected, rtol=0.0, atol=1000.0 * 1e-9)
         proxies = records[:, AT.proxy_position : AT.proxy_position + 3]
-        there = np.column_stack([step[:, :2], np.maximum(height, radius)])
-        np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
+        nearest = np.column_stack([step[:, :2], np.maximum(height, radius)])
+        np.testing.assert_allclose(proxies, nearest, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
 
 
 def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> None:

@@ -58,8 +58,8 @@ def test_an_unshaded_mesh_turns_the_force_at_its_edges(balls: dict[str, Engine],
     """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere. There the probe is
     at r - d from the edge. It is also more than four times as fast as on the shaded mesh."""
     steps, shaded = turned(balls["none"], speed), turned(balls["normals"], speed)
-    way = speed * DT * (BALL + R - DEPTH) / (BALL + R)
+    travel = speed * DT * (BALL + R - DEPTH) / (BALL + R)
     # The maximum is for a path straight over an edge; a chord differs from its arc by the square of the angle.
-    assert 0.95 < steps.max() * (R - DEPTH) / way < 1.001
+    assert 0.95 < steps.max() * (R - DEPTH) / travel < 1.001
     assert steps.max() > 4.0 * shaded.max()
     assert (steps < 1e-9).mean() > 0.5  # no turn on a facet

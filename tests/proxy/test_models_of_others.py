@@ -25,7 +25,7 @@ FAR = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]
 WEDGE = np.array([(-2, -2, -2), (2, -2, -2), (-2, 2, -2), (2, 2, -2), (-2, -2, 0), (2, -2, 0), (-2, 2, 2), (2, 2, 2)])
 """Corners, cm: a prism that is higher at y = 2 cm than at y = -2 cm."""
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
+FACES = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
 FLOAT32 = 1e-8
 """m: MuJoCo stores and rotates vertices of some centimetres in 32 bits."""
 
@@ -58,7 +58,7 @@ def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
         "</link><gazebo:plugin/></robot>"
     )
     scene.write_text(scene.read_text().replace("m.xml", "m.urdf"))
-    assert [thing.name for thing in load_scene(scene).object] == ["a"]
+    assert [entry.name for entry in load_scene(scene).object] == ["a"]
 
 
 def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
@@ -71,15 +71,15 @@ def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
     for name in ("sub/own.xml", "upper.xml"):
         text = f'<mujoco><!-- \xe9 --><worldbody><geom name="{name}" size="1"/></worldbody></mujoco>'
         (tmp_path / name).write_bytes(text.encode("latin-1"))
-    assert [thing.name for thing in load_scene(scene).object] == ["sub/own.xml", "upper.xml"]
+    assert [entry.name for entry in load_scene(scene).object] == ["sub/own.xml", "upper.xml"]
 
 
-def placed(thing: schema.Object) -> np.ndarray:
-    assert isinstance(thing, schema.Mesh)
-    w, x, y, z = thing.orientation_wxyz
+def placed(mesh: schema.Object) -> np.ndarray:
+    assert isinstance(mesh, schema.Mesh)
+    w, x, y, z = mesh.orientation_wxyz
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]))
-    return about(thing).picture.vertices @ turn.reshape(3, 3).T + thing.position_m
+    return about(mesh).picture.vertices @ turn.reshape(3, 3).T + mesh.position_m
 
 
 def by_row(points: np.ndarray) -> np.ndarray:
@@ -194,7 +194,7 @@ def test_textures_are_not_read(tmp_path: Path) -> None:
 
 def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
     stl(tmp_path / "wedge.stl")
-    inline = " ".join(f"{each:g}" for each in (0.01 * WEDGE).ravel())
+    inline = " ".join(f"{coordinate:g}" for coordinate in (0.01 * WEDGE).ravel())
     turn = "refpos='0.01 0 0' refquat='0.7071067811865476 0 0 0.7071067811865476'"
     meshes = {"right": "", "left": "scale='1 -1 1'", "wide": "scale='2 1 1'", "turned": turn}
     assets = "".join(f'<mesh name="{name}" file="wedge.stl" {keys}/>' for name, keys in meshes.items())
@@ -210,11 +210,11 @@ def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
         "turned": np.stack([y, -x, z], axis=1),  # the reference is rotated by 90 degrees
         "inline": corners,
     }
-    for thing in scene.object:
-        np.testing.assert_allclose(by_row(placed(thing)), by_row(expected[thing.name] + [0, 0, 1]), atol=2 * FLOAT32)
-        assert isinstance(thing, schema.Mesh)
-        report = about(thing).report
-        assert report.watertight and report.turned_triangles == 0, thing.name
+    for entry in scene.object:
+        np.testing.assert_allclose(by_row(placed(entry)), by_row(expected[entry.name] + [0, 0, 1]), atol=2 * FLOAT32)
+        assert isinstance(entry, schema.Mesh)
+        report = about(entry).report
+        assert report.watertight and report.turned_triangles == 0, entry.name
 
 
 def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
@@ -231,7 +231,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     outline = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]) * 0.01
     corners = np.array([(x, y, z) for z in (0.0, 0.01) for x, y in outline])
     lid = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
-    sides = [each for k in range(6) for each in ((k, (k + 1) % 6, k + 6), ((k + 1) % 6, (k + 1) % 6 + 6, k + 6))]
+    sides = [face for k in range(6) for face in ((k, (k + 1) % 6, k + 6), ((k + 1) % 6, (k + 1) % 6 + 6, k + 6))]
     faces = [face[::-1] for face in lid] + [tuple(k + 6 for k in face) for face in lid] + sides
     stl(tmp_path / "wedge.stl")
     stl(tmp_path / "l.stl", corners, faces)
@@ -241,7 +241,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     )
     world = load_scene(written(tmp_path / "two.xml", body)).world
     assert world is not None
-    notes = {each.name: each.note for each in convert_geoms(world)}
+    notes = {geom.name: geom.note for geom in convert_geoms(world)}
     assert notes["part"] == ""
     assert notes["l"] == (
         "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"
@@ -255,7 +255,7 @@ def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
         '<geom name="seen" size="0.1"/><body><freejoint/><geom name="ball" size="0.02"/></body></worldbody>'
         '<contact><pair geom1="floor" geom2="ball"/></contact>'
     )
-    assert [thing.name for thing in load_scene(written(tmp_path / "pairs.xml", body)).object] == ["floor", "ball"]
+    assert [entry.name for entry in load_scene(written(tmp_path / "pairs.xml", body)).object] == ["floor", "ball"]
 
 
 ARM = """

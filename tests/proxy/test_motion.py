@@ -79,9 +79,9 @@ def test_turntable_turns_at_its_rate() -> None:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(time=times)
 def test_motion_is_relative_to_the_rest_pose(motion: Any, time: float) -> None:
-    here, there = pose_at(motion, STILL, time), pose_at(motion, TILTED, time)
+    here, tilted = pose_at(motion, STILL, time), pose_at(motion, TILTED, time)
     for point in [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3)]:
-        assert placed(there, point) == pytest.approx(placed(TILTED, placed(here, point)), abs=1e-14)
+        assert placed(tilted, point) == pytest.approx(placed(TILTED, placed(here, point)), abs=1e-14)
 
 
 @both

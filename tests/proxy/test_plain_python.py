@@ -48,8 +48,8 @@ def records_of(name: str) -> Any:
     if len(engine.fingers) == 1:
         return engine.run(way(CENTERS[name]))[:, None].copy()
     poses = {"index": way(CENTERS[name]), "thumb": way((-0.03, 0.0, 0.0))}
-    found = engine.run(poses)
-    return np.stack([found[finger] for finger in engine.fingers], axis=1)
+    records = engine.run(poses)
+    return np.stack([records[finger] for finger in engine.fingers], axis=1)
 
 
 def write_records(folder: Path, names: Sequence[str]) -> None:
@@ -65,8 +65,8 @@ def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
     names = [params["name"] for params in selected]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = run_program([sys.executable, __file__, str(folder), *names], env=environment)
-    assert done.returncode == 0, done.stderr
+    process = run_program([sys.executable, __file__, str(folder), *names], env=environment)
+    assert process.returncode == 0, process.stderr
     return folder
 
 

@@ -64,14 +64,14 @@ def test_drag_along_a_groove_has_no_ripple():
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
     depth causes no switch, twice the load does, and equal depths do not switch back."""
-    floor, left = 0, 1
+    floor, left_wall = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
     alike = [(R - 0.001 + sign * 1e-9, 0.0, R - 0.001) for sign in (-1.0, 1.0)] * 10
     more = [(R - 0.002, 0.0, R - 0.001)]
     records = go(corner, np.vstack([begin, alike, more, alike]))
     first = records["contact.object"].tolist()
-    assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
+    assert first[len(begin) - 1 :] == [floor] * 21 + [left_wall] * 21
     np.testing.assert_allclose(records["force"][-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
 
 

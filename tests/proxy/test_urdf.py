@@ -59,15 +59,15 @@ def test_geoms_have_the_names_of_links_and_meshes_are_found(location: str, tmp_p
     world = schema.World(
         model=written(tmp_path, location=location), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
     )
-    found = {each.name: each.object for each in convert_geoms(world)}
-    assert list(found) == ["bottom", "lid", "lid 2"]
-    assert all(thing is not None for thing in found.values())
-    bottom, lid, ball = (thing for thing in found.values() if thing is not None)
+    objects = {geom.name: geom.object for geom in convert_geoms(world)}
+    assert list(objects) == ["bottom", "lid", "lid 2"]
+    assert all(entry is not None for entry in objects.values())
+    bottom, lid, ball = (entry for entry in objects.values() if entry is not None)
     assert isinstance(lid, schema.Mesh) and lid.mesh == "lid"
     # Along the principal axes of inertia, and in 32 bits.
     assert sorted(about(lid).report.size_m) == pytest.approx([0.01, 0.06, 0.08], rel=1e-6)
     assert isinstance(bottom, schema.Box) and isinstance(ball, schema.Sphere)
-    assert [thing.material.stiffness_n_per_m for thing in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
+    assert [entry.material.stiffness_n_per_m for entry in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
     assert bottom.motion is None and lid.motion == schema.Body(body="lid")
 
 

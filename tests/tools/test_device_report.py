@@ -73,8 +73,8 @@ def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 
 def environment(home: Path) -> dict[str, str]:
-    kept = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
-    return kept | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
+    variables = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
+    return variables | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
@@ -158,8 +158,8 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    done, saw = beside(case, *COMMAND, *words)
-    assert done.returncode == (4 if lost else 0), done.stderr
+    process, saw = beside(case, *COMMAND, *words)
+    assert process.returncode == (4 if lost else 0), process.stderr
     content = checked(file, home)
     (arm,) = content["identity"]
     assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
@@ -190,8 +190,8 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
     else:
         rig, beside_it = Path(rig_file(home, driver)), test_spacemouse_emulated.beside
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
-    done, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    assert done.returncode == 0, done.stderr
+    process, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
+    assert process.returncode == 0, process.stderr
     content = checked(file, home)
     (device,) = content["identity"]
     assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
@@ -202,8 +202,8 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 def test_a_puck_is_not_pushed() -> None:
     rig = load_rig("spacemouse")
-    left, right = socket.socketpair()
-    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
+    near, right = socket.socketpair()
+    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
     with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
         report.pushing(rig, puck, 1.0)
 
@@ -264,17 +264,17 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
     )  # fmt: skip
     os.close(side)
     assert process.stderr is not None
-    asked = []
+    prompts = []
     for line in process.stderr:
         if line.endswith("; Enter to begin\n"):
-            asked.append(line)
+            prompts.append(line)
             os.write(main, b"\n")
     output, _ = process.communicate(timeout=60)
     os.close(main)
     assert process.returncode == 0, output
     content = checked(home / "softfinger-simulated-report.json", home)
     assert content["guided"]
-    assert len(asked) == 6  # rest, three directions, a rotation, buttons
+    assert len(prompts) == 6  # rest, three directions, a rotation, buttons
     assert [move["expected"] for move in content["moves"]] == ["+x", "+y", "+z", "+z"]
     assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in content["moves"])
     assert content["moves"][3]["kind"] == "rotation" and content["moves"][3]["seen"] == "no motion"

@@ -82,7 +82,7 @@ def test_judge_detects_wrongly_accepted_and_refused_poses():
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
 def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
-    (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
+    (wrong,) = [wrong for wrenches_tried, _, _, _, wrong in wrenches.try_wrenches() if wrenches_tried == wrenches_of]
     assert wrong == ""
 
 

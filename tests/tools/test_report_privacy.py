@@ -68,9 +68,9 @@ def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: priva
 
 
 def test_options_keep_no_folder() -> None:
-    given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
+    options = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
     want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
-    assert privacy.options(given) == want
+    assert privacy.options(options) == want
 
 
 def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Privacy) -> None:

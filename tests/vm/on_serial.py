@@ -32,11 +32,11 @@ class TestCases(Cases):
         """`devices` lists it by its port under its driver; the rig has to name it, because any Teensy has its ids.
         Unplugged, it is no longer listed."""
         with gadget("serialboard"):
-            (found,) = self.listed()
-        assert (found["driver"], found["state"], found["bus"]) == ("serial", "product", self.bus)
-        assert (found["serial"], found["name"]) == ("SN42", self.name)
-        assert found["rigs"] == ["woodenhaptics-v3"]
-        assert re.fullmatch(self.node, found["node"])
+            (device,) = self.listed()
+        assert (device["driver"], device["state"], device["bus"]) == ("serial", "product", self.bus)
+        assert (device["serial"], device["name"]) == ("SN42", self.name)
+        assert device["rigs"] == ["woodenhaptics-v3"]
+        assert re.fullmatch(self.node, device["node"])
         assert self.listed() == []
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:

@@ -56,15 +56,15 @@ def shown(name: str) -> str:
 
 def comes(true: Callable[[], bool], seconds: float = 300.0) -> bool:
     until = time.monotonic() + seconds
-    while not (found := true()) and time.monotonic() < until:
+    while not (value := true()) and time.monotonic() < until:
         time.sleep(0.2)
-    return found
+    return value
 
 
 def files() -> set[str]:
     """Return all files that were written or removed, without folders that existed before."""
-    found = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
-    return {f"/{at}" for at in found if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
+    paths = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
+    return {f"/{at}" for at in paths if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
 
 
 def status(pid: str) -> dict[str, str]:
@@ -100,13 +100,13 @@ def before() -> set[str]:
 def installed() -> str:
     """Install the service, and return the output. Its kernels are for a generic processor, compiled on the host."""
     before()
-    said = ran(program(), "install", "--system", "--rig", RIG)
+    output = ran(program(), "install", "--system", "--rig", RIG)
     OF_THE_SERVICE.parent.mkdir(parents=True)
     own = f"Environment=NUMBA_CPU_NAME={os.environ['NUMBA_CPU_NAME']}\nWatchdogSec={WATCHDOG_S}s"
     OF_THE_SERVICE.write_text(f"[Service]\n{own}\n")
     shutil.copytree("/run/kernels", "/var/cache/softfinger")
     ran("systemctl", "daemon-reload")
-    return said
+    return output
 
 
 @pytest.fixture
@@ -126,14 +126,14 @@ def arm(tmp_path: Path) -> Iterator[None]:
 
 
 def test_installing_creates_the_account_and_reloads_systemd() -> None:
-    said = installed()
-    assert [line for line in said.splitlines() if line.startswith(("ran", "not run"))] == [
+    output = installed()
+    assert [line for line in output.splitlines() if line.startswith(("ran", "not run"))] == [
         "ran systemd-sysusers /etc/sysusers.d/softfinger.conf",
         "ran systemctl daemon-reload",
         "ran udevadm control --reload",
-        f"ran udevadm trigger {' '.join(f'--subsystem-match={each}' for each in ('usb', 'hidraw', 'tty', 'misc'))}",
+        f"ran udevadm trigger {' '.join(f'--subsystem-match={name}' for name in ('usb', 'hidraw', 'tty', 'misc'))}",
     ]
-    assert "cannot start" not in said
+    assert "cannot start" not in output
     assert pwd.getpwnam("softfinger").pw_dir == "/var/lib/softfinger"
 
 
@@ -147,9 +147,9 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
     assert {int(stat[RT_PRIORITY]) for stat in stats if int(stat[POLICY]) == SCHED_FIFO} == {80, 81}
     made = TELEMETRY.stat()
     assert (made.st_uid, made.st_gid, made.st_mode & 0o777) == (account.pw_uid, account.pw_gid, 0o660)
-    said = journal()
-    assert not re.search(r"Failed to|refused|compiled in", said), said
-    print(said)
+    log = journal()
+    assert not re.search(r"Failed to|refused|compiled in", log), log
+    print(log)
 
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
@@ -187,9 +187,9 @@ def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
 
 def test_removing_leaves_nothing(service: str) -> None:
     shutil.rmtree(OF_THE_SERVICE.parent)
-    said = ran(program(), "install", "--system", "--remove")
+    output = ran(program(), "install", "--system", "--remove")
     assert not Path(f"/proc/{service}").exists()
-    assert files() - before() == set(), said
+    assert files() - before() == set(), output
     assert not TELEMETRY.parent.exists()
     for account in ACCOUNTS:
         assert "softfinger" not in Path("/etc", account).read_text()

@@ -63,8 +63,8 @@ class Board:
             self.device.send(answer)
 
     def _settle(self) -> None:
-        asked = time.monotonic()
-        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.taken_at) + SETTLED_S):
+        started = time.monotonic()
+        while time.monotonic() < min(started + SETTLE_S, max(started, self.taken_at) + SETTLED_S):
             time.sleep(0.005)
 
     def answer(self, line: str) -> object:
