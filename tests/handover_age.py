@@ -53,7 +53,7 @@ class End(NamedTuple):
     """A device, and the received forces (k, 2): s of the monotonic clock, N along z. Its x is the clock's fraction."""
 
     device: Device
-    taken: Callable[[], NDArray[np.float64]]
+    received_forces: Callable[[], NDArray[np.float64]]
 
 
 @numba.njit(**OPTIONS)
@@ -103,12 +103,12 @@ def openhaptics() -> Iterator[list[End]]:
         stub = HdStub(compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread"))
         stub["clock"] = 1.0
 
-        def taken() -> NDArray[np.float64]:
+        def received_forces() -> NDArray[np.float64]:
             rows = stub.journal()
             return np.column_stack([rows["ns"] * 1e-9, rows["force"][:, 1]])  # up is the library's y
 
         with open_touch(TouchOptions(library_file=str(stub.path)), RATE_HZ) as device:
-            yield [End(device, taken)]
+            yield [End(device, received_forces)]
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def serial(mode: str) -> Iterator[list[End]]:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory()))
         board = undo.enter_context(ClockBoard(mode, folder / "log"))
         device = undo.enter_context(open_serial(build(SerialOptions, board.options, "the board's rig"), RATE_HZ))
-        yield [End(device, board.taken)]
+        yield [End(device, board.received_forces)]
 
 
 CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {
@@ -148,7 +148,9 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
     keep = slice(WARM_TICKS, None)
     read = times[keep, :, 0] * 1e-9
     poses = ((read - places[keep]) % 1.0)[fresh[keep]]
-    forces = np.concatenate([force_ages(end.taken(), times[:, k, 1] * 1e-9)[keep] for k, end in enumerate(ends)])
+    forces = np.concatenate(
+        [force_ages(end.received_forces(), times[:, k, 1] * 1e-9)[keep] for k, end in enumerate(ends)]
+    )
     arrived = np.isfinite(forces)
     return {
         "pose": ages(poses), "new": float(np.mean(fresh[keep])),

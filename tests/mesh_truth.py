@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import posed, saved, scene_with, thing, wander
+from helpers.touching import make_object, posed, scene_with, wander, write_part
 from numpy.typing import NDArray
 from references.brute_force import Balls, balls_of, brute_distances
 
@@ -200,8 +200,8 @@ def in_socket(ticks: int, radius: float) -> Array:
 
 def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     tip, socket = {"fingertip": {"radius_m": args.radius}}, Path(file).stem in SOCKETS
-    scene = scene_with(thing("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
-    empty = scene_with(thing("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
+    scene = scene_with(make_object("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
+    empty = scene_with(make_object("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
     mesh = triangles_of(scene)
     balls = balls_of(*mesh)
     result: dict[str, Any] = {"triangles": len(mesh.triangles)}
@@ -257,7 +257,7 @@ def main() -> int:
             }
         with tempfile.TemporaryDirectory() as folder:
             for name in args.mesh or made:
-                file = saved(Path(folder), *made[name](), name=f"{name}.ply") if name in made else name
+                file = write_part(Path(folder), *made[name](), name=f"{name}.ply") if name in made else name
                 result[Path(name).stem if name not in made else name] = judge(
                     file, args, np.random.default_rng(args.seed)
                 )

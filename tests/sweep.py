@@ -105,7 +105,7 @@ class Ended(Enum):
     NOTHING = "without a word: what it was to do was not done to the end"
 
 
-class Seen(NamedTuple):
+class Baseline(NamedTuple):
     """Calls of a test (`file function`) and its duration, s."""
 
     calls: list[str]
@@ -188,7 +188,7 @@ class Sweep:
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
         return not self.failed
 
-    def baseline(self, files: set[str]) -> dict[str, Seen]:
+    def baseline(self, files: set[str]) -> dict[str, Baseline]:
         """Return the calls of all tests that pass without a mistake."""
         from helpers import planting
 
@@ -206,11 +206,11 @@ class Sweep:
             sys.setprofile(None)
             return [sorted(calls), time.monotonic() - begun] if passed else None
 
-        baseline: dict[str, Seen] = {}
+        baseline: dict[str, Baseline] = {}
         for name, item in self.items.items():
             result = in_fork(lambda item=item: traced(item), CPU_S)
             if isinstance(result, list):
-                baseline[name] = Seen(*result)
+                baseline[name] = Baseline(*result)
             elif result is Ended.LATE:
                 print(f"without a mistake the wall clock ended it here: {name}", flush=True)
             else:
@@ -218,7 +218,7 @@ class Sweep:
         print(f"{len(baseline)} of {len(self.items)} tests pass without a mistake", flush=True)
         return baseline
 
-    def try_out(self, mistake: Any, baseline: dict[str, Seen]) -> str:
+    def try_out(self, mistake: Any, baseline: dict[str, Baseline]) -> str:
         from helpers import planting
 
         function = f"{mistake.file} {mistake.function}"

@@ -73,7 +73,7 @@ def rig() -> dict[str, Any]:
     }
 
 
-def put(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+def set_key(mapping: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Set the value at a dotted key and return the mapping; `...` removes the key."""
     *path, last = [int(part) if part.isdigit() else part for part in re.split(r"[.\[\]]+", key) if part]
     at: Any = mapping
@@ -155,7 +155,7 @@ def test_shipped_values_say_their_reason(path: Path) -> None:
 
 
 def test_orientation_is_normalised_once() -> None:
-    built = build(Scene, put(scene(), "object[0].orientation_wxyz", [3, 0, 0, 4]), "f.toml")
+    built = build(Scene, set_key(scene(), "object[0].orientation_wxyz", [3, 0, 0, 4]), "f.toml")
     turned = built.object[0].orientation_wxyz
     assert turned == pytest.approx((0.6, 0, 0, 0.8), abs=1e-15)  # one division and one rounding
     assert build(Scene, describe(built), "f.toml").object[0].orientation_wxyz == turned
@@ -164,7 +164,7 @@ def test_orientation_is_normalised_once() -> None:
 @given(st.lists(st.floats(-1000, 1000), min_size=4, max_size=4).filter(any))
 @settings(max_examples=200, deadline=None)
 def test_any_quaternion_but_zero_becomes_a_unit_one(quaternion: list[float]) -> None:
-    built = build(Scene, put(scene(), "object[0].orientation_wxyz", quaternion), "f.toml")
+    built = build(Scene, set_key(scene(), "object[0].orientation_wxyz", quaternion), "f.toml")
     norm = math.hypot(*built.object[0].orientation_wxyz)
     tiny = max(abs(part) for part in quaternion) < 1e-300  # subnormals have few bits
     assert norm == pytest.approx(1.0, abs=0.5 if tiny else 4e-16)
@@ -259,7 +259,7 @@ FAULTS = [(Scene, scene, *fault) for fault in SCENE_FAULTS] + [(Rig, rig, *fault
 def test_a_fault_names_file_key_value_and_range(
     kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
 ) -> None:
-    (fault,) = faults_of(kind, put(make(), key, value))
+    (fault,) = faults_of(kind, set_key(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
 
@@ -269,7 +269,7 @@ def test_a_fault_names_file_key_value_and_range(
     ["tcp://127.0.0.1:5555", "tcp://localhost:*", "tcp://[::1]:0", "tcp://127.1.2.3:65535", "ipc:///run/softfinger"],
 )
 def test_local_endpoints_are_accepted(endpoint: str) -> None:
-    assert build(Rig, put(rig(), "telemetry.endpoint", endpoint), "f.toml").telemetry.endpoint == endpoint
+    assert build(Rig, set_key(rig(), "telemetry.endpoint", endpoint), "f.toml").telemetry.endpoint == endpoint
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,9 @@ def test_command_endpoint_follows_from_the_telemetry_endpoint(
     telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
-    mapping = put(rig(), "telemetry.endpoint", telemetry) | ({"commands": {"endpoint": endpoint}} if endpoint else {})
+    mapping = set_key(rig(), "telemetry.endpoint", telemetry) | (
+        {"commands": {"endpoint": endpoint}} if endpoint else {}
+    )
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
 
 
@@ -309,14 +311,14 @@ def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: p
     folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
     assert commands_address_for("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + 90 * "x")
-    (fault,) = faults_of(Rig, put(rig(), "telemetry.endpoint", "tcp://127.0.0.1:5555"))
+    (fault,) = faults_of(Rig, set_key(rig(), "telemetry.endpoint", "tcp://127.0.0.1:5555"))
     assert "commands.endpoint: ipc:///xxx" in fault and "107 bytes" in fault and "give one" in fault
 
 
 def test_a_number_too_long_to_print_is_a_fault_like_any_other() -> None:
-    (fault,) = faults_of(Scene, put(scene(), "fingertip.radius_m", 10**6000))
+    (fault,) = faults_of(Scene, set_key(scene(), "fingertip.radius_m", 10**6000))
     assert "fingertip.radius_m = an integer of 19932 bits: must be a number from 1e-05 to 1000 m" in fault
-    (fault,) = faults_of(Rig, put(rig(), "servo.priority", -(10**6000)))
+    (fault,) = faults_of(Rig, set_key(rig(), "servo.priority", -(10**6000)))
     assert "servo.priority = an integer of 19932 bits: must be an integer from 1 to 99" in fault
 
 
@@ -340,7 +342,7 @@ FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "
 """Two fingers, as parsed from a file."""
 
 
-def pinched(**changes: Any) -> dict[str, Any]:
+def pinch_scene(**changes: Any) -> dict[str, Any]:
     """Return a scene with two fingers, the second changed by `changes`."""
     return {**{k: v for k, v in scene().items() if k != "fingertip"}, "finger": [FINGERS[0], FINGERS[1] | changes]}
 
@@ -359,22 +361,22 @@ def pinched(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_fault_of_a_finger_names_it(changes: dict[str, Any], fault: str) -> None:
-    (message,) = faults_of(Scene, pinched(**changes))
+    (message,) = faults_of(Scene, pinch_scene(**changes))
     assert message.startswith(f"f.toml: {fault}")
 
 
 def test_a_scene_has_fingertip_or_fingers() -> None:
-    both = pinched() | {"fingertip": {"radius_m": 0.01}}
+    both = pinch_scene() | {"fingertip": {"radius_m": 0.01}}
     assert ["cannot be combined with [[finger]]" in message for message in faults_of(Scene, both)] == [True]
-    soft = pinched(coupling={"stiffness_n_per_m": 100.0})
+    soft = pinch_scene(coupling={"stiffness_n_per_m": 100.0})
     build(Scene, soft, "f.toml")
-    put(soft, "rolling.torque_stiffness_n_per_m", 500.0)
+    set_key(soft, "rolling.torque_stiffness_n_per_m", 500.0)
     (message,) = faults_of(Scene, soft)
     assert "must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m" in message
 
 
 def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
-    built = build(Scene, pinched(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
+    built = build(Scene, pinch_scene(coupling={"stiffness_n_per_m": 700.0}, device="left"), "f.toml")
     thumb, index = built.fingers
     assert (thumb.coupling, thumb.probe, thumb.device) == (built.coupling, built.probe, "thumb")
     assert (index.coupling.stiffness_n_per_m, index.probe, index.device) == (700.0, built.probe, "left")
@@ -382,9 +384,9 @@ def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
     assert build(Scene, describe(built), "f.toml") == built
 
 
-def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
+def pair_fingers(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
     """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
-    scene_mapping = scene() if fingers is None else {**pinched(), "finger": fingers}
+    scene_mapping = scene() if fingers is None else {**pinch_scene(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig() if devices is None else {key: value for key, value in rig().items() if key != "device"}
     moved = pair(
@@ -395,10 +397,10 @@ def paired(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> l
 
 def test_each_finger_is_moved_by_its_device() -> None:
     both = [("thumb", "[devices.thumb]"), ("index", "[devices.index]")]
-    assert paired(FINGERS, ["index", "other", "thumb"]) == both
-    assert paired([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
-    assert paired(FINGERS[:1], None) == [("thumb", "[device]")]
-    assert paired(None, None) == [("", "[device]")]
+    assert pair_fingers(FINGERS, ["index", "other", "thumb"]) == both
+    assert pair_fingers([FINGERS[0] | {"device": "left"}], ["left", "right"]) == [("thumb", "[devices.left]")]
+    assert pair_fingers(FINGERS[:1], None) == [("thumb", "[device]")]
+    assert pair_fingers(None, None) == [("", "[device]")]
 
 
 @pytest.mark.parametrize(
@@ -411,7 +413,7 @@ def test_each_finger_is_moved_by_its_device() -> None:
 )
 def test_a_finger_without_a_device_is_one_error_for_both_files(fingers: Any, devices: Any, messages: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
-        paired(fingers, devices)
+        pair_fingers(fingers, devices)
     assert [part for part in messages if part not in str(caught.value)] == [] and "\n" not in str(caught.value)
 
 
@@ -444,11 +446,11 @@ def test_suggestions_include_all_names_with_the_given_prefix() -> None:
 
 def test_all_faults_are_reported_at_once() -> None:
     bad = scene()
-    put(bad, "fingertip.radius_m", -1)
-    put(bad, "rolling.torque_stiffness_n_per_m", 5000)
-    put(bad, "coupling.damping", 1)
-    put(bad, "object[0].material.friction.kinetic", 0.9)
-    put(bad, "object[0].material.torsion.friction_length_m", math.nan)
+    set_key(bad, "fingertip.radius_m", -1)
+    set_key(bad, "rolling.torque_stiffness_n_per_m", 5000)
+    set_key(bad, "coupling.damping", 1)
+    set_key(bad, "object[0].material.friction.kinetic", 0.9)
+    set_key(bad, "object[0].material.torsion.friction_length_m", math.nan)
     bad["object"].append({"name": "table", "shape": "plane", "position_m": 3, "material": {}})
     with pytest.raises(ConfigError) as caught:
         build(Scene, bad, "bad.toml")
@@ -507,9 +509,9 @@ def test_an_object_of_unknown_shape_is_still_checked() -> None:
 def test_ceilings_cannot_be_raised_by_a_file() -> None:
     for key in set(schema.Guard.__struct_fields__) - {"arm", "workspace"}:
         span = getattr(limits, key.upper())
-        built = build(Rig, put(rig(), f"guard.{key}", span.high), "f.toml")
+        built = build(Rig, set_key(rig(), f"guard.{key}", span.high), "f.toml")
         assert getattr(built.guard, key) == span.high
-        above = put(rig(), f"guard.{key}", math.nextafter(span.high, math.inf))
+        above = set_key(rig(), f"guard.{key}", math.nextafter(span.high, math.inf))
         assert span.reason in faults_of(Rig, above)[0]
 
 
@@ -692,7 +694,7 @@ def test_no_mapping_raises_anything_but_config_error(mapping: object) -> None:
 @examples(100, 400)
 def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: object) -> None:
     kind, make, key, _, _ = place
-    message = refusal(build, kind, put(make(), key, value), "nearly")
+    message = refusal(build, kind, set_key(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
 
 

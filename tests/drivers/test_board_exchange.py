@@ -98,7 +98,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
             made[0].word[BOARD.fd] | 1 << 32,
             1,
         )  # POLLIN is 1, in the upper half of a struct pollfd
-        said(f"wait {wait_ms}")
+        record_call(f"wait {wait_ms}")
         made[0].now += wait_ms * MS
         return 0
 
@@ -122,14 +122,14 @@ SCRIPT: list[Board] = []
 """Board of the running test: kernels receive only a handle."""
 
 
-def said(call: Any) -> None:
+def record_call(call: Any) -> None:
     SCRIPT[0].done.append(call)
     assert len(SCRIPT[0].done) < 200, "it waits for ever"
 
 
 @board_exchange.drain.of(Scripted)
 def _drain(driver: Scripted, handle: int) -> int:
-    said("drain")
+    record_call("drain")
     board = SCRIPT[0]
     if board.arrives and board.now >= board.arrives[0]:
         board.arrives.pop(0)
@@ -146,13 +146,13 @@ def _pose(driver: Scripted, handle: int) -> bool:
 
 @board_exchange.busy.of(Scripted)
 def _busy(driver: Scripted, handle: int, deaf: bool) -> bool:
-    said(f"busy? {'deaf' if deaf else 'hears'}")
+    record_call(f"busy? {'deaf' if deaf else 'hears'}")
     return SCRIPT[0].busy
 
 
 @board_exchange.send_zero.of(Scripted)
 def _send_zero(driver: Scripted, handle: int) -> int:
-    said("zero")
+    record_call("zero")
     board = SCRIPT[0]
     board.word[BOARD.has_force] = 0
     return board.zero
@@ -160,7 +160,7 @@ def _send_zero(driver: Scripted, handle: int) -> int:
 
 @board_exchange.command.of(Scripted)
 def _command(driver: Scripted, handle: int, wrench: Any) -> int:
-    said(tuple(wrench))
+    record_call(tuple(wrench))
     board = SCRIPT[0]
     board.word[BOARD.has_force] = 1
     return board.force
@@ -169,7 +169,7 @@ def _command(driver: Scripted, handle: int, wrench: Any) -> int:
 @board_exchange.wake.of(Scripted)
 def _wake(driver: Scripted, handle: int) -> int:
     board = SCRIPT[0]
-    said(("wake", board.now))
+    record_call(("wake", board.now))
     if board.wake_ends_a_force:
         board.word[BOARD.has_force] = 0
     return board.woken

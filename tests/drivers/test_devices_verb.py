@@ -15,7 +15,7 @@ import pytest
 from emulators.boards import BOARDS
 from helpers.haply_devices import Service
 from helpers.programs import Program
-from test_hid_emulated import WHY_NOT, beside
+from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.config.schema import DeviceConfig
@@ -341,7 +341,7 @@ def test_output_without_devices() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
-    result, saw = beside({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    result, saw = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert result.returncode == 0, result.stderr
     (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert device["node"] == "/dev/hidraw0"
@@ -350,7 +350,7 @@ def test_an_emulated_device_is_listed() -> None:
     assert (device["driver"], device["state"]) == ("hid", "usable")
     assert "woodenhaptics-2019" in device["rigs"]
     assert saw["reports"] == 0, "a look sends nothing to the device"
-    result, _ = beside({"arm": "woody-2019", "generation": 2}, *COMMAND)
+    result, _ = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND)
     assert (
         "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019"
         in result.stdout
@@ -360,7 +360,7 @@ def test_an_emulated_device_is_listed() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    result, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    result, saw = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
     assert result.returncode == 0, result.stderr
     (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")

@@ -22,7 +22,7 @@ from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverCo
 OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
 
-class Recorded(Bench):
+class ReplayBench(Bench):
     cannot: ClassVar[Mapping[str, str]] = {
         "busy": "a recording is read, so any number of processes may have it",
         "permission": "a recording that cannot be read is one that is not there",
@@ -60,7 +60,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["replay", "simulated"])
 def bench(request: pytest.FixtureRequest) -> Bench:
-    return Recorded(request.param)
+    return ReplayBench(request.param)
 
 
 class TestContract(DriverContract):

@@ -120,7 +120,7 @@ def first_failure(servo: Servo) -> int:
     return int(eventually(lambda: min(servo.read()[0], 0), 10.0))
 
 
-def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
+def move_handle(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
     service.do("move", id=ID, to=to)
     fresh(servo)
     time.sleep(0.02)  # a state with the old position may be in flight
@@ -136,7 +136,7 @@ def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
     with opened(service, **({"mounting": turn} if mounted else {})) as device:
         assert device.info.sensed_dof == 6
         servo = Servo(device)
-        sample = moved(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
+        sample = move_handle(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
         wanted = (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17) if mounted else (0.01, 0.02, 0.02)
         np.testing.assert_allclose(sample[:3], wanted, atol=1e-12)  # rounding
         turned = (0.5, 0.5, 0.5, 0.5) if mounted else (half, half, 0.0, 0.0)

@@ -67,13 +67,15 @@ def on_testbed(
     return process, json.loads(lines[-1])
 
 
-def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+def run_beside_device(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     return on_testbed(TESTBEDS[case.get("bus", "hidraw")], case, *command)
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
-    return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
+    return run_beside_device(
+        case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words
+    )
 
 
 def rig_with(folder: Path, name: str, **keys: object) -> str:
@@ -97,7 +99,7 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
     bus, through = CONNECTIONS[connection]
     name = rig_with(tmp_path, rig, through=through)
     program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
-    process, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
+    process, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
     assert process.returncode == 0, process.stderr
     records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
@@ -254,7 +256,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
     rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
     third_rig = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
-    process, _ = beside(case, sys.executable, "-c", TRY, *rigs, third_rig)
+    process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig)
     assert process.returncode == 0, process.stderr
     *lines, of_the_other = process.stdout.splitlines()[:-1]
     assert [line.startswith(wanted) for line, (_, wanted) in zip(lines, tries, strict=True)] == [True] * 7, lines
@@ -264,7 +266,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
     rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
-    process, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
+    process, _ = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
     error = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
     assert re.match(error, process.stdout), process.stderr
 
@@ -296,6 +298,6 @@ def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: 
     bus, through = CONNECTIONS[connection]
     rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
-    process, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
+    process, _ = run_beside_device(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
     assert process.stdout.splitlines()[:2] == ["4", "4"], process.stderr
     assert len(re.findall(rf"{node} is used by process \d+ \(python", process.stderr)) == 2, process.stderr

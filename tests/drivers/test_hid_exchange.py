@@ -85,7 +85,7 @@ def report(x: float, y: float, z: float, *rest: float, buttons: int = 0, gripper
     return b"\x03" + struct.pack("<7fBB", x, y, z, *(rest or (1.0, 0.0, 0.0, 0.0)), buttons, gripper)
 
 
-def given(x: int, y: int, z: int) -> bytes:
+def force_report(x: int, y: int, z: int) -> bytes:
     """Return an output report of a force (mN)."""
     return b"\x04" + struct.pack("<3i", x, y, z)
 
@@ -159,10 +159,10 @@ def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
     assert board.word[BOARD.has_force] == 1
     assert board.write(*ZERO) == OK
     assert board.word[BOARD.has_force] == 0
-    assert board.sent() == [given(-1000, -500, 2000), given(2400, 0, -3200), given(0, 0, 0)]
+    assert board.sent() == [force_report(-1000, -500, 2000), force_report(2400, 0, -3200), force_report(0, 0, 0)]
     assert board.counts() == {"written": 3, "cut": 1}
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 0)]  # each report triggers an answer, which the loop needs
+    assert board.sent() == [force_report(0, 0, 0)]  # each report triggers an answer, which the loop needs
 
 
 def test_a_force_that_its_field_cannot_hold_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,7 +205,7 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.write(*ZERO) == OK
     assert board.block.call(lambda handle: exchange._wake(exchange.Hid(), handle)) == OK
     assert board.block.call(exchange.silence) == 1
-    assert board.sent() == [given(0, 0, 1000), given(0, 0, 2000), given(0, 0, 0)]
+    assert board.sent() == [force_report(0, 0, 1000), force_report(0, 0, 2000), force_report(0, 0, 0)]
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
     value.value = 2
     board.word[BOARD.armed] = 1
@@ -213,7 +213,7 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
     value.value = 3
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 3000), given(0, 0, 0)]
+    assert board.sent() == [force_report(0, 0, 3000), force_report(0, 0, 0)]
 
 
 def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
@@ -221,7 +221,7 @@ def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 0)] * 2
+    assert board.sent() == [force_report(0, 0, 0)] * 2
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
@@ -231,7 +231,7 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
         board.word[BOARD.read_at] = board.clock.now
         assert board.read()[0] in (WITHHELD, STALE)
         assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert board.sent() == [given(0, 0, 1000), *[given(0, 0, 0)] * 4]
+    assert board.sent() == [force_report(0, 0, 1000), *[force_report(0, 0, 0)] * 4]
     assert board.counts() == {"written": 5, "kicks": 2}
     board.clock.now += 100 * MS
     board.word[BOARD.read_at] = board.clock.now

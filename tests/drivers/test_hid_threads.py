@@ -39,7 +39,7 @@ def no_thread_is_left() -> Iterator[None]:
     assert not any(thread.is_alive() for thread in remaining)
 
 
-class Linked:
+class ThreadedBoard:
     def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
         self.heard: list[bytes] = []
 
@@ -68,7 +68,7 @@ class Linked:
             time.sleep(0.001)
         return status
 
-    def __enter__(self) -> Linked:
+    def __enter__(self) -> ThreadedBoard:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -101,7 +101,7 @@ def test_reports_are_transferred_byte_for_byte() -> None:
 
 
 def test_one_force_is_queued_behind_another() -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
         linked.api.held.clear()
@@ -118,7 +118,7 @@ def test_one_force_is_queued_behind_another() -> None:
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
     """During a hanging write the device retains its force, so the loop ends with TIMEOUT before `timeout_s`."""
-    with Linked(timeout_s=2.0) as linked:
+    with ThreadedBoard(timeout_s=2.0) as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
@@ -138,7 +138,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
@@ -178,7 +178,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
 
 def test_old_reports_fit_into_one_tick() -> None:
     """Fewer reports are queued during a pause than one tick reads, so the report after it is current."""
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         for n in range(400):
             linked.answering.end.send(b"\x03" + struct.pack("<7fBB", n, 0, 0, 1, 0, 0, 0, 0, 0))
@@ -192,7 +192,7 @@ def test_old_reports_fit_into_one_tick() -> None:
 
 def test_stop_returns_after_the_zero() -> None:
     for _ in range(10):
-        with Linked() as linked:
+        with ThreadedBoard() as linked:
             written: list[bytes] = []
             linked.until(lambda status: status == OK)
             plain = linked.api.write
@@ -274,14 +274,14 @@ def test_a_hanging_preset_raises_an_error() -> None:
 
 @pytest.mark.parametrize("cause", ["unplugged", "read", "write"])
 def test_a_disconnected_device_is_lost(cause: str) -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
         if cause == "unplugged":
             linked.answering.unplug()
         elif cause == "read":
-            linked.api.read = gone  # type: ignore[method-assign]
+            linked.api.read = raise_read_error  # type: ignore[method-assign]
         else:
             linked.api.refuses = True
             linked.push(1.0)
@@ -297,7 +297,7 @@ def test_a_disconnected_device_is_lost(cause: str) -> None:
         assert linked.api.closed == 1
 
 
-def gone(*_: object) -> list[int]:
+def raise_read_error(*_: object) -> list[int]:
     raise OSError("read error")
 
 
@@ -307,7 +307,7 @@ def gone(*_: object) -> list[int]:
     ids=["short", "long", "shorter", "nan"],
 )
 def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)

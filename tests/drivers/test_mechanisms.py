@@ -33,7 +33,7 @@ EXACT: Any = {"rtol": 0, "atol": 1e-12}
 """m, m/rad and N m of devices within 0.3 m: a thousand times rounding."""
 
 ARM = build(HidOptions, load_rig("woodenhaptics-2019").device.options, "woodenhaptics-2019").kinematics
-GIVEN: dict[str, options.Kinematics] = {
+MECHANISMS: dict[str, options.Kinematics] = {
     "paddle": options.Paddle(length_m=0.07, torque_max_nm=9.0),
     "pantograph": options.Pantograph(
         base_m=0.038, inner_m=0.07, outer_m=0.09, origin_m=(0.019, 0.1, 0.0), torque_max_nm=9.0
@@ -59,7 +59,7 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
     return (rng.uniform(radians(120.0), radians(165.0)), rng.uniform(radians(15.0), radians(60.0)), 0.0)
 
 
-class Ask:
+class MechanismProbe:
     def __init__(self, kinematics: options.Kinematics) -> None:
         self.kind, self.mechanism = kind_of(kinematics, False), make_mechanism(kinematics, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
@@ -93,10 +93,10 @@ def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
     return sum(w * (of(k * h) - of(-k * h)) for k, w in enumerate(weights, 1)) / h
 
 
-@pytest.mark.parametrize("name", [name for name in GIVEN if not name.startswith("delta")])
+@pytest.mark.parametrize("name", [name for name in MECHANISMS if not name.startswith("delta")])
 def test_power_out_is_power_in(name: str) -> None:
     """f . v = tau . q' with v by differences of the forward kinematics: checks each column of the Jacobian."""
-    rng, ask = np.random.default_rng(31), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(31), MechanismProbe(MECHANISMS[name])
     # of a chain's motors tau q' is k I 2 pi n' / N
     per = np.ones(3) if name != "chain" else np.array(ARM.torque_constant_nm_per_a) * 2 * pi / ARM.counts_per_turn
     step = 2e-3 * (1.0 if name != "chain" else 1e3)
@@ -114,7 +114,7 @@ def test_power_out_is_power_in(name: str) -> None:
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_power_of_a_delta(name: str) -> None:
     """The same, with the legs' speeds by differences of the inverse kinematics, which is in closed form."""
-    rng, ask = np.random.default_rng(34), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(34), MechanismProbe(MECHANISMS[name])
     d = ask.mechanism.delta
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + d.home
@@ -127,7 +127,7 @@ def test_power_of_a_delta(name: str) -> None:
 
 
 def test_a_paddle_moves_on_its_circle() -> None:
-    ask, r = Ask(GIVEN["paddle"]), 0.07
+    ask, r = MechanismProbe(MECHANISMS["paddle"]), 0.07
     assert ask.end((0.0, 0.0, 0.0)).tolist() == [0.0, 0.0, 0.0]
     for a in np.linspace(-1.0, 1.0, 21):
         x, y, z = ask.end((a, 0.0, 0.0))
@@ -138,9 +138,9 @@ def test_a_paddle_moves_on_its_circle() -> None:
 @pytest.mark.parametrize("name", ["pantograph", "motors on one axis"])
 def test_a_pantograph_inverts_two_triangles(name: str) -> None:
     """Angles by the law of cosines for a position give that position, so the outer links have their length."""
-    kinematics, rng = GIVEN[name], np.random.default_rng(32)
+    kinematics, rng = MECHANISMS[name], np.random.default_rng(32)
     assert isinstance(kinematics, options.Pantograph)
-    ask = Ask(kinematics)
+    ask = MechanismProbe(kinematics)
     for _ in range(500):
         x, y = rng.uniform(-0.04, 0.04) + 0.5 * kinematics.base_m, rng.uniform(0.06, 0.13)
         joints = [0.0, 0.0, 0.0]
@@ -152,7 +152,7 @@ def test_a_pantograph_inverts_two_triangles(name: str) -> None:
 
 
 def test_the_published_pantograph() -> None:
-    ask = Ask(GIVEN["pantograph"])
+    ask = MechanismProbe(MECHANISMS["pantograph"])
     joints = (radians(168.0), radians(12.0), 0.0)
     half = 0.019 + 0.07 * np.cos(radians(12.0))
     height = 0.07 * np.sin(radians(12.0)) + sqrt(0.09**2 - half**2)
@@ -164,9 +164,9 @@ def test_the_published_pantograph() -> None:
 
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
-    config, rng = GIVEN[name], np.random.default_rng(33)
+    config, rng = MECHANISMS[name], np.random.default_rng(33)
     assert isinstance(config, options.Delta)
-    ask = Ask(config)
+    ask = MechanismProbe(config)
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + ask.mechanism.delta.home
         joints = []
@@ -182,7 +182,7 @@ def test_a_delta_inverts_its_triangles(name: str) -> None:
 
 def test_aligned_links_give_no_force() -> None:
     kinematics = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
-    ask, force = Ask(kinematics), (0.3, 1.0, 0.0)
+    ask, force = MechanismProbe(kinematics), (0.3, 1.0, 0.0)
     results = set()
     last = None
     for a in np.linspace(radians(80.0), radians(140.0), 8000):
@@ -202,15 +202,15 @@ def test_aligned_links_give_no_force() -> None:
         last = torque
     assert results == {FULL, SINGULAR}
     np.testing.assert_allclose(ask.end((pi, 0.0, 0.0)), (0.1, 0.0, 0.0), **EXACT)
-    both = Ask(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
+    both = MechanismProbe(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
     assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # coincident elbows
     assert both.torques((1.0, 1.0, 0.0), force)[0] == SINGULAR
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    kinematics = GIVEN["delta"]
+    kinematics = MECHANISMS["delta"]
     assert isinstance(kinematics, options.Delta)
-    ask = Ask(kinematics)
+    ask = MechanismProbe(kinematics)
     home = ask.mechanism.delta.home
     angles = delta.inverse(ask.mechanism.delta, home)[0]
     # legs and rods in one line, all alike: base + (arm + rod) cos a = end
@@ -239,7 +239,7 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
 
 @pytest.mark.parametrize("name", ["paddle", "chain"])
 def test_torques_of_serial_joints_are_bounded(name: str) -> None:
-    rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(35), MechanismProbe(MECHANISMS[name])
     if name == "paddle":
         poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07
     else:
@@ -262,7 +262,7 @@ def test_torques_of_serial_joints_are_bounded(name: str) -> None:
     ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
-    ask = Ask(GIVEN[name])
+    ask = MechanismProbe(MECHANISMS[name])
     assert ask.kind == kind
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))
     ask.mechanism = ask.mechanism._replace(torque_max=0.01)

@@ -59,13 +59,13 @@ class TestContract(DriverContract):
     """The contract over the stub."""
 
 
-def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
-    def given() -> bool:
+def apply_force(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
+    def is_displayed() -> bool:
         servo.read()
         servo.write(*force, 0.0, 0.0, 0.0)
         return bench.displayed()[:3] == pytest.approx(force, abs=1e-12)
 
-    until(given)
+    until(is_displayed)
 
 
 # --- constants of the header ---
@@ -332,7 +332,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         wrote = time.monotonic_ns()
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         until(lambda: not any(bench.displayed()))
@@ -345,7 +345,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
         assert lapses >= 1
         assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(bench.displayed())
-        held(servo, bench, (0.5, 0.0, 0.0))
+        apply_force(servo, bench, (0.5, 0.0, 0.0))
 
 
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
@@ -372,7 +372,7 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["docked"] = 1
         assert not any(bench.displayed())
         assert [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)] == [WITHHELD] * 5
@@ -381,10 +381,10 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
         hd["docked"] = 0
         hd.after(2)
         assert not any(bench.displayed()) and device.warning() == ""
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
     hd["docked"] = 1
     with bench.open(inkwell=False) as device:
-        held(Servo(device), bench, (1.0, 0.0, 0.0))
+        apply_force(Servo(device), bench, (1.0, 0.0, 0.0))
 
 
 def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
@@ -410,7 +410,7 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
 def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.push(code, 0)
         assert not any(bench.displayed())
         assert servo.read()[0] == status
@@ -427,7 +427,7 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
 def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["drop_at"] = 0
         hd.after(2)
         until(lambda: servo.read()[0] == TIMEOUT)
@@ -439,7 +439,7 @@ def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.update(delay_s=1.5, delay_at=hd["frames"] + 2)
         until(lambda: servo.read()[0] == TIMEOUT)
         frames = hd["frames"]
@@ -472,11 +472,11 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
         assert second.info.name.endswith("70002")
         first_servo, two = Servo(first), Servo(second)
         assert two.read()[1][0] - first_servo.read()[1][0] == pytest.approx(0.1)
-        held(first_servo, bench, (1.0, 0.0, 0.0))
+        apply_force(first_servo, bench, (1.0, 0.0, 0.0))
         until(lambda: two.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == OK and (hd.after(2) or hd.wrench(1)[1] == 0.5))
         second.close()
         assert not any(hd.wrench(1))
-        held(first_servo, bench, (1.0, 0.0, 0.0))
+        apply_force(first_servo, bench, (1.0, 0.0, 0.0))
     assert hd["misuse"] == 0 and not hd["running"]
     both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
     for device in both:
@@ -489,7 +489,7 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
     """Opening would pause the library's thread while the first device has a force."""
     hd["devices"] = 2
     with bench.open() as first:
-        held(Servo(first), bench, (1.0, 0.0, 0.0))
+        apply_force(Servo(first), bench, (1.0, 0.0, 0.0))
         with pytest.raises(DeviceBusy, match="name both in one rig"):
             bench.open_unarmed(name="Left Device")
         assert Servo(first, arm=False).read()[0] in (OK, STALE)

@@ -104,14 +104,16 @@ class Library(FarEnd):
         self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
         return super().write(*wrench)
 
-    def given(self, parameter: int = FORCE) -> list[float]:
+    def displayed_force(self, parameter: int = FORCE) -> list[float]:
         """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
         (vector,) = [call[2] for call in self.asked if call[:2] == ("set_doubles", parameter)]
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
         self.frame()
-        return self.given() == list(wrench[:3]) and np.allclose(self.given(TORQUE), 1000.0 * np.array(wrench[3:]))
+        return self.displayed_force() == list(wrench[:3]) and np.allclose(
+            self.displayed_force(TORQUE), 1000.0 * np.array(wrench[3:])
+        )
 
     def warmed_up(self) -> None:
         for _ in range(exchange.PROBES + 1):
@@ -274,11 +276,11 @@ def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
     for late in (0, 1):
         library.write(*PULL)
         library.frame(AGE_MAX)
-        assert library.given() == list(PULL[:3])
+        assert library.displayed_force() == list(PULL[:3])
         library.write(*PULL)
         library.frame(1 * MS)
         library.frame(AGE_MAX - 1 * MS + late)
-        assert library.given() == ([0.0, 0.0, 0.0] if late else list(PULL[:3]))
+        assert library.displayed_force() == ([0.0, 0.0, 0.0] if late else list(PULL[:3]))
 
 
 def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
@@ -287,10 +289,10 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     library.clock.now += AGE_MAX
     library.write(*PULL)
     library.frame(1)
-    assert library.given() == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
-    assert library.given() == [0.0, 0.0, 0.0]  # written before the servo detected it
+    assert library.displayed_force() == [0.0, 0.0, 0.0]  # written before the servo detected it
     assert library.write(*PULL) == WITHHELD
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
@@ -303,7 +305,7 @@ def test_late_frames_withhold_the_force(library: Library) -> None:
             library.clock.now += MS
             statuses.append(library.write(*PULL))
         library.frame(0)
-        assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+        assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
         assert library.word[AT.late] == 1
     assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms no frame was late
     library.frame()
@@ -316,7 +318,7 @@ def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> N
     assert library.write(*PULL) == OK
     for _ in range(3):
         library.frame(AGE_MAX + 1)
-        assert library.given() == [0.0, 0.0, 0.0]
+        assert library.displayed_force() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
     assert library.write(*PULL) == WITHHELD
@@ -333,7 +335,7 @@ def test_writes_while_frames_have_stopped(library: Library) -> None:
     library.clock.now += 1
     assert [library.write(*PULL), library.write(*ZERO)] == [HELD, HELD]
     library.frame(0)
-    assert library.given() == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0]
     library.clock.now += AGE_MAX + 1
     assert [library.write(*PULL), library.write(*ZERO)] == [WITHHELD, OK]
 
@@ -356,7 +358,7 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
     library.frame()
     library.word[getattr(AT, name)] = value
     assert library.frame() == (OVER if name == "is_leaving" else AGAIN)
-    assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
     assert library.output == 0
     assert library.word[AT.has_sent_zero] == (name == "stopped")
     assert library.word[AT.has_left] == (name == "is_leaving")
@@ -487,7 +489,7 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     assert library.counts()["errors"] == 1
     sequence = int(library.word[AT.pose_sequence])
     library.frame()
-    assert library.given() == [0.0, 0.0, 0.0] and library.output == 0
+    assert library.displayed_force() == [0.0, 0.0, 0.0] and library.output == 0
     assert library.word[AT.pose_sequence] == sequence
 
 

@@ -355,12 +355,12 @@ def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
     return b"\7" + struct.pack("<7fBB", *place, *q, buttons, gripper)
 
 
-def given(x: int, y: int, z: int) -> bytes:
+def force_frame(x: int, y: int, z: int) -> bytes:
     return b"\2" + struct.pack("<4h", x, y, z, 258)
 
 
 @pytest.fixture
-def other(monkeypatch: pytest.MonkeyPatch) -> Board:
+def described_board(monkeypatch: pytest.MonkeyPatch) -> Board:
     return Board(described(), monkeypatch)
 
 
@@ -377,16 +377,16 @@ def test_a_described_frame_is_a_pose_in_the_world(described_board: Board) -> Non
 def test_a_force_is_written_as_described(described_board: Board) -> None:
     described_board.read(answer(0.0, 0.0, 0.0))
     assert described_board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    assert described_board.sent() == given(-10000, -5000, 20000)
+    assert described_board.sent() == force_frame(-10000, -5000, 20000)
     described_board.read(answer(0.0, 0.0, 0.0))
     assert described_board.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
-    assert described_board.sent() == given(0, 0, -32768)
+    assert described_board.sent() == force_frame(0, 0, -32768)
     described_board.read(answer(0.0, 0.0, 0.0))
     assert described_board.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
-    assert described_board.sent() == given(32767, 0, 0)
+    assert described_board.sent() == force_frame(32767, 0, 0)
     described_board.read(answer(0.0, 0.0, 0.0))
     assert described_board.write(*ZERO) == OK
-    assert described_board.sent() == given(0, 0, 0)
+    assert described_board.sent() == force_frame(0, 0, 0)
     assert described_board.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
 
 
@@ -397,22 +397,22 @@ def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPat
     numbers[axis] = 1.0
     assert described_board.write(*numbers, 0.0, 0.0, 0.0) == OK
     assert described_board.word[BOARD.has_force] == 1
-    assert described_board.sent() == given(*(round(1e4 * n) for n in numbers))
+    assert described_board.sent() == force_frame(*(round(1e4 * n) for n in numbers))
     described_board.read(answer(0.0, 0.0, 0.0))
     described_board.write(*ZERO)
-    assert described_board.sent() == given(0, 0, 0)
+    assert described_board.sent() == force_frame(0, 0, 0)
 
 
 def test_resync_bytes_follow_an_unanswered_frame(described_board: Board) -> None:
     assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert described_board.sent() == given(0, 0, 10000)
+    assert described_board.sent() == force_frame(0, 0, 10000)
     assert described_board.write(*ZERO) == OK
-    assert described_board.sent() == b"\3" * 4 + given(0, 0, 0)
+    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
     assert described_board.wake() == OK
-    assert described_board.sent() == b"\3" * 4 + given(0, 0, 0)
+    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
     described_board.read(answer(0.0, 0.0, 0.0))
     assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert described_board.sent() == given(0, 0, 10000)
+    assert described_board.sent() == force_frame(0, 0, 10000)
     assert described_board.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
 
 
@@ -423,7 +423,7 @@ def test_a_described_board_is_woken_after_its_frame(described_board: Board) -> N
     assert "kicks" not in described_board.counts()
     described_board.port.room = None
     assert described_board.wake() == OK
-    assert described_board.sent() == given(0, 0, 10000) + b"\3" * 4 + given(0, 0, 0)
+    assert described_board.sent() == force_frame(0, 0, 10000) + b"\3" * 4 + force_frame(0, 0, 0)
     assert described_board.counts() == {"written": 2, "kicks": 1}
 
 

@@ -89,7 +89,7 @@ class Reader:
     """Frame parser of a board. `given` has one entry per frame: if it has a force, and its age at arrival (ms)."""
 
     def __init__(self) -> None:
-        self.given: list[tuple[bool, float]] = []
+        self.received: list[tuple[bool, float]] = []
         self.rest = b""
 
     def take(self, byte: int, age_ms: float) -> bytes:
@@ -104,7 +104,7 @@ class Reader:
 
     @property
     def pushes(self) -> bool:
-        return bool(self.given) and self.given[-1][0]
+        return bool(self.received) and self.received[-1][0]
 
 
 def crc8(data: bytes) -> int:
@@ -122,7 +122,7 @@ class Hapkit(Reader):
     def parse(self, age_ms: float) -> bytes:
         if len(self.rest) >= 4:
             if self.rest[0] == 0x5A and crc8(self.rest[:3]) == self.rest[3]:
-                self.given.append((self.rest[1:3] != b"\0\0", age_ms))
+                self.received.append((self.rest[1:3] != b"\0\0", age_ms))
                 self.rest = b""
             else:
                 self.rest = self.rest[1:]
@@ -141,7 +141,7 @@ class Haply2diy(Reader):
             self.rest = b""
         elif len(self.rest) >= 10:
             # resync bytes complete a truncated frame with 1e-36 N m
-            self.given.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
+            self.received.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
             self.rest = b""
             return b"\5" + struct.pack("<2f", 30.0, 150.0)
         return b""
@@ -155,7 +155,7 @@ class Woody(Reader):
             return b""
         line, self.rest = self.rest, b""
         if len(line) == 64:
-            self.given.append((line.split()[:3] != [b"0"] * 3, age_ms))
+            self.received.append((line.split()[:3] != [b"0"] * 3, age_ms))
         return frame(1.0, 2.0, 3.0)
 
 
@@ -218,7 +218,7 @@ class Run:
 
 def old_forces(run: Run) -> int:
     longest = 3 * run.reader.bytes / run.port.per_ms + 2.0
-    return sum(pushes and age > longest for pushes, age in run.reader.given)
+    return sum(pushes and age > longest for pushes, age in run.reader.received)
 
 
 def slow(run: Run) -> None:
@@ -264,14 +264,14 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     run.ticks(20)
     assert run.reader.pushes
     line(run)
-    before = len(run.reader.given)
+    before = len(run.reader.received)
     end(run)
     failure = run.device.zero_failure()
     was_stalled = run.port.stalled
     run.goes_on()
     buffered = 3 if kind == "chip" else 0
     assert old_forces(run) <= buffered
-    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= buffered + 1  # one force was being transmitted
+    assert sum(pushes for pushes, _ in run.reader.received[before:]) <= buffered + 1  # one force was being transmitted
     assert not run.reader.pushes
     # confirmed only if the line transmits the zero
     assert bool(failure) == (was_stalled and end is stopped)

@@ -34,7 +34,7 @@ SIGNALS = {signal.SIGTERM: 0, signal.SIGINT: 0, signal.SIGHUP: 129, signal.SIGQU
 
 def when_pressed(far: Far, act: Callable[[], object]) -> AbstractContextManager[list[float]]:
     def begin(over: threading.Event) -> None:
-        while not over.wait(0.005) and len(far.given(0)) <= 50:
+        while not over.wait(0.005) and len(far.forces_since(0)) <= 50:
             pass
         far.press()
 
@@ -70,7 +70,7 @@ def test_a_signal_in_contact_ends_the_force_within_a_second(
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
             code = main(words(far, tmp_path))
         settled(far.newest, lambda size: size == 0.0)
-        forces = far.given(0)
+        forces = far.forces_since(0)
     assert sent and code == SIGNALS[number] and "force is zero" in caplog.text
     sizes = np.linalg.norm(forces[:, 1:], axis=1)
     assert sizes.max() > CONTACT_N and sizes[-1] == 0.0

@@ -38,7 +38,7 @@ print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "l
 """Program that prints if pyusb has a libusb, and which files of that name it has loaded."""
 
 
-def hidden(*paths: Path | str) -> list[str]:
+def hide_files(*paths: Path | str) -> list[str]:
     script = "".join(f"mount --bind /dev/null '{path}' && " for path in paths) + 'exec "$@"'
     return [*NAMESPACE, "sh", "-c", script, "sh"]
 
@@ -80,7 +80,7 @@ def test_the_systems_libusb_is_preferred(package: bool, tmp_path: Path) -> None:
 def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="broken", package=True)
     assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
-    code, output = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
     assert code != 0 and "libusb is not installed" not in output, output
     assert re.search(r"no Falcon|USB devices cannot be listed", output), output
 
@@ -96,7 +96,7 @@ def endpoints(folder: Path) -> list[str]:
     return ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
 
 
-def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
+def run_softfinger(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
     front, environ = bare
     process = run_program([*front, *COMMAND, *words, "--quiet"], env=environ)
     assert "Traceback" not in process.stderr + process.stdout
@@ -141,7 +141,7 @@ def test_no_libusb_at_all(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="as it is", package=False)
     if loaded(environ)[0]:
         pytest.skip("this system has a libusb")
-    code, output = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
     assert code != 0
     assert re.search(NEITHER, output) and len(output.strip().splitlines()) == 1, output
 
@@ -155,7 +155,7 @@ def test_makers_library_that_sees_no_device(
     rig.write_text(f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n')
     front, environ = bare
     words = ("run", "--rig", str(rig), *endpoints(tmp_path))
-    code, output = said_by((front, environ | {"STUB_DRD_SET": "devices=0"}), *words)
+    code, output = run_softfinger((front, environ | {"STUB_DRD_SET": "devices=0"}), *words)
     assert code != 0, output
     assert output.strip().splitlines()[-1].startswith("softfinger: no device of Force Dimension is attached"), output
 
@@ -163,7 +163,7 @@ def test_makers_library_that_sees_no_device(
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
-    code, output = said_by(bare, *words)
+    code, output = run_softfinger(bare, *words)
     if words[0] == "doctor":
         assert re.search(r"libusb: not found", output), output
     else:
@@ -180,7 +180,7 @@ def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) ->
     if not bundled:
         pytest.skip("this hidapi brings no libraries of its own")
     own = endpoints(tmp_path) if words[0] == "run" else []
-    code, output = said_by((hidden(*bundled), dict(os.environ)), *words, *own)
+    code, output = run_softfinger((hide_files(*bundled), dict(os.environ)), *words, *own)
     if words[0] == "run":
         # Without root the files are hidden in a namespace that contains no files of root, so cached kernels cause
         # warnings.

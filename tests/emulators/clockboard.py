@@ -71,7 +71,7 @@ class ClockBoard:
         self._process.start()
         os.close(far)
 
-    def taken(self) -> NDArray[np.float64]:
+    def received_forces(self) -> NDArray[np.float64]:
         """Return time (s, monotonic clock) and force along z (N) of every frame so far, shape (n, 2)."""
         data = self._log.read_bytes()
         return np.frombuffer(data[: len(data) // 16 * 16]).reshape(-1, 2)

@@ -43,7 +43,7 @@ CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
 ZERO: Final = (0.0, 0.0, 0.0)
 
 
-class Given(NamedTuple):
+class SessionForce(NamedTuple):
     """A force (N) of a session on a device, and the time at which it ends (s, monotonic clock)."""
 
     force: tuple[float, float, float]
@@ -57,7 +57,7 @@ class Inverse:
         """m; "clock": x is the fraction of the monotonic clock's second."""
         self.handle: Handle | None = None
         """Hand on the device; each message moves it by a millisecond. None: the device does not move."""
-        self.given: dict[int, Given] = {}
+        self.requests: dict[int, SessionForce] = {}
         self.log: list[tuple[float, float, float, float]] = []
         """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
         self.settings: dict[str, Any] = {
@@ -68,15 +68,15 @@ class Inverse:
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
     def force(self, now: float) -> tuple[float, float, float]:
-        for session, request in sorted(self.given.items(), key=lambda entry: entry[1].until):
+        for session, request in sorted(self.requests.items(), key=lambda entry: entry[1].until):
             if request.until <= now:
-                del self.given[session]
+                del self.requests[session]
                 self.log.append((request.until, *self._sum()))
         return self._sum()
 
     def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
         self.force(now)
-        self.given[session] = Given(force, now + idle_s)
+        self.requests[session] = SessionForce(force, now + idle_s)
         self.log.append((now, *self._sum()))
         if self.handle is not None:
             self.handle.move(self._sum())
@@ -85,7 +85,7 @@ class Inverse:
 
     def leave(self, session: int, now: float) -> None:
         self.force(now)
-        if self.given.pop(session, None) is not None:
+        if self.requests.pop(session, None) is not None:
             self.log.append((now, *self._sum()))
 
     def state(self, now: float) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class Inverse:
             "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
             "current_cursor_force": {"x": x, "y": y, "z": z},
             "control_domain": "cartesian",
-            "control_mode": "force" if self.given else "idle",
+            "control_mode": "force" if self.requests else "idle",
             "transform": {
                 "position": {"x": 0.0, "y": 0.0, "z": 0.0},
                 "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
@@ -107,7 +107,7 @@ class Inverse:
         }
 
     def _sum(self) -> tuple[float, float, float]:
-        x, y, z = (sum(request.force[k] for request in self.given.values()) for k in range(3))
+        x, y, z = (sum(request.force[k] for request in self.requests.values()) for k in range(3))
         return (float(x), float(y), float(z))
 
 
@@ -399,7 +399,7 @@ class Desk:
                     now = time.monotonic()
                     service.gone.add(line["id"])
                     for device in service.all():  # its motors have no power
-                        for session in [*device.given] if device.name == line["id"] else []:
+                        for session in [*device.requests] if device.name == line["id"] else []:
                             device.leave(session, now)
                 case "return":
                     service.gone.discard(line["id"])

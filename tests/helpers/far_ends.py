@@ -190,22 +190,22 @@ def haply(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         yield FarEnd(device, received, handover=2, hush=lambda: service.set(mute=True))
 
 
-class Given(Firmware):
+class RecordingFirmware(Firmware):
     """A 2DIY that records every command."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.given = Timed()
+        self.sent_torques = Timed()
 
     def give(self, torques: list[float]) -> None:
         super().give(torques)
-        self.given.append(tuple(self.torques))
+        self.sent_torques.append(tuple(self.torques))
 
 
 @contextmanager
 def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Haply 2DIY on a pseudo terminal, with its fingertip in the floor; its motors receive N m."""
-    firmware = Given()
+    firmware = RecordingFirmware()
     with (
         Port(firmware) as port,
         described_boards.opened("haply-2diy", port.path, **{"timeout_s": 2.0, **keys}) as device,
@@ -218,7 +218,7 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
                 lambda: firmware.taken,
                 lambda written_bytes: written_bytes >= written or at_rest(lambda: firmware.taken),
             )
-            return rows(firmware.given.times, firmware.given)
+            return rows(firmware.sent_torques.times, firmware.sent_torques)
 
         yield FarEnd(device, received, most=2.0 * TORQUE_MAX, hush=port.mute.set)
 

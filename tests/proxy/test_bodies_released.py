@@ -37,7 +37,7 @@ GEOMS = {
 }
 
 
-def made(folder: Path, kind: str) -> Engine:
+def make_engine(folder: Path, kind: str) -> Engine:
     """Engine with the geom on a free weightless body, far above a floor; the model's file is in `folder`."""
     assets = {"hfield": f"<{HILLS.format(ELEVATIONS)}/>", "mesh": '<mesh name="blob" file="blob.stl"/>'}
     blob = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
@@ -79,7 +79,7 @@ def visit(random: np.random.Generator, above: bool) -> Array:
 @pytest.mark.parametrize("kind", GEOMS)
 def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, cases: Any) -> None:
     """Clear means farther from the geom's middle than geom and fingertip reach, or above a height field's maximum."""
-    random, engine = np.random.default_rng(7), made(tmp_path, kind)
+    random, engine = np.random.default_rng(7), make_engine(tmp_path, kind)
     for _ in range(cases(2, 40)):
         engine.reset()
         engine.data.qvel[:] = [*random.uniform(-0.05, 0.05, 3), *random.uniform(-1.0, 1.0, 3)]

@@ -261,12 +261,12 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
     assert machines == set(get_args(schema.StateMachine))
     options = {key for key in schema.Friction.__struct_fields__ if key not in {"static", "kinetic"}}
 
-    def given(s: schema.Scene) -> set[str]:
+    def friction_keys(s: schema.Scene) -> set[str]:
         present = [t.material.friction for t in s.object if t.material.friction]
         return {key for friction in present for key in options if getattr(friction, key) is not None}
 
     # Static friction may also depend on direction: the same code with other numbers.
-    assert news(given) == options - {"static_scale"}
+    assert news(friction_keys) == options - {"static_scale"}
     assert news(lambda s: {t.material.torsion.model for t in s.object if t.material.torsion}) == set(
         get_args(schema.TorsionModel)
     )

@@ -72,7 +72,7 @@ def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, flo
     return build(Scene, tables, "test scene")
 
 
-def grown(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
+def minkowski_sum(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
     q = np.asarray(orientation, float)
     return model.MinkowskiSum(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))  # type: ignore[arg-type]
 
@@ -89,7 +89,7 @@ def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
         axes = tuple(float(a) for a in rng.uniform(0.003, 0.012, 3))
         q = rng.normal(size=4)
         x = np.add(foot, rng.uniform(0.002, 0.02) * np.array(n))
-        minkowski = grown(shape, q, axes)  # type: ignore[arg-type]
+        minkowski = minkowski_sum(shape, q, axes)  # type: ignore[arg-type]
         gap, point, normal = closest(minkowski, tuple(x))
         gap, center = gap - minkowski.radius, np.add(point, minkowski.radius * np.array(normal))
         # Centre, gap and normal are consistent, to rounding of coordinates of some centimetres.
@@ -144,7 +144,7 @@ def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> 
     spin = 0.0
     for tick in range(ticks):
         now = multiply(quaternion(w * (tick + 1) / ticks), TURN)
-        out = roll(method, grown(shape, now), min(AXES), center, normal, turn)
+        out = roll(method, minkowski_sum(shape, now), min(AXES), center, normal, turn)
         center, normal, spin = out.center, out.normal, spin + out.spin
     return np.array(center), np.array(normal), spin
 
@@ -259,7 +259,7 @@ def work(rows: Array) -> Array:
     return np.concatenate([[0.0], -np.cumsum(np.sum(mean[0] * moved, axis=1) + np.sum(mean[1] * turned, axis=1))])
 
 
-def handled(ticks: int, lowest: float) -> Array:
+def closed_path(ticks: int, lowest: float) -> Array:
     t = 2.0 * np.pi * np.arange(ticks + 1) / ticks
     s = np.sin(t)
     x = np.stack([8e-4 * s, 5e-4 * np.sin(2 * t), lowest - 4e-4 * s * s], axis=1)
@@ -278,7 +278,7 @@ def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) 
     few = cases(300, 1000)
     for ticks in (few, 2 * few):
         engine.reset()
-        rows = engine.run(handled(ticks, lowest))
+        rows = engine.run(closed_path(ticks, lowest))
         assert set(rows["contact.mode"]) == {ROLLING}
         stored = stored_energy(rows)
         off.append(np.abs(work(rows) - (stored - stored[0])).max())
@@ -290,7 +290,7 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     ticks = cases(200, 1000)
-    once = handled(ticks, lowest)
+    once = closed_path(ticks, lowest)
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
     shared = rows["contacts1.object"] >= 0
     assert shared.any() and not shared.all()

@@ -58,7 +58,7 @@ def hills() -> Array:
     return np.asarray(np.sin(x / WAVES_M[0] + 0.3) * np.cos(y[:, None] / WAVES_M[1] - 0.4))
 
 
-def written(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
+def write_model(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
     """Write the model, with its elevations inline, in a binary file or in a picture; return its path."""
     elevations = hills()
     numbers = f'elevation="{" ".join(f"{elevation!r}" for elevation in elevations.ravel().tolist())}"'
@@ -78,7 +78,7 @@ def written(folder: Path, source: str = "elevation", joint: str = "", size: str 
     return path
 
 
-def made(path: Path, **tables: Any) -> Engine:
+def make_engine(path: Path, **tables: Any) -> Engine:
     return Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": WOOD}, **tables})
 
 
@@ -88,7 +88,7 @@ def made(path: Path, **tables: Any) -> Engine:
 def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: Path) -> None:
     """At the nodes heights match to 32 bits; between them the surfaces differ by the curvature. MuJoCo has two
     triangles per pixel, our surface is smooth: they differ by up to p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
-    engine = made(written(tmp_path, source, joint))
+    engine = make_engine(write_model(tmp_path, source, joint))
     if joint:
         engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
         engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
@@ -119,7 +119,7 @@ def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: 
 
 def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
     world = schema.World(
-        model=str(written(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
+        model=str(write_model(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
     )
     (geom,) = convert_geoms(world)
     assert geom.object is None
@@ -128,11 +128,11 @@ def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
         "resampling"
     )
     with pytest.raises(ConfigError, match="no geom can be touched: hills is a height field with pixels"):
-        made(Path(world.model))
+        make_engine(Path(world.model))
 
 
 def test_a_heightmap_object_can_use_a_models_height_field(tmp_path: Path) -> None:
-    path = written(tmp_path)
+    path = write_model(tmp_path)
     entry = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
     entry |= {"level_m": TOP, "material": WOOD}
     scene = {"fingertip": {"radius_m": R}, "object": [entry]}
@@ -170,7 +170,7 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
 def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
     """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
     viser = pytest.importorskip("viser")
-    path = str(written(tmp_path, joint="<freejoint/>"))
+    path = str(write_model(tmp_path, joint="<freejoint/>"))
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
     (hills_object,) = scene.object
     assert isinstance(hills_object, Filed) and isinstance(hills_object.motion, schema.Body)
@@ -200,7 +200,7 @@ def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
 @pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, the scene takes a minute")
 def test_a_recorded_contact_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A press and drag over the hills of a free body gives the same forces in every tick of a replay."""
-    written(tmp_path, joint="<freejoint/>")
+    write_model(tmp_path, joint="<freejoint/>")
     scene, poses, file = (str(tmp_path / name) for name in ("hills.toml", "poses.csv", "run.mcap"))
     material = "stiffness_n_per_m = 500.0, damping_ns_per_m = 2.0, friction = { static = 0.6, kinetic = 0.5 }"
     Path(scene).write_text(

@@ -56,7 +56,7 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     BUILT.clear()
 
 
-def same(a: Tree, b: Tree) -> bool:
+def are_equal(a: Tree, b: Tree) -> bool:
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
         if isinstance(x, np.ndarray)
@@ -73,7 +73,7 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
     assert tree_of(mesh, folder) is first and BUILT == [180]
     forget(monkeypatch)
     loaded = tree_of(mesh, folder)
-    assert BUILT == [] and same(first, loaded) and not loaded.corners.flags.writeable
+    assert BUILT == [] and are_equal(first, loaded) and not loaded.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
     assert about(mesh).report == description.report
     assert about(mesh).picture.vertices.tobytes() == description.picture.vertices.tobytes()
@@ -88,7 +88,7 @@ def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, m
     assert BUILT == [180, 180, 320]
     (tmp_path / "copy.obj").write_bytes(Path(mesh.file).read_bytes())
     copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=mesh.material)
-    assert same(tree_of(copy, folder), tree_of(mesh, folder)) and len(BUILT) == 3
+    assert are_equal(tree_of(copy, folder), tree_of(mesh, folder)) and len(BUILT) == 3
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
     assert len(reported) == 5
 
 
-def one(folder: Folder) -> Path:
+def only_file(folder: Folder) -> Path:
     assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
@@ -137,14 +137,14 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
         assert (loaded.dtype, loaded.shape, loaded.tobytes()) == (array.dtype, array.shape, array.tobytes())
         assert loaded.ctypes.data % 64 == 0
     assert array_cache.load("cd" * 32, folder) is None
-    assert one(folder).stat().st_mode & 0o777 == 0o600
+    assert only_file(folder).stat().st_mode & 0o777 == 0o600
 
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
-    file = one(folder)
+    file = only_file(folder)
     whole = file.read_bytes()
     at = data.draw(st.integers(0, len(whole) - 1), "at")
     bit = data.draw(st.integers(0, 7), "bit")
@@ -166,15 +166,15 @@ def test_a_damaged_tree_is_built_again(
     forget(monkeypatch)
     mesh = part(tmp_path)
     first = tree_of(mesh, folder)
-    file = one(folder)
+    file = only_file(folder)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)
     forget(monkeypatch)
-    assert same(tree_of(mesh, folder), first) and BUILT == [180]
+    assert are_equal(tree_of(mesh, folder), first) and BUILT == [180]
     assert "its numbers are damaged" in caplog.text
     forget(monkeypatch)
-    assert same(tree_of(mesh, folder), first) and BUILT == []
+    assert are_equal(tree_of(mesh, folder), first) and BUILT == []
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,14 +32,14 @@ FLOAT32 = 1.2e-7
 """Relative rounding of STL and of trimesh's binary formats."""
 
 
-def thing(path: Path | str, **keys: Any) -> schema.Mesh:
+def mesh_entry(path: Path | str, **keys: Any) -> schema.Mesh:
     return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
 
 
 def refusal(path: Path, **keys: Any) -> str:
     """Return the error for an unusable file, without its prefix: one line that names object and file."""
     with pytest.raises(ConfigError) as caught:
-        about(thing(path, **keys))
+        about(mesh_entry(path, **keys))
     text = str(caught.value)
     assert "\n" not in text and text.startswith(f"object 'part': file: {path}: ") and len(text) < 600
     return text.removeprefix(f"object 'part': file: {path}: ")
@@ -80,7 +80,7 @@ def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda he
     return made.data([{"attributes": places, "indices": indices}], changes=changes)
 
 
-def written(mesh: Mesh, kind: str) -> bytes:
+def encode_mesh(mesh: Mesh, kind: str) -> bytes:
     made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
     if kind == "ply text":
         return trimesh.exchange.ply.export_ply(made, encoding="ascii")
@@ -89,12 +89,12 @@ def written(mesh: Mesh, kind: str) -> bytes:
 
 
 FILES: dict[str, tuple[str, bytes]] = {
-    "ply": (".ply", written(BALL, "ply")),
-    "ply text": (".ply", written(BALL, "ply text")),
-    "stl": (".stl", written(BALL, "stl")),
-    "stl text": (".stl", written(BALL, "stl text")),
-    "obj": (".obj", written(BALL, "obj")),
-    "glb": (".glb", written(BALL, "glb")),
+    "ply": (".ply", encode_mesh(BALL, "ply")),
+    "ply text": (".ply", encode_mesh(BALL, "ply text")),
+    "stl": (".stl", encode_mesh(BALL, "stl")),
+    "stl text": (".stl", encode_mesh(BALL, "stl text")),
+    "obj": (".obj", encode_mesh(BALL, "obj")),
+    "glb": (".glb", encode_mesh(BALL, "glb")),
     "ply by hand": (".ply", ply_text(BALL)),
     "stl by hand": (".stl", stl_binary(BALL)),
     "glb by hand": (".glb", glb_binary(BALL)),
@@ -106,7 +106,7 @@ def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
     ending, data = FILES[name]
     path = tmp_path / f"ball{ending}"
     path.write_bytes(data)
-    report, picture = about(thing(path))
+    report, picture = about(mesh_entry(path))
     assert (report.triangles, report.vertices, report.bodies, report.watertight) == (180, 92, 1, True)
     assert report.turned_triangles == report.duplicate_triangles == report.degenerate_triangles == 0
     # Text by trimesh has eight digits; the other files are float32 or exact.
@@ -127,7 +127,7 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
         head["scenes"] = [{"nodes": [0, 1]}]
 
     (tmp_path / "two.glb").write_bytes(glb_binary(BALL, two))
-    report, picture = about(thing(tmp_path / "two.glb"))
+    report, picture = about(mesh_entry(tmp_path / "two.glb"))
     assert report.bodies == 2 and report.watertight and report.turned_triangles == 0
     assert report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL), rel=3 * FLOAT32)
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
@@ -135,14 +135,14 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
 
 def test_scale_converts_to_metres(tmp_path: Path) -> None:
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
-    report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
+    report = about(mesh_entry(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
     assert "m in size, must be 1e-06 to 1000" in refusal(tmp_path / "ball.stl", scale=100.0)
     (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
     assert "is inf m in size" in refusal(tmp_path / "far.ply", scale=1e9)
 
 
-def spoilt(value: float) -> Mesh:
+def with_bad_vertices(value: float) -> Mesh:
     return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
 
 
@@ -187,8 +187,8 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles + 60)), "there are vertices 0 to 91"),
         ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles - 1)), "there are vertices 0 to 91"),
         ("a.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "must have three coordinates"),
-        ("a.ply", ply_text(spoilt(np.nan)), "must be finite"),
-        ("a.ply", ply_text(spoilt(np.inf)), "must be finite"),
+        ("a.ply", ply_text(with_bad_vertices(np.nan)), "must be finite"),
+        ("a.ply", ply_text(with_bad_vertices(np.inf)), "must be finite"),
         ("a.ply", ply_text(Mesh(0.0 * BALL.vertices, BALL.triangles)), "is 0 m in size, must be 1e-06 to 1000"),
         ("a.ply", ply_text(Mesh(4e-7 * BALL.vertices, BALL.triangles)), "`scale` is how many metres a unit"),
         ("a.ply", ply_text(Mesh(600.0 * BALL.vertices, BALL.triangles)), "must be 1e-06 to 1000"),
@@ -240,13 +240,13 @@ def test_false_counts_are_refused(tmp_path: Path, name: str, data: bytes, text: 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     path = tmp_path / "ball.ply"
     path.write_bytes(ply_text(BALL))
-    first = about(thing(path))
-    assert about(thing(path)) is first
+    first = about(mesh_entry(path))
+    assert about(mesh_entry(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert latest_picture(thing(path)) is first  # the rendered mesh does not change with the file
-    assert about(thing(path)).report.triangles == 320
+    assert latest_picture(mesh_entry(path)) is first  # the rendered mesh does not change with the file
+    assert about(mesh_entry(path)).report.triangles == 320
     path.unlink()
-    assert latest_picture(thing(path)).report.triangles == 320
+    assert latest_picture(mesh_entry(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()
@@ -258,7 +258,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     path.write_bytes(data)
     message = ""
     try:
-        report, (vertices, triangles) = about(thing(path))
+        report, (vertices, triangles) = about(mesh_entry(path))
     except ConfigError as error:
         message = str(error)
     if message:

@@ -10,7 +10,7 @@ import pytest
 from helpers import meshes
 from helpers.examples import examples
 from helpers.surface_hand import hand
-from helpers.touching import R, engine, saved, thing
+from helpers.touching import R, engine, make_object, write_part
 from hypothesis import given
 from hypothesis import strategies as st
 from references.triangles import distances
@@ -243,7 +243,7 @@ def test_tree_contains_each_triangle_once():
 
 def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
     bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
-    running = engine(thing("part", "mesh", file=saved(folder, *bumpy)))
+    running = engine(make_object("part", "mesh", file=write_part(folder, *bumpy)))
     records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
     arrays = {name: array for name, array in build_tree(*bumpy)._asdict().items() if isinstance(array, np.ndarray)}
     return arrays | {"records": np.asarray(records), "mode": np.asarray(records["contact.mode"])}

@@ -51,7 +51,7 @@ PLACES = {kind: np.array(place) for kind, (_, place) in PLANES.items()} | {
 }
 
 
-def things(kind, stuff, turned=None):
+def objects_of(kind, stuff, turned=None):
     if kind == "seam":
         return [tile("left", -0.05, stuff=stuff), tile("right", 0.05, stuff=stuff)]
     turn = np.eye(3) if turned is None else matrix(turned)
@@ -70,8 +70,8 @@ def unit(kind):
 
 
 @functools.cache
-def running(kind, even=False, back=False, unequal=False):
-    objects = things(kind, EVEN if even else STUFF)
+def make_engine(kind, even=False, back=False, unequal=False):
+    objects = objects_of(kind, EVEN if even else STUFF)
     if unequal:
         objects[-1] = objects[-1] | {"material": YIELDING}
     return engine(*(objects[::-1] if back else objects))
@@ -93,7 +93,7 @@ CASE = (st.sampled_from(KINDS), *MOTIONS)
 @examples(15)
 @given(*CASE)
 def test_closed_cycle_gives_no_energy(kind, draws, count):
-    engine_of = running(kind)
+    engine_of = make_engine(kind)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, draws, count)))
     # Rounding of sums of up to forty terms of up to 1e-2 J.
@@ -101,8 +101,8 @@ def test_closed_cycle_gives_no_energy(kind, draws, count):
 
 
 @functools.cache
-def softly(kind):
-    return engine(*things(kind, STUFF), **SOFT)
+def soft_engine(kind):
+    return engine(*objects_of(kind, STUFF), **SOFT)
 
 
 @pytest.mark.scaled
@@ -111,7 +111,7 @@ def softly(kind):
 def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
     """The work of spin is never less than the energy f R phi^2 / 2 stored in all patches, under changing loads. The
     tolerance is the change of the load within a tick, because the record contains the load at its end."""
-    engine_of, path = softly(kind), handling(kind, draws, count)
+    engine_of, path = soft_engine(kind), handling(kind, draws, count)
     engine_of.reset()
     records = engine_of.run(path)
     turned = np.vstack([np.zeros(3), axis_angles(path[:, 3:])])
@@ -131,7 +131,7 @@ def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
 @examples(15)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
 def test_unequal_walls_give_no_energy(kind, draws, count):
-    engine_of = running(kind, unequal=True)
+    engine_of = make_engine(kind, unequal=True)
     engine_of.reset()
     work = work_of_the_hand(engine_of.run(handling(kind, draws, count)))
     assert (work[-1] if kind == "pinch" else work.min()) > -1e-14
@@ -143,7 +143,7 @@ def test_unequal_walls_give_no_energy(kind, draws, count):
 def test_curved_bodies_give_no_energy(kind, draws, count):
     """As on planes, with a tolerance for the turn of the normals. Per tick the proxy and the roll move two patches by l
     each, and the normals turn by l / D: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy."""
-    engine_of = running(kind)
+    engine_of = make_engine(kind)
     engine_of.reset()
     records = engine_of.run(handling(kind, draws, count))
     at, turn = records["proxy.position"], axis_angles(records["probe.orientation"])
@@ -162,7 +162,7 @@ SWAY = np.array([0.0002, -0.0003, 0.0004])
 
 @functools.cache
 def swaying(kind):
-    objects = things(kind, STUFF)
+    objects = objects_of(kind, STUFF)
     motion = {"kind": "sinusoid", "translation_m": SWAY.tolist(), "frequency_hz": 62.5}
     objects[-1] = objects[-1] | {"motion": motion}
     return engine(*objects)
@@ -191,8 +191,8 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_order_of_touches_changes_nothing(kind, draws, count):
     poses = handling(kind, draws, count)
-    a = visit(running(kind), poses)
-    b = visit(running(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+    a = visit(make_engine(kind), poses)
+    b = visit(make_engine(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
     np.testing.assert_allclose(b["force"], a["force"] * [-1.0, 1.0, 1.0], rtol=0, atol=1e-11)
     np.testing.assert_allclose(b["torque"], a["torque"] * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
@@ -202,7 +202,7 @@ def test_order_of_touches_changes_nothing(kind, draws, count):
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_order_of_bodies_changes_nothing(kind, draws, count):
     poses = handling(kind, draws, count)
-    a, b = visit(running(kind), poses), visit(running(kind, back=True), poses)
+    a, b = visit(make_engine(kind), poses), visit(make_engine(kind, back=True), poses)
     # Rounding of lengths of 10 mm times 1000 N/m, summed over forty ticks.
     np.testing.assert_allclose(a["force"], b["force"], rtol=0, atol=1e-11)
     np.testing.assert_allclose(a["torque"], b["torque"], rtol=0, atol=1e-13)
@@ -219,7 +219,7 @@ def test_force_is_continuous(kind, draws, count):
     no more than the normal force.
     """
     poses = handling(kind, draws, count)
-    records = visit(running(kind, even=True), poses)
+    records = visit(make_engine(kind, even=True), poses)
     travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(
         axis_angles(poses[:, 3:]), axis=1
     )
@@ -230,9 +230,9 @@ def test_force_is_continuous(kind, draws, count):
 
 
 @functools.cache
-def elsewhere(kind):
+def rotated_engine(kind):
     q = np.array([0.5, 0.5, -0.1, 0.7]) / np.linalg.norm([0.5, 0.5, -0.1, 0.7])
-    return engine(*things(kind, STUFF, q)), q
+    return engine(*objects_of(kind, STUFF, q)), q
 
 
 @pytest.mark.scaled
@@ -240,9 +240,9 @@ def elsewhere(kind):
 @given(st.sampled_from([*PLANES, *BALLS]), *MOTIONS)
 def test_results_do_not_depend_on_the_world_frame(kind, draws, count):
     poses = handling(kind, draws, count)
-    turned_engine, q = elsewhere(kind)
+    turned_engine, q = rotated_engine(kind)
     turn = matrix(q)
-    a = visit(running(kind), poses)
+    a = visit(make_engine(kind), poses)
     b = visit(turned_engine, np.hstack([poses[:, :3] @ turn.T, multiply(q, poses[:, 3:])]))
     np.testing.assert_allclose(a["force"] @ turn.T, b["force"], rtol=0, atol=1e-11)
     np.testing.assert_allclose(a["torque"] @ turn.T, b["torque"], rtol=0, atol=1e-13)

@@ -21,7 +21,7 @@ import test_falcon_emulated
 import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from helpers.programs import run_program
-from test_hid_emulated import WHY_NOT, beside
+from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
@@ -158,7 +158,7 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    process, saw = beside(case, *COMMAND, *words)
+    process, saw = run_beside_device(case, *COMMAND, *words)
     assert process.returncode == (4 if lost else 0), process.stderr
     content = checked(file, home)
     (arm,) = content["identity"]

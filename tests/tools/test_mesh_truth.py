@@ -12,7 +12,7 @@ import pytest
 from helpers import meshes
 from helpers.programs import run_program
 from helpers.surface_hand import hand
-from helpers.touching import R, saved, scene_with, thing
+from helpers.touching import R, make_object, scene_with, write_part
 from references.brute_force import balls_of, brute_distances
 from references.triangles import distances
 
@@ -37,7 +37,7 @@ def test_a_ball_is_true(tmp_path: Path) -> None:
 
 def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
     ball = meshes.geodesic(8, 0.05)
-    scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
+    scene = scene_with(make_object("part", "mesh", file=write_part(tmp_path, *ball)))
     true, larger = balls_of(*ball), balls_of(1.01 * ball.vertices, ball.triangles)
     rng = np.random.default_rng(0)
     ticks = mesh_truth.check_ticks(scene, true, hand(ball, 500, R, rng), R)
@@ -51,7 +51,9 @@ def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
 
 def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None:
     """Compiled: a comparison with NaN is false, so the search would accept all boxes, also the empty ones."""
-    mesh = build_scene(scene_with(thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(8, 0.05))))).objects.body
+    mesh = build_scene(
+        scene_with(make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05))))
+    ).objects.body
     values = [(x, y, z) for x in (0.0, np.nan, np.inf) for y in (0.1, np.nan) for z in (0.0, -np.inf, np.nan)]
     points = np.array([value for value in values if not np.isfinite(value).all()])
     results = np.zeros((len(points), 3))

@@ -47,7 +47,7 @@ def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
             code = main(["devices", "--probe", "mine.json", "--push", "--rig", far.rig])
         ends = course != "unplugged" or far.powerless
         settled(far.newest, lambda size: size == 0.0 or not ends)
-        sizes = np.linalg.norm(far.given(0)[:, 1:], axis=1)
+        sizes = np.linalg.norm(far.forces_since(0)[:, 1:], axis=1)
     output = capsys.readouterr()
     assert code == {"whole": 0, "Ctrl-C": 130, "unplugged": 4}[course], output.err
     assert sizes[-1] == 0.0 or not ends

@@ -25,8 +25,8 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-from helpers.asked_bench import SOCKET
 from helpers.closed_loop import records_of_daemon
+from helpers.remote_bench import SOCKET
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import OK

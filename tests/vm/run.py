@@ -103,15 +103,15 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
             install_wheel(shared / "wheel")
         exports = "".join(f"export {key}={shlex.quote(value)}\n" for key, value in environment.items())
         (shared / "command").write_text(f"{exports}cd {shlex.quote(str(ROOT))}\n{command}\n")
-        said(f"4/4 {QEMU}, at most {limit_s:g} s")
+        log(f"4/4 {QEMU}, at most {limit_s:g} s")
         ended = stream(qemu(linux, folder, systemd), limit_s)
         if not ended:
-            said(f"ended after {limit_s:g} s: --limit gives more")
+            log(f"ended after {limit_s:g} s: --limit gives more")
             return TIMED_OUT
         try:
             code = int((shared / "code").read_text())
         except (OSError, ValueError):
-            said("the guest ended without a word")
+            log("the guest ended without a word")
             return NO_WORD
         if (figures := shared / "figures").exists():
             print(f"measured on an emulated processor, {linux.package}:\n{figures.read_text()}", end="")
@@ -185,7 +185,7 @@ def stream(command: list[str], limit_s: float) -> bool:
                 return
             if now - last > SILENCE_S:
                 last = now
-                said(f"{now - begun:.0f} s ...")
+                log(f"{now - begun:.0f} s ...")
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
@@ -202,17 +202,17 @@ def stream(command: list[str], limit_s: float) -> bool:
     return not late
 
 
-def said(text: str) -> None:
+def log(text: str) -> None:
     print(f"vm: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def step(description: str) -> Iterator[None]:
     """Print a step, and its duration at the end."""
-    said(description)
+    log(description)
     begun = time.monotonic()
     yield
-    said(f"    {time.monotonic() - begun:.1f} s")
+    log(f"    {time.monotonic() - begun:.1f} s")
 
 
 if __name__ == "__main__":

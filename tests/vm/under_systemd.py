@@ -38,7 +38,7 @@ POLICY, RT_PRIORITY = 38, 37
 """Fields of /proc/PID/stat after the name, counted from 0 (proc(5) has them as 41 and 40)."""
 
 
-def ran(*words: str | Path, code: int = 0) -> str:
+def run(*words: str | Path, code: int = 0) -> str:
     """Run a command that has to exit with `code`, and return its output."""
     process = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
     assert process.returncode == code, f"{words}: {process.returncode}\n{process.stdout}{process.stderr}\n{journal()}"
@@ -50,11 +50,11 @@ def journal() -> str:
     return process.stdout
 
 
-def shown(name: str) -> str:
-    return ran("systemctl", "show", "--value", "--property", name, "softfinger").strip()
+def show_property(name: str) -> str:
+    return run("systemctl", "show", "--value", "--property", name, "softfinger").strip()
 
 
-def comes(true: Callable[[], bool], seconds: float = 300.0) -> bool:
+def wait_for(true: Callable[[], bool], seconds: float = 300.0) -> bool:
     until = time.monotonic() + seconds
     while not (value := true()) and time.monotonic() < until:
         time.sleep(0.2)
@@ -76,10 +76,10 @@ def program() -> str:
     """Install the program in /opt, as in docs/operate/install.md, with this machine's libraries and a rig of 100 Hz."""
     for folder in Path(os.path.realpath(sys.executable)).parents:
         folder.chmod(folder.stat().st_mode | 0o055)  # the interpreter may be in a home folder
-    ran(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
+    run(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
     for name, source in (("wheel", WHEEL), ("libraries", sysconfig.get_path("purelib"))):
         (PROGRAM / name).mkdir()
-        ran("mount", "--bind", source, PROGRAM / name)
+        run("mount", "--bind", source, PROGRAM / name)
     (packages,) = (PROGRAM / "lib").glob("*/site-packages")
     (packages / "vm.pth").write_text(f"{PROGRAM}/wheel\n{PROGRAM}/libraries\n")
     script = PROGRAM / "bin/softfinger"
@@ -91,7 +91,7 @@ def program() -> str:
 
 
 @cache
-def before() -> set[str]:
+def files_before() -> set[str]:
     program()
     return files()
 
@@ -99,13 +99,13 @@ def before() -> set[str]:
 @cache
 def installed() -> str:
     """Install the service, and return the output. Its kernels are for a generic processor, compiled on the host."""
-    before()
-    output = ran(program(), "install", "--system", "--rig", RIG)
+    files_before()
+    output = run(program(), "install", "--system", "--rig", RIG)
     OF_THE_SERVICE.parent.mkdir(parents=True)
     own = f"Environment=NUMBA_CPU_NAME={os.environ['NUMBA_CPU_NAME']}\nWatchdogSec={WATCHDOG_S}s"
     OF_THE_SERVICE.write_text(f"[Service]\n{own}\n")
     shutil.copytree("/run/kernels", "/var/cache/softfinger")
-    ran("systemctl", "daemon-reload")
+    run("systemctl", "daemon-reload")
     return output
 
 
@@ -113,8 +113,8 @@ def installed() -> str:
 def service() -> str:
     """Main process of the service, started if necessary; `systemctl start` waits for READY."""
     installed()
-    ran("systemctl", "start", "softfinger")
-    return shown("MainPID")
+    run("systemctl", "start", "softfinger")
+    return show_property("MainPID")
 
 
 @pytest.fixture
@@ -138,8 +138,12 @@ def test_installing_creates_the_account_and_reloads_systemd() -> None:
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
-    assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
+    assert (show_property("ActiveState"), show_property("SubState"), show_property("Type")) == (
+        "active",
+        "running",
+        "notify",
+    )
+    assert re.fullmatch(r"\d+ ticks, \d+ missed", show_property("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
     assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
     assert (int(now["CapEff"], 16), now["NoNewPrivs"], now["Seccomp"]) == (0, "1", "2")
@@ -154,43 +158,47 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
     for pattern in ("hidraw*", "bus/usb/*/*"):
-        assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
+        assert wait_for(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
     (usb,) = (str(at) for at in Path("/dev").glob("bus/usb/*/*") if at.group() == "softfinger")
-    group = f"/sys/fs/cgroup{shown('ControlGroup')}/cgroup.procs"
+    group = f"/sys/fs/cgroup{show_property('ControlGroup')}/cgroup.procs"
     opened, account = f'echo $$ >{group}; exec "$@" dd count=0 if=/dev/null of=', ("setpriv", "--reuid=softfinger")
     for node in (hidraw, usb, "/dev/cpu_dma_latency"):
         assert Path(node).stat().st_mode & 0o777 == 0o660
-        ran("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
-    ran("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # root may open it outside the service
+        run("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
+    run("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # root may open it outside the service
 
 
 def test_ticks_feed_the_watchdog(service: str) -> None:
-    first = int(shown("WatchdogTimestampMonotonic"))
-    assert comes(lambda: int(shown("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
-    assert (shown("MainPID"), shown("ActiveState")) == (service, "active")
+    first = int(show_property("WatchdogTimestampMonotonic"))
+    assert wait_for(lambda: int(show_property("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
+    assert (show_property("MainPID"), show_property("ActiveState")) == (service, "active")
 
 
 def test_it_stops_with_zero_force(service: str) -> None:
-    ran("systemctl", "stop", "softfinger")
-    assert (shown("ActiveState"), shown("Result"), shown("ExecMainStatus")) == ("inactive", "success", "0")
+    run("systemctl", "stop", "softfinger")
+    assert (show_property("ActiveState"), show_property("Result"), show_property("ExecMainStatus")) == (
+        "inactive",
+        "success",
+        "0",
+    )
     assert re.search(r"stopped after \d+ ticks; force is zero", journal())
 
 
 def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
     """systemd kills a stopped process by its watchdog, and does not restart it: a hand may be on the device."""
     os.kill(int(service), signal.SIGSTOP)
-    assert comes(lambda: shown("ActiveState") == "failed"), journal()
-    assert (shown("Result"), shown("NRestarts")) == ("watchdog", "0")
+    assert wait_for(lambda: show_property("ActiveState") == "failed"), journal()
+    assert (show_property("Result"), show_property("NRestarts")) == ("watchdog", "0")
     assert f"Watchdog timeout (limit {WATCHDOG_S}s)!" in journal()
 
 
 def test_removing_leaves_nothing(service: str) -> None:
     shutil.rmtree(OF_THE_SERVICE.parent)
-    output = ran(program(), "install", "--system", "--remove")
+    output = run(program(), "install", "--system", "--remove")
     assert not Path(f"/proc/{service}").exists()
-    assert files() - before() == set(), output
+    assert files() - files_before() == set(), output
     assert not TELEMETRY.parent.exists()
     for account in ACCOUNTS:
         assert "softfinger" not in Path("/etc", account).read_text()
-    assert shown("LoadState") == "not-found"
+    assert show_property("LoadState") == "not-found"
