@@ -33,8 +33,7 @@ def run_example(program: str, *words: str, cwd: Path, plain: bool = False) -> st
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    process = run_program(command, cwd=cwd, timeout=500, env=environment)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, cwd=cwd, timeout=500, env=environment, check=True)
     return process.stdout
 
 

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import faults_in
 
 from softfinger.config import limits, schema
-from softfinger.config.load import FaultyConfig, build, describe, load_scene
+from softfinger.config.load import build, describe, load_scene
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
@@ -48,9 +49,7 @@ def object_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
 
 
 def error_messages(raw: dict[str, Any]) -> list[str]:
-    with pytest.raises(FaultyConfig) as caught:
-        build(schema.Scene, raw, "f.toml")
-    return [str(fault) for fault in caught.value.faults]
+    return [str(fault) for fault in faults_in(build, schema.Scene, raw, "f.toml")]
 
 
 def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:

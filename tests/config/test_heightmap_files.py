@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -41,10 +42,8 @@ def scene_file(folder: Path, heights: Any = HEIGHTS, text: str = SCENE) -> Path:
     return file
 
 
-def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
-    with pytest.raises(ConfigError) as caught:
-        build_scene(load_scene(scene_file(folder, heights, text)))
-    return str(caught.value)
+def map_refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
+    return refusal(lambda: build_scene(load_scene(scene_file(folder, heights, text))))
 
 
 def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
@@ -79,15 +78,17 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
     ],
 )
 def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, reason: str) -> None:
-    message = refusal(tmp_path, heights)
+    message = map_refusal(tmp_path, heights)
     assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and reason in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
 
 
 def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
-    missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
+    missing = map_refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
     assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
-    assert "must be one of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
+    assert "must be one of .npy, .npz, .csv, .pgm, .png" in map_refusal(
+        tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg")
+    )
     file = scene_file(tmp_path)
     (tmp_path / "hill.npy").write_bytes((tmp_path / "hill.npy").read_bytes()[:528])
     with pytest.raises(ConfigError, match=r"hill\.npy: Failed to read all data"):

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
+from helpers.rig_files import write_rig
 from test_hid_emulated import CLOSED_LOOP, STROKE, WHY_NOT, on_testbed
 
 from softfinger.config.load import load_scene
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.drivers.falcon import firmware
 from softfinger.proxy.record import AT
 
@@ -32,16 +31,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_
 beside = functools.partial(on_testbed, "falcon_testbed.py")
 
 
-def rig_with(tmp_path: Path, **keys: object) -> str:
-    text = find("falcon", Rig).read_text()
+def rig_with(folder: Path, **keys: object) -> str:
     # A tick of the emulation waits for two other programs, so silences are longer than on a bus.
-    options = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
-    for key in options:
-        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in options.items())
-    path = tmp_path / "rig.toml"
-    path.write_text(text.replace('driver = "falcon"\n', f'driver = "falcon"\n{lines}'))
-    return str(path)
+    return str(write_rig(folder, "falcon", **{"kick_s": 0.15, "timeout_s": 1.0, **keys}))
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
-from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
+from helpers.drd_stub import OmegaBench, Stub, bench, stub, stub_library
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -47,12 +48,9 @@ def records_of(servo: s.Servo) -> np.ndarray:
 
 
 def fd_rig(stub: Stub, **changes: Any) -> Rig:
-    base = {
-        "device.driver": "forcedimension", "device.library_file": str(stub.path), "servo.realtime": "off",
-        "telemetry.endpoint": "tcp://127.0.0.1:*", "guard.ramp_s": 0.01,
-        "device.watchdog_s": 0.0,  # it counts real time, and this machine may stall any thread for longer
-    }  # fmt: skip
-    return load_rig("replay", base | changes)
+    # The watchdog counts real time, and this machine may stall any thread for longer.
+    device = {"driver": "forcedimension", "library_file": str(stub.path), "watchdog_s": 0.0}
+    return load_rig_in_process("replay", device, changes)
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> None:
@@ -86,7 +84,7 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> 
     ],
 )
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
-    fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
+    fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: OmegaBench
 ) -> None:
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
@@ -144,7 +142,7 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
     raise AssertionError(process.stderr)
 
 
-def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
+def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: OmegaBench) -> None:
     stub.update(**PRESSING, nan_at=480)  # in contact
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
@@ -159,7 +157,7 @@ def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBe
     assert int(records[480, AT.servo_guard]) == POSE_REFUSED
 
 
-def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> None:
+def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: OmegaBench) -> None:
     with bench.open(status_period_s=0.02) as device:
         servo = Servo(device)
         for _ in range(20):
@@ -172,7 +170,7 @@ def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> N
 
 @pytest.mark.parametrize("exclusive", [0, 1])
 def test_stop_while_a_transfer_hangs(
-    exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+    exclusive: int, stub: Stub, bench: OmegaBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
@@ -196,7 +194,7 @@ def test_stop_while_a_transfer_hangs(
         assert stub.norm() == 0.0 and stub["force_on"] == 0
 
 
-def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None:
+def test_stop_waits_for_a_running_exchange(stub: Stub, bench: OmegaBench) -> None:
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
     for _ in range(3):  # this thread might stall for a full reading, but not each time

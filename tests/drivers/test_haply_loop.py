@@ -19,9 +19,10 @@ from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import until
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
@@ -37,11 +38,7 @@ PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
 
 
 def rig(service: Service, **changes: Any) -> Rig:
-    base = {
-        "device.port": service.port, "servo.realtime": "off", "guard.ramp_s": 0.01,
-        "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(RIG, base | {f"device.{key}": value for key, value in PATIENT.items()} | changes)
+    return load_rig_in_process(RIG, {"port": service.port, **PATIENT}, changes)
 
 
 def pushes(service: Service) -> None:
@@ -65,11 +62,7 @@ def test_closed_loop_through_the_daemon() -> None:
 
 
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
-    mine = folder / "rig.toml"
-    text = find(RIG, Rig).read_text()
-    for key, value in {"port": service.port, **PATIENT}.items():
-        text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
-    mine.write_text(text)
+    mine = write_rig(folder, RIG, port=service.port, **PATIENT)
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
     return [*command, "--scene", "paper-plane", "--endpoint", f"ipc://{folder}/{endpoint}"]
 

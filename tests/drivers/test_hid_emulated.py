@@ -21,10 +21,9 @@ import pytest
 from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RIGS
 from helpers.programs import run_program
+from helpers.rig_files import write_rig
 
 from softfinger.config.load import load_scene
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 
 EMULATORS = Path(__file__).parents[1] / "emulators"
@@ -78,13 +77,6 @@ def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.Complet
     )
 
 
-def rig_with(folder: Path, name: str, **keys: object) -> str:
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
-    path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
-    path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
-    return str(path)
-
-
 @pytest.mark.parametrize(
     ("connection", "rig", "arm", "generation"),
     [
@@ -97,7 +89,7 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
 def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
     bus, through = CONNECTIONS[connection]
-    name = rig_with(tmp_path, rig, through=through)
+    name = str(write_rig(tmp_path, rig, through=through))
     program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
     process, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
     assert process.returncode == 0, process.stderr
@@ -166,7 +158,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
 def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
     process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
     assert process.returncode == code, process.stderr
     assert re.search(message, process.stderr), process.stderr
@@ -193,7 +185,7 @@ def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, m
 def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
-    mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
+    mine = str(write_rig(tmp_path, rig, through=through, timeout_s=1.0))  # a busy machine answers late
     process, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
     assert process.returncode == 0, process.stderr
     assert saw["astray"] == 0
@@ -218,7 +210,7 @@ def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, me
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     for serial, message in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
-        rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
+        rig = str(write_rig(tmp_path, "woodenhaptics-2019", serial=serial))
         process, _ = run(
             {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
         )
@@ -253,8 +245,8 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
         ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
         ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
     ]
-    rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
-    third_rig = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
+    rigs = [str(write_rig(tmp_path, "woodenhaptics-2019", **keys)) for keys, _ in tries]
+    third_rig = str(write_rig(tmp_path, "woodenhaptics-2015", path="1-1:1.0"))
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
     process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig)
     assert process.returncode == 0, process.stderr
@@ -265,7 +257,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
 
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through="node"))
     process, _ = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
     error = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
     assert re.match(error, process.stdout), process.stderr
@@ -296,7 +288,7 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 @pytest.mark.parametrize(("connection", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
 def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
     process, _ = run_beside_device(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
     assert process.stdout.splitlines()[:2] == ["4", "4"], process.stderr

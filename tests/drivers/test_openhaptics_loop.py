@@ -15,6 +15,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import COMPILE_S, assert_engine_agrees, records_of_daemon
 from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
 from helpers.programs import Program
+from helpers.rig_files import load_rig_in_process
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -48,11 +49,8 @@ damping_ns_per_m = 0.0
 
 
 def touch_rig(stub: HdStub, **changes: Any) -> Rig:
-    base = {
-        "device.library_file": str(stub.path), "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
-        "guard.ramp_s": 0.01, "device.force_age_max_s": 0.1,  # it counts real time: this machine stalls threads
-    }  # fmt: skip
-    return load_rig("touch", base | changes)
+    # The age of a force counts real time, and this machine stalls threads.
+    return load_rig_in_process("touch", {"library_file": str(stub.path), "force_age_max_s": 0.1}, changes)
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, touch: TouchBench) -> None:

@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +19,10 @@ from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
 from helpers.described_boards import force_of, settled
 from helpers.programs import Program
+from helpers.rig_files import load_rig_in_process, write_rig
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.server.app import Daemon
 
 pytestmark = pytest.mark.real_time
@@ -37,11 +36,7 @@ DEEP = (142.0, 38.0)
 
 
 def rig(name: str, path: str) -> Rig:
-    changes: dict[str, Any] = {
-        "device.path": path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
-        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(name, changes)
+    return load_rig_in_process(name, {"path": path, "quiet_s": 0.1, "timeout_s": 0.5})
 
 
 @contextmanager
@@ -78,12 +73,7 @@ def test_a_late_board_continues() -> None:
 
 
 def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
-    mine = folder / "rig.toml"
-    named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
-    text = (
-        find(name, Rig).read_text().replace('driver = "serial"\n', named).replace("quiet_s = 0.02 ", "quiet_s = 0.1  ")
-    )
-    mine.write_text(text)
+    mine = write_rig(folder, name, path=path, quiet_s=0.1, timeout_s=2.0)
     words = ["run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
     return [*words, "--endpoint", f"ipc://{folder}/a", *more]
 

@@ -15,10 +15,11 @@ from emulators.hand import stroke
 from emulators.serialboard import Board, Cable
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import eventually, until
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
@@ -34,11 +35,7 @@ def comes_to_rest(board: Board) -> bool:
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
-    base = {
-        "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
-        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(RIG, base | changes)
+    return load_rig_in_process(RIG, {"path": cable.path, "quiet_s": 0.1, "timeout_s": 1.0}, changes)
 
 
 def test_closed_loop_through_the_daemon() -> None:

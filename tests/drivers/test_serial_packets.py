@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal
 
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.fields import table
 from softfinger.drivers.serial import packets
@@ -207,6 +207,5 @@ def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message:
         del at[last]
     else:
         at[last] = value
-    with pytest.raises(ConfigError) as caught:
-        build(Options, options, "rig [device]")
-    assert re.search(message, str(caught.value)), str(caught.value)
+    text = refusal(build, Options, options, "rig [device]")
+    assert re.search(message, text), text

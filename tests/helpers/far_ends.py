@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from helpers import described_boards, haply_devices, usb_stub
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.drd_stub import SOURCE as DRD
-from helpers.drd_stub import Stub, StubBench
+from helpers.drd_stub import OmegaBench, Stub
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub, TouchBench
 from helpers.hid_devices import woody
@@ -157,7 +157,7 @@ def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
     stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
     stub.reset()
     stub.update(z=0.008, ax=0.002, ay=0.002)
-    with StubBench(stub).open() as device:
+    with OmegaBench(stub).open() as device:
         yield FarEnd(device, stub.log)
 
 

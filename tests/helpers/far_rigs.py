@@ -6,7 +6,6 @@ times. Simulated and replayed devices have no emulated counterpart.
 
 from __future__ import annotations
 
-import json
 import re
 import threading
 import time
@@ -33,8 +32,7 @@ from helpers.far_ends import RecordingFirmware, Timed, compiled, needs, rows, sk
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub
 from helpers.hid_devices import woody
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
+from helpers.rig_files import write_rig
 
 Array = NDArray[np.float64]
 
@@ -103,12 +101,8 @@ def when_forced(
 
 def rig_file(folder: Path, name: str, **keys: object) -> str:
     """Write a shipped rig with changed keys of [device], without real time, whose force has risen after 50 ms."""
-    text = find(name, Rig).read_text()
-    for key in keys:
-        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
-    text = text.replace("[device]\n", f"[device]\n{lines}").replace('realtime = "auto"', 'realtime = "off"')
-    file = folder / f"my-{name}.toml"
+    file = write_rig(folder, name, **keys)
+    text = file.read_text().replace('realtime = "auto"', 'realtime = "off"')
     file.write_text(re.sub(r"^ramp_s = \S+", "ramp_s = 0.05", text, flags=re.MULTILINE))
     return str(file)
 

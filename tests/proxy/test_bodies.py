@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from helpers.refusals import refusal
 from numpy.typing import NDArray
 from scipy.special import ellipk
 
@@ -490,10 +491,9 @@ def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> 
         '<mujoco><asset><mesh name="s" file="../secret.stl"/></asset><worldbody><body name="b">'
         '<geom type="mesh" mesh="s"/></body></worldbody></mujoco>'
     )
-    with pytest.raises(ConfigError) as error:
-        Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
-    assert expected in str(error.value) and "hostile.xml" in str(error.value)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 500
+    message = refusal(Engine, {"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
+    assert expected in message and "hostile.xml" in message
+    assert "\n" not in message and len(message) < 500
 
 
 WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
@@ -528,9 +528,7 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
         "world": {"model": box(tmp_path, height=0.1), "material": RUBBER},
     }
     WRONG[name](scene)
-    with pytest.raises(ConfigError) as error:
-        Engine(scene)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refusal(Engine, scene)
 
 
 def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None:

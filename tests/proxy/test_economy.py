@@ -228,8 +228,7 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
     script = "\n".join([*code, "print(json.dumps(found))"])
-    process = run_program([sys.executable, "-c", script], env=environment)
-    assert process.returncode == 0, process.stderr
+    process = run_program([sys.executable, "-c", script], env=environment, check=True)
     reports: dict[str, dict[str, Any]] = json.loads(process.stdout)
     return reports
 

@@ -90,8 +90,7 @@ def start(
     command = [sys.executable, "-B", *(["-c", program] if isinstance(program, str) else [str(program)])]
     changed = {"SOFTFINGER_CACHE_DIR": str(cache), **env}
     environment = {k: v for k, v in (os.environ | changed).items() if v is not None}
-    process = run_program(command, env=environment, preexec_fn=prepare)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, env=environment, preexec_fn=prepare, check=True)
     return process.stdout.strip(), process.stderr
 
 

@@ -17,6 +17,7 @@ from helpers import meshes
 from helpers.examples import examples
 from helpers.glb_files import Glb
 from helpers.meshes import Mesh
+from helpers.refusals import refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -36,11 +37,9 @@ def mesh_entry(path: Path | str, **keys: Any) -> schema.Mesh:
     return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
 
 
-def refusal(path: Path, **keys: Any) -> str:
+def mesh_refusal(path: Path, **keys: Any) -> str:
     """Return the error for an unusable file, without its prefix: one line that names object and file."""
-    with pytest.raises(ConfigError) as caught:
-        about(mesh_entry(path, **keys))
-    text = str(caught.value)
+    text = refusal(about, mesh_entry(path, **keys))
     assert "\n" not in text and text.startswith(f"object 'part': file: {path}: ") and len(text) < 600
     return text.removeprefix(f"object 'part': file: {path}: ")
 
@@ -137,9 +136,9 @@ def test_scale_converts_to_metres(tmp_path: Path) -> None:
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
     report = about(mesh_entry(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
-    assert "m in size, must be 1e-06 to 1000" in refusal(tmp_path / "ball.stl", scale=100.0)
+    assert "m in size, must be 1e-06 to 1000" in mesh_refusal(tmp_path / "ball.stl", scale=100.0)
     (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
-    assert "is inf m in size" in refusal(tmp_path / "far.ply", scale=1e9)
+    assert "is inf m in size" in mesh_refusal(tmp_path / "far.ply", scale=1e9)
 
 
 def with_bad_vertices(value: float) -> Mesh:
@@ -204,14 +203,14 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
 )  # fmt: skip
 def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: bytes, text: str) -> None:
     (tmp_path / name).write_bytes(data)
-    assert text in refusal(tmp_path / name)
+    assert text in mesh_refusal(tmp_path / name)
 
 
 def test_missing_files_raise_a_one_line_error(tmp_path: Path) -> None:
-    assert "No such file" in refusal(tmp_path / "none.ply")
+    assert "No such file" in mesh_refusal(tmp_path / "none.ply")
     (tmp_path / "folder.stl").mkdir()
-    assert "Is a directory" in refusal(tmp_path / "folder.stl")
-    assert "must be one of .ply, .stl, .obj, .glb" in refusal(tmp_path / "part.step")
+    assert "Is a directory" in mesh_refusal(tmp_path / "folder.stl")
+    assert "must be one of .ply, .stl, .obj, .glb" in mesh_refusal(tmp_path / "part.step")
 
 
 LIARS: list[tuple[str, bytes, str]] = [
@@ -234,7 +233,7 @@ LIARS: list[tuple[str, bytes, str]] = [
 @pytest.mark.parametrize(("name", "data", "text"), LIARS, ids=range(len(LIARS)))
 def test_false_counts_are_refused(tmp_path: Path, name: str, data: bytes, text: str) -> None:
     (tmp_path / name).write_bytes(data)
-    assert text in refusal(tmp_path / name)
+    assert text in mesh_refusal(tmp_path / name)
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:

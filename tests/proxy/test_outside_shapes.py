@@ -237,8 +237,7 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(program.format(name=name))
     command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
-    process = run_program(command, env=environment)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, env=environment, check=True)
     return process.stdout.strip()
 
 

@@ -65,8 +65,7 @@ def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
     names = [params["name"] for params in selected]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    process = run_program([sys.executable, __file__, str(folder), *names], env=environment)
-    assert process.returncode == 0, process.stderr
+    run_program([sys.executable, __file__, str(folder), *names], env=environment, check=True)
     return folder
 
 

@@ -54,8 +54,7 @@ def stepped(model, data, count):
 
 def output_of(code: str, *words: str, **environment: str) -> str:
     variables = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
-    process = run_program([sys.executable, "-c", HEAD + code, *words], env=variables)
-    assert process.returncode == 0, process.stderr
+    process = run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True)
     return process.stdout.strip()
 
 

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from helpers import touching
-from helpers.touching import R, facing, visit_points, wall
+from helpers.touching import R, facing, spun, visit_points, wall
 
 from softfinger.proxy.record import AT
 
@@ -168,9 +168,7 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
     ball = make_object("ball", "sphere", radius_m=0.03, material=grip)
     moving = visit_points(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
     angle = 0.2 * 0.001 * np.arange(201)
-    poses = np.zeros((201, 7))
-    poses[:, 2], poses[:, 3], poses[:, 4] = 0.039, np.cos(angle / 2), np.sin(angle / 2)
-    still = engine(ball, **tables).run(poses)
+    still = visit_points(engine(ball, **tables), [(0.0, 0.0, 0.039)] * 201, spun((1.0, 0.0, 0.0), angle))
     rolled = AT.contact_rolled
     np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
 

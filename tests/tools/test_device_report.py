@@ -21,6 +21,7 @@ import test_falcon_emulated
 import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from helpers.programs import run_program
+from helpers.rig_files import write_rig
 from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
@@ -91,13 +92,6 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
     return content
 
 
-def rig_file(home: Path, name: str, *more: str) -> str:
-    text = (ROOT / "config" / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
-    path = home / f"my-{name}.toml"
-    path.write_text(text.replace("[device]\n", "\n".join(["[device]", *more, ""])), encoding="utf-8")
-    return str(path)
-
-
 def test_a_recording_is_reported(here: Here, home: Path) -> None:
     (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
     rig = home / "mine.toml"
@@ -134,7 +128,7 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
+    rig = write_rig(home, "omega-3", library_file=str(stub_library))
     result = run(home, "--rig", rig, "--seconds", "0.3")
     assert result.returncode == 0, result.stderr
     content = checked(home / "softfinger-forcedimension-report.json", home)
@@ -154,7 +148,7 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
-    rig = Path(rig_file(home, "woodenhaptics-2019"))
+    rig = write_rig(home, "woodenhaptics-2019")
     # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
@@ -188,7 +182,7 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
     if driver == "falcon":
         rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
     else:
-        rig, beside_it = Path(rig_file(home, driver)), test_spacemouse_emulated.beside
+        rig, beside_it = write_rig(home, driver), test_spacemouse_emulated.beside
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     process, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
     assert process.returncode == 0, process.stderr

@@ -19,8 +19,7 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 def test_every_driver_is_measured(tmp_path: Path) -> None:
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
-    process = run_program(command)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, check=True)
     content = json.loads(process.stdout)
     assert content["ticks"] == 300
     assert list(content["seconds"]) == [

@@ -19,8 +19,7 @@ SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 @pytest.mark.exhaustive
 def test_every_driver_is_measured() -> None:
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
-    process = run_program(command)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, check=True)
     content = json.loads(process.stdout)
     assert content["ticks"] == 300
     measured = ["haply", *(["openhaptics"] if COMPILER else []), "serial, answer", "serial, stream"]

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.rig_files import write_rig
 from test_hid_emulated import STROKE
 
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from vm import contract_hid
 from vm.cases import PRESS, TICKS, Cases
 from vm.guest import Gadget, contract, exchanges, gadget, keep, measured
@@ -58,10 +57,7 @@ class TestCases(Cases):
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
     """The shipped rig, with time-outs for an emulated processor."""
-    text = find("woodenhaptics-2019", Rig).read_text()
-    path = tmp_path / "rig.toml"
-    path.write_text(text.replace('driver = "hid"\n', 'driver = "hid"\nkick_s = 0.1\ntimeout_s = 1.0\n'))
-    return str(path)
+    return str(write_rig(tmp_path, "woodenhaptics-2019", kick_s=0.1, timeout_s=1.0))
 
 
 def test_the_driver_contract() -> None:
