@@ -53,14 +53,10 @@ def test_exit_codes_are_those_of_the_errors():
 
 def commands(text: str) -> list[list[str]]:
     """Return the arguments of each `softfinger ...` line, without comments and redirections."""
-    candidates = re.findall(r"^    .*$", text, re.MULTILINE)
+    rows = re.findall(r"^    .*$", text, re.MULTILINE)
     for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
-        candidates += body.splitlines()
-    lines = [
-        line[1]
-        for line in (re.match(r" *(softfinger .*?)(?: [|>&].*)?$", candidate) for candidate in candidates)
-        if line
-    ]
+        rows += body.splitlines()
+    lines = [line[1] for line in (re.match(r" *(softfinger .*?)(?: [|>&].*)?$", row) for row in rows) if line]
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 

@@ -40,7 +40,7 @@ def _external(name: str, signature: Any) -> Any:
     function = _C[name]
     function.restype = _in_c(signature.return_type, result=True)
     function.argtypes = [
-        ctypes.c_void_p if isinstance(argument, types.CPointer) else _in_c(argument) for argument in signature.args
+        ctypes.c_void_p if isinstance(kind, types.CPointer) else _in_c(kind) for kind in signature.args
     ]
     return function
 
@@ -49,9 +49,7 @@ def _called(result: Any) -> Callable[[int, tuple[Any, ...]], Any]:
     """Call the function at an address with the values of a tuple, like proxy.kernels.jit.foreign."""
 
     def call(address: int, arguments: tuple[Any, ...]) -> Any:
-        values = [
-            ctypes.c_double(argument) if isinstance(argument, float) else _whole(argument) for argument in arguments
-        ]
+        values = [ctypes.c_double(value) if isinstance(value, float) else _whole(value) for value in arguments]
         return ctypes.CFUNCTYPE(result, *(type(value) for value in values))(int(address))(*values)
 
     return call

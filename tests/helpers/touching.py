@@ -85,7 +85,7 @@ def posed(points: ArrayLike, turned: Array | None = None) -> Array:
     return np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)) if turned is None else turned])
 
 
-def visit_points(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
+def visit(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
     """Return the records of a visit to each of `points` (n, 3)."""
     return running.run(posed(points, turned))
 

@@ -72,20 +72,10 @@ def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **table
 
 
 def make_table(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
-    if shape == "mesh box":
-        return {
-            "name": "it",
-            "shape": "mesh",
-            "file": write_part(folder, *bar(0.02, 0.0175, 0.015)),
-            "material": material,
-        }
-    if shape == "mesh ball":
-        return {
-            "name": "it",
-            "shape": "mesh",
-            "file": write_part(folder, *meshes.geodesic(6, BALL)),
-            "material": material,
-        }
+    solids = {"mesh box": lambda: bar(0.02, 0.0175, 0.015), "mesh ball": lambda: meshes.geodesic(6, BALL)}
+    if shape in solids:
+        file = write_part(folder, *solids[shape]())
+        return {"name": "it", "shape": "mesh", "file": file, "material": material}
     return {"name": "it", **SHAPES[shape], "material": material}
 
 

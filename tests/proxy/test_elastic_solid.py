@@ -215,13 +215,13 @@ def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
     (folder / "pad.obj").write_text("\n".join(lines))
     elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
-    pad_object = {
+    block = {
         "shape": "mesh",
         "name": "pad",
         "file": str(folder / "pad.obj"),
         "material": {"stiffness_n_per_m": 1000.0},
     }
-    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [pad_object | {"elastic": elastic | changes}]})
+    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [block | {"elastic": elastic | changes}]})
 
 
 def pad(folder: Path, **changes: Any) -> Any:
@@ -244,10 +244,10 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
     from scipy.sparse.linalg import spsolve
 
     config = pad_scene(tmp_path)
-    pad_object, kernel = config.object[0], build_scene(config)
-    assert pad_object.elastic is not None
-    volume = volume_of(pad_object, pad_object.elastic.resolution_m)
-    solid = solid_of(volume, pad_object.elastic)
+    block, kernel = config.object[0], build_scene(config)
+    assert block.elastic is not None
+    volume = volume_of(block, block.elastic.resolution_m)
+    solid = solid_of(volume, block.elastic)
     mesh = kernel.objects.body.shape.row[0]
     vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
     normals = vertex_normals(volume.vertices, boundary(volume))
@@ -258,15 +258,13 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
         normal = np.cross(places[1] - places[0], places[2] - places[0])
         own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
-        patches = patch_loads(solid, volume.vertices[own], normals[own], pad_object.elastic.radius_m)
+        patches = patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
         loads.append(np.stack([patch @ weights for patch in patches], axis=1))
         up = tuple((normal / np.linalg.norm(normal)).tolist())
         spots.append(spot_on(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
     nodal = np.stack([load @ force for load, force in zip(loads, forces, strict=True)], axis=1)
     basis = skfem.Basis(solid.basis.mesh, solid.basis.elem, intorder=2)
-    stiffness = linear_elasticity(*lame_parameters(pad_object.elastic.youngs_pa, pad_object.elastic.poisson)).assemble(
-        basis
-    )
+    stiffness = linear_elasticity(*lame_parameters(block.elastic.youngs_pa, block.elastic.poisson)).assemble(basis)
     fixed = basis.get_dofs(lambda x: np.isclose(x[2], 0.0))
     free, direct = np.setdiff1d(np.arange(basis.N), fixed), np.zeros(nodal.shape)
     direct[free] = spsolve(stiffness.tocsc()[free][:, free], nodal[free])
@@ -334,9 +332,9 @@ def test_a_file_that_is_no_mesh_is_refused_without_other_output(
 
 
 def test_a_file_in_millimetres_is_refused_with_its_size(tmp_path: Path) -> None:
-    pad_object = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
+    block = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
     with pytest.raises(ConfigError, match=r"tetrahedra, at most.* change `scale` if the body is not 30 x 30 x 12 m"):
-        body_of(pad_object)
+        body_of(block)
 
 
 def test_a_full_disk_is_named_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,10 +352,10 @@ def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio")
     volume = fill(*box(0.03, 0.03, 0.012), 0.008)
     meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")
-    pad_object = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
-    report = body_of(pad_object).report
+    block = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
+    report = body_of(block).report
     assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
-    assert about(pad_object).report.watertight
+    assert about(block).report.watertight
 
 
 def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tmp_path: Path) -> None:
@@ -366,7 +364,7 @@ def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tm
     mesh = skfem.MeshTet.init_tensor(sides, sides, np.array([0.0, 0.001])).oriented()
     meshio.Mesh(mesh.p.T, [("tetra", mesh.t.T)]).write(tmp_path / "plate.vtu")
     end = [{"region": "half_space", "point_m": [1e-6, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]
-    pad_object = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
+    block = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
     with pytest.raises(ConfigError, match="3,280 compliant surface vertices, at most 2,500 are supported") as refused:
-        body_of(pad_object)
+        body_of(block)
     assert "\n" not in str(refused.value)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.touching import visit_points
+from helpers.touching import visit
 from references.hand import Array
 
 from softfinger.proxy.engine import Engine
@@ -75,7 +75,7 @@ def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
     path = np.concatenate([along([(0.0, -0.0005), (0.0, shallow)], 100)[:-1], along(round_trip, 100)])
     out = np.stack([np.sin(path[:, 0]), 0.0 * path[:, 0], np.cos(path[:, 0])], axis=1)
     places = (MIDDLE - path[:, 1])[:, None] * out
-    force = visit_points(running, places)["force"]
+    force = visit(running, places)["force"]
     work = np.sum((0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0))[100:])
     wanted = -sense * stiffness * MIDDLE * (deep - shallow) * (1.0 - np.cos(angle))
     assert work == pytest.approx(wanted, rel=1e-3)  # the trapezoidal rule at a hundred steps per leg: 2e-4

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hostile_maps import grid_of, part
-from helpers.touching import SMOOTH, R, engine, make_object, posed, visit_points
+from helpers.touching import SMOOTH, R, engine, make_object, posed, visit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -391,7 +391,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
         inside = np.linalg.norm(surface - [0.0, 0.0, middle], axis=1).min() < R and middle < 0.02
         low, high = (middle, high) if inside else (low, middle)
     down = np.column_stack([np.full(300, 1e-4), np.zeros(300), np.linspace(0.02, high - 0.001, 300)])
-    records = visit_points(groove, np.vstack([down, np.tile(down[-1], (50, 1))]))
+    records = visit(groove, np.vstack([down, np.tile(down[-1], (50, 1))]))
     # The brute-force search samples the walls every 50 um: 0.1 um in height. The probe is 0.1 mm off the centre.
     np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.0, high], atol=2e-6)
     np.testing.assert_allclose(records["force"][-1], [-0.1, 0.0, 1.0], atol=3e-3)
@@ -402,7 +402,7 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
     heights[:, 30] = 0.02
     ridge = engine(part(tmp_path, heights, 5e-4), rolling=None)
     start, end = [-0.02, 0.0, 0.0105], [0.03, 0.0, 0.0095]
-    records = visit_points(ridge, [start, start, end, end, end, end])
+    records = visit(ridge, [start, start, end, end, end, end])
     assert (records["proxy.position"][2:, 0] < 0.0).all() and (records[2:, AT.contact_mode] > 0).all()
 
 

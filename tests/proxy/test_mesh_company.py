@@ -5,7 +5,7 @@ import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
 from helpers.surface_hand import hand
-from helpers.touching import SMOOTH, R, engine, make_object, visit_points, wander, write_part
+from helpers.touching import SMOOTH, R, engine, make_object, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
 pytestmark = [pytest.mark.plain, pytest.mark.scaled]
@@ -43,7 +43,7 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
     points = wander(3, 6000, 0.06)
     points[:, 2] = 0.02 + 0.3 * points[:, 2]
     points = np.concatenate([np.linspace((0.0, 0.0, 0.2), points[first], 2 * (last - first) // 5), points[first:last]])
-    mesh, solid = (visit_points(engine(*those, floor, sphere, rolling=None), points) for those in (parts, shapes))
+    mesh, solid = (visit(engine(*those, floor, sphere, rolling=None), points) for those in (parts, shapes))
     proxies = mesh["proxy.position"]
     for made in (box, ball):
         assert brute_distances(balls_of(*made), proxies).min() >= OUTSIDE
@@ -62,7 +62,7 @@ def test_a_moving_bumpy_mesh_is_touched_in_its_frame(tmp_path, cases):
     angle = rate * 1e-3 * np.arange(1, ticks + 1)  # the world is advanced before the fingers
     still = np.tile((0.06, 0.01, 0.005), (ticks, 1))
     still[:, 0] += 0.03 * np.maximum(1.0 - np.arange(ticks) / 200.0, 0.0)
-    records = visit_points(engine(turns), still)
+    records = visit(engine(turns), still)
     cos, sin, proxy = np.cos(angle), np.sin(angle), records["proxy.position"]
     local = np.stack(
         [cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
-from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit_points, wander, write_part
+from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.schema.contact import RollingMethod
@@ -34,7 +34,7 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.025, 0.02)))
     shape = make_object("part", "box", size_m=[0.06, 0.05, 0.04])
     some = slice(cases(1500, ticks))
-    mesh, solid = (visit_points(engine(body, far), points[some], turned[some]) for body in (of_triangles, shape))
+    mesh, solid = (visit(engine(body, far), points[some], turned[some]) for body in (of_triangles, shape))
     assert len(np.unique(solid["contact.mode"])) == 3
     for name, tolerance in (("force", 5e-3), ("torque", 5e-3 * R), ("contact.point", 1e-4)):
         np.testing.assert_allclose(mesh[name], solid[name], rtol=0.0, atol=tolerance)
@@ -62,7 +62,7 @@ def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
     rolling = {"rolling": {"method": method}}
     mesh = engine(make_object("a", "mesh", file=write_part(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
     on_mesh, on_plane = (
-        visit_points(running, points, turned) for running in (mesh, engine(make_object("a", "plane"), **rolling))
+        visit(running, points, turned) for running in (mesh, engine(make_object("a", "plane"), **rolling))
     )
     assert on_plane[-1, AT.contact_rolled] > 0.05
     np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
@@ -80,13 +80,13 @@ def test_a_crease_pushes_with_both_sides(tmp_path):
     top = R * np.sqrt(2.0)
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
     drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 300)
-    records = visit_points(running, np.concatenate([press, drag]))
+    records = visit(running, np.concatenate([press, drag]))
     component = 1.0 / np.sqrt(2.0)
     assert records[49, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     late = np.asarray(records)[150:]
     assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * component, abs=1e-6)
     assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
-    turning = visit_points(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
+    turning = visit(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
     assert abs(turning[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * component / 1.25, rel=1e-6)
 
 
@@ -99,7 +99,7 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     turned = spun((0.0, 0.6, 0.8), 0.5 * t)
     file = write_part(tmp_path, *part, name=f"{frequency}.ply")
     faceted = make_object("ball", "mesh", file=file, shading=shading, material=SLIPPERY)
-    mesh = visit_points(engine(faceted), points, turned)[150:]
+    mesh = visit(engine(faceted), points, turned)[150:]
     height = np.linalg.norm(points, axis=1)[150:, None]
     normals = points[150:] / height
     forces, expected = mesh["force"], 1000.0 * (0.05 + R - height) * normals
@@ -130,7 +130,7 @@ def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
     vertices, triangles = meshes.geodesic(60, 0.0101)
     running = engine(make_object("socket", "mesh", file=write_part(tmp_path, vertices, triangles), inside=True))
     out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
-    records = visit_points(running, np.concatenate([np.zeros((50, 3)), out]))
+    records = visit(running, np.concatenate([np.zeros((50, 3)), out]))
     assert np.isfinite(np.asarray(records)).all()
     proxies = records["proxy.position"][::9]
     assert brute_distances(balls_of(vertices, triangles), proxies).min() >= R * (1.0 - 1e-9)
@@ -147,9 +147,9 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
     path[:, 2] = -np.abs(path[:, 2])
     path = path * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
     sheet, hollow = (
-        visit_points(engine(make_object("cavity", "mesh", file=file, inside=inside)), path) for inside in (False, True)
+        visit(engine(make_object("cavity", "mesh", file=file, inside=inside)), path) for inside in (False, True)
     )
-    whole = visit_points(
+    whole = visit(
         engine(make_object("ball", "mesh", file=write_part(tmp_path, *ball, name="ball.ply"), inside=True)), path
     )
     assert (np.asarray(sheet) == np.asarray(hollow)).all()
@@ -159,7 +159,7 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
 
 def test_a_first_pose_inside_is_pushed_out(tmp_path):
     running = engine(make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.03))))
-    records = visit_points(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
+    records = visit(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
 
 
@@ -167,7 +167,7 @@ def test_a_first_pose_inside_is_pushed_out(tmp_path):
 def test_a_finger_at_rest_may_touch_to_rounding(tmp_path):
     """The gap is smaller than the radius by rounding, and the path of the tick has no length."""
     mesh = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), position_m=[0.0, 0.0, -0.02])
-    records = visit_points(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
+    records = visit(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
     assert not records["force"].any() and np.isfinite(records).all()
 
 
@@ -175,7 +175,7 @@ def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
     running = engine(make_object("sheet", "mesh", file=write_part(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
     for side in (1.0, -1.0):
         running.reset()
-        records = visit_points(
+        records = visit(
             running, [(0.003, 0.004, side * 0.05), (0.003, 0.004, -side * 0.02)] + [(0.003, 0.004, -side * 0.02)] * 9
         )
         assert np.sign(records[-1, AT.force + 2]) == side
@@ -190,6 +190,6 @@ def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
     of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
     shape = make_object("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
     points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
-    mesh, solid = (visit_points(engine(body, far), points) for body in (of_triangles, shape))
+    mesh, solid = (visit(engine(body, far), points) for body in (of_triangles, shape))
     assert np.abs(solid["force"]).max() > 1.0
     np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)

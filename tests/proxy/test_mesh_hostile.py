@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import SLIPPERY, R, engine, make_object, visit_points, wander, write_part
+from helpers.touching import SLIPPERY, R, engine, make_object, visit, wander, write_part
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
@@ -91,7 +91,7 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
     path = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
     ways = (path - path[20]) * np.minimum(np.arange(len(path)) / 200.0, 1.0)[:, None]
-    even, rubbed = visit_points(smooth, ways), visit_points(rough, ways)
+    even, rubbed = visit(smooth, ways), visit(rough, ways)
     for records in (even, rubbed):
         assert np.isfinite(np.asarray(records)).all()
         behind = np.linalg.norm(records["proxy.position"] - ways, axis=1)
@@ -112,7 +112,7 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
         reach = R * (room + 0.2)
-        records = visit_points(smooth, np.repeat(reach * side[None], 300, axis=0))
+        records = visit(smooth, np.repeat(reach * side[None], 300, axis=0))
         # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
         assert records["proxy.position"][-1] @ side > 0.99 * room * R
         assert not records["contact.budget"][-1]
@@ -144,7 +144,7 @@ def test_a_delayed_proxy_does_not_let_the_force_jump(tmp_path, name):
     smooth, _ = smooth_and_rough(tmp_path, made)
     start = np.abs(made.vertices).max() + 2.0 * R
     ways = np.concatenate([np.linspace([0.0, 0.0, start], [0.0, 0.0, 0.0], 150), wander(9, TICKS, 6.0 * R)])
-    records = visit_points(smooth, ways)
+    records = visit(smooth, ways)
     deep = np.linalg.norm(records["proxy.position"] - ways, axis=1)
     assert deep.max() > 2.0 * R
     went = np.linalg.norm(np.diff(ways, axis=0), axis=1)

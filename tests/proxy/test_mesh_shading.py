@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.touching import SLIPPERY, Array, R, engine, make_object, visit_points, write_part
+from helpers.touching import SLIPPERY, Array, R, engine, make_object, visit, write_part
 
 from softfinger.proxy.engine import Engine
 
@@ -33,7 +33,7 @@ def turned(running: Engine, speed: float) -> Array:
     ahead /= np.linalg.norm(ahead)
     ways = np.cos(angles)[:, None] * begin + np.sin(angles)[:, None] * ahead
     running.reset()
-    forces = visit_points(running, ways * heights[:, None])["force"][PRESSED:]
+    forces = visit(running, ways * heights[:, None])["force"][PRESSED:]
     return np.linalg.norm(np.diff(forces / np.linalg.norm(forces, axis=1)[:, None], axis=0), axis=1)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import Cases
-from helpers.touching import engine, visit_points, wall
+from helpers.touching import engine, visit, wall
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -102,7 +102,7 @@ def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant
     offset = -R - clearance
     slot = engine(wall("left", (1, 0, 0), GRIP, offset), wall("right", (-1, 0, 0), GRIP, offset), **TABLES)
     x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
-    records = visit_points(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
+    records = visit(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
     force = records["force"]
     assert force[3, 0] == pytest.approx(-K * (x[3] - clearance), rel=1e-9)
     assert np.abs(force[3, 1:]).max() < 1e-12

@@ -50,7 +50,7 @@ def journal() -> str:
     return process.stdout
 
 
-def show_property(name: str) -> str:
+def show(name: str) -> str:
     return run("systemctl", "show", "--value", "--property", name, "softfinger").strip()
 
 
@@ -114,7 +114,7 @@ def service() -> str:
     """Main process of the service, started if necessary; `systemctl start` waits for READY."""
     installed()
     run("systemctl", "start", "softfinger")
-    return show_property("MainPID")
+    return show("MainPID")
 
 
 @pytest.fixture
@@ -138,12 +138,12 @@ def test_installing_creates_the_account_and_reloads_systemd() -> None:
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    assert (show_property("ActiveState"), show_property("SubState"), show_property("Type")) == (
+    assert (show("ActiveState"), show("SubState"), show("Type")) == (
         "active",
         "running",
         "notify",
     )
-    assert re.fullmatch(r"\d+ ticks, \d+ missed", show_property("StatusText"))
+    assert re.fullmatch(r"\d+ ticks, \d+ missed", show("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
     assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
     assert (int(now["CapEff"], 16), now["NoNewPrivs"], now["Seccomp"]) == (0, "1", "2")
@@ -161,7 +161,7 @@ def test_devices_are_for_the_group_and_within_the_service(service: str, arm: Non
         assert wait_for(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
     (usb,) = (str(at) for at in Path("/dev").glob("bus/usb/*/*") if at.group() == "softfinger")
-    group = f"/sys/fs/cgroup{show_property('ControlGroup')}/cgroup.procs"
+    group = f"/sys/fs/cgroup{show('ControlGroup')}/cgroup.procs"
     opened, account = f'echo $$ >{group}; exec "$@" dd count=0 if=/dev/null of=', ("setpriv", "--reuid=softfinger")
     for node in (hidraw, usb, "/dev/cpu_dma_latency"):
         assert Path(node).stat().st_mode & 0o777 == 0o660
@@ -170,14 +170,14 @@ def test_devices_are_for_the_group_and_within_the_service(service: str, arm: Non
 
 
 def test_ticks_feed_the_watchdog(service: str) -> None:
-    first = int(show_property("WatchdogTimestampMonotonic"))
-    assert wait_for(lambda: int(show_property("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
-    assert (show_property("MainPID"), show_property("ActiveState")) == (service, "active")
+    first = int(show("WatchdogTimestampMonotonic"))
+    assert wait_for(lambda: int(show("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
+    assert (show("MainPID"), show("ActiveState")) == (service, "active")
 
 
 def test_it_stops_with_zero_force(service: str) -> None:
     run("systemctl", "stop", "softfinger")
-    assert (show_property("ActiveState"), show_property("Result"), show_property("ExecMainStatus")) == (
+    assert (show("ActiveState"), show("Result"), show("ExecMainStatus")) == (
         "inactive",
         "success",
         "0",
@@ -188,8 +188,8 @@ def test_it_stops_with_zero_force(service: str) -> None:
 def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
     """systemd kills a stopped process by its watchdog, and does not restart it: a hand may be on the device."""
     os.kill(int(service), signal.SIGSTOP)
-    assert wait_for(lambda: show_property("ActiveState") == "failed"), journal()
-    assert (show_property("Result"), show_property("NRestarts")) == ("watchdog", "0")
+    assert wait_for(lambda: show("ActiveState") == "failed"), journal()
+    assert (show("Result"), show("NRestarts")) == ("watchdog", "0")
     assert f"Watchdog timeout (limit {WATCHDOG_S}s)!" in journal()
 
 
@@ -201,4 +201,4 @@ def test_removing_leaves_nothing(service: str) -> None:
     assert not TELEMETRY.parent.exists()
     for account in ACCOUNTS:
         assert "softfinger" not in Path("/etc", account).read_text()
-    assert show_property("LoadState") == "not-found"
+    assert show("LoadState") == "not-found"
