@@ -185,11 +185,7 @@ def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
         time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
         times[turn] = 1e-3 * watch.ns[0]
     least = times.min(axis=0)
-    return {
-        "p50": float(np.median(least)),
-        "p99": float(np.percentile(least, 99)),
-        "longest": float(least.max()),
-    }
+    return {"p50": float(np.median(least)), "p99": float(np.percentile(least, 99)), "longest": float(least.max())}
 
 
 def in_socket(ticks: int, radius: float) -> Array:

@@ -215,12 +215,7 @@ def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
     (folder / "pad.obj").write_text("\n".join(lines))
     elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
-    block = {
-        "shape": "mesh",
-        "name": "pad",
-        "file": str(folder / "pad.obj"),
-        "material": {"stiffness_n_per_m": 1000.0},
-    }
+    block = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
     return load_scene({"fingertip": {"radius_m": 0.008}, "object": [block | {"elastic": elastic | changes}]})
 
 

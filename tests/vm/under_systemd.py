@@ -138,11 +138,7 @@ def test_installing_creates_the_account_and_reloads_systemd() -> None:
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    assert (show("ActiveState"), show("SubState"), show("Type")) == (
-        "active",
-        "running",
-        "notify",
-    )
+    assert (show("ActiveState"), show("SubState"), show("Type")) == ("active", "running", "notify")
     assert re.fullmatch(r"\d+ ticks, \d+ missed", show("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
     assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
@@ -177,11 +173,7 @@ def test_ticks_feed_the_watchdog(service: str) -> None:
 
 def test_it_stops_with_zero_force(service: str) -> None:
     run("systemctl", "stop", "softfinger")
-    assert (show("ActiveState"), show("Result"), show("ExecMainStatus")) == (
-        "inactive",
-        "success",
-        "0",
-    )
+    assert (show("ActiveState"), show("Result"), show("ExecMainStatus")) == ("inactive", "success", "0")
     assert re.search(r"stopped after \d+ ticks; force is zero", journal())
 
 
