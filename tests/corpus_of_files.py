@@ -45,13 +45,13 @@ class Outcome(NamedTuple):
 
     file      its path in the package
     expected  triangles or geoms that an independent reader finds; None if it refuses the file or finds no triangle
-    found     triangles or geoms that are loaded here
+    loaded    triangles or geoms that are loaded here
     refusal   message of a file that is refused here
     """
 
     file: str
     expected: int | None
-    found: int
+    loaded: int
     refusal: str
 
 
@@ -144,7 +144,7 @@ def table(outcomes: dict[str, list[Outcome]]) -> str:
     for name, group in outcomes.items():
         both = [outcome for outcome in group if outcome.refusal and outcome.expected is None]
         alone = [outcome for outcome in group if outcome.refusal and outcome.expected is not None]
-        wrong = sum(outcome.found != outcome.expected for outcome in group if not outcome.refusal)
+        wrong = sum(outcome.loaded != outcome.expected for outcome in group if not outcome.refusal)
         rows.append(
             f"| {name} | {len(group)} | {len(group) - len(both) - len(alone)} | {len(both)} | {len(alone)} | {wrong} |"
         )

@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
 
     word: str
     seconds: float
-    said: str
+    output: str
 
 
 def read(only: str = "") -> list[Mutant]:
@@ -153,7 +153,7 @@ def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
         if outcome.word != CAUGHT:
             print(f"  {outcome.word}: {mutant}\n    by {' '.join(mutant.tests)}")
             if outcome.word == ERROR:
-                print("\n".join(f"    {line}" for line in outcome.said.strip().splitlines()[-12:]))
+                print("\n".join(f"    {line}" for line in outcome.output.strip().splitlines()[-12:]))
 
 
 def main(words: Sequence[str]) -> int:
@@ -170,7 +170,7 @@ def main(words: Sequence[str]) -> int:
         copy = Copy(Path(folder))
         right = copy.test(sorted({test for mutant in mutants for test in mutant.tests}), limit_s=None)
         if right.word != SURVIVED:
-            print(right.said)
+            print(right.output)
             raise SystemExit("these tests do not pass without a mistake: nothing they say of one would count")
         print(f"without a mistake all pass, {right.seconds:.1f} s", flush=True)
         for number, mutant in enumerate(mutants, 1):

@@ -120,7 +120,7 @@ class Running:
         self.cpu_file.unlink(missing_ok=True)
         self.report: list[str] = []
         """All lines from the first section heading."""
-        self.beside: list[str] = []
+        self.other_lines: list[str] = []
         """Other lines except progress: headings, and output of a crashed process."""
         pytest = [*(["coverage", "run", "-m"] if covered else []), "pytest"]
         self.process = subprocess.Popen(
@@ -160,12 +160,12 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
             part, line = lines.get()
         except KeyboardInterrupt:
             for part in running:
-                print(f"\n--- {part.part.name}, interrupted ---", *part.beside, sep="\n", flush=True)
+                print(f"\n--- {part.part.name}, interrupted ---", *part.other_lines, sep="\n", flush=True)
                 part.interrupt()
             continue
         if line is None:
             if part.process.wait() not in WELL:
-                print(f"\n--- {part.part.name}, before ---", *part.beside, sep="\n", flush=True)
+                print(f"\n--- {part.part.name}, before ---", *part.other_lines, sep="\n", flush=True)
             going -= 1
             print(f"\n--- {part.part.name} ---", *part.report, sep="\n", flush=True)
         elif part.report or (line.startswith("=") and "test session starts" not in line):
@@ -173,7 +173,7 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
         elif line.endswith("%]"):
             print(f"{part.part.name:>9} | {line}", flush=True)
         else:
-            part.beside.append(line)
+            part.other_lines.append(line)
     return running
 
 

@@ -53,8 +53,8 @@ NOTHING = packet((0, 0, 0), 2)
 class Usb(FarEnd):
     """Scripted libusb, and the block of a driver that is homed and armed.
 
-    comes    data of the incoming transfers; None: the transfer ends with state `ends`
-    answers  add the next reply whenever handling of events completes a packet
+    incoming  data of the incoming transfers; None: the transfer ends with state `ends`
+    answers   add the next reply whenever handling of events completes a packet
     """
 
     exchange = exchange
@@ -76,7 +76,7 @@ class Usb(FarEnd):
         self.block.numbers(AT.centre, 3)[:] = (0.0, 0.0, 0.11)
         self.block.numbers(AT.gain, 1)[:] = 10000.0
         self.block.numbers(AT.position, 3)[:] = delta.HOME
-        self.comes: list[bytes | None] = []
+        self.incoming: list[bytes | None] = []
         self.ends, self.answers, self.blocked, self.stubborn, self.error = BROKEN, True, False, False, 0
         self.interrupted = False
         self.waits: list[int] = []
@@ -123,11 +123,11 @@ class Usb(FarEnd):
             self._done(AT.transfer_out, COMPLETED, packets.SIZE)
             if self.answers:
                 self.number += 1
-                self.comes.append(reply(self.number))
-        if self.word[AT.in_done] or not self.comes:
+                self.incoming.append(reply(self.number))
+        if self.word[AT.in_done] or not self.incoming:
             self.clock.now += 1000 * interval[1]
             return 0
-        data = self.comes.pop(0)
+        data = self.incoming.pop(0)
         if data is None:
             self._done(AT.transfer_in, self.ends)
         else:
@@ -136,8 +136,8 @@ class Usb(FarEnd):
             self._done(AT.transfer_in, COMPLETED, len(whole))
         return 0
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.incoming += incoming
         self.waits.clear()
         status, sample = super().read()
         assert self.word[AT.lock] == 0
@@ -211,7 +211,7 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
     events = usb._events
 
     def late(*arguments: Any) -> int:
-        usb.comes += next(replies, []) if arguments[1][1] else []
+        usb.incoming += next(replies, []) if arguments[1][1] else []
         return events(*arguments)
 
     usb._events = late  # type: ignore[method-assign]
@@ -256,9 +256,9 @@ def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
     events = usb._events
 
     def late(*arguments: Any) -> int:
-        if usb.clock.now > begun + KICK and not usb.comes and not given_one:
+        if usb.clock.now > begun + KICK and not usb.incoming and not given_one:
             given_one.append(True)
-            usb.comes.append(reply(9))
+            usb.incoming.append(reply(9))
         return events(*arguments)
 
     begun, given_one = usb.clock.now, list[bool]()
@@ -329,7 +329,7 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
 )  # fmt: skip
 def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
     usb.ends = ends
-    usb.comes = [None]
+    usb.incoming = [None]
     assert usb.read()[0] == status
     assert usb.word[AT.error] == error
     assert usb.word[AT.in_done] == (status == LOST)

@@ -516,7 +516,7 @@ class Listener:
     def __init__(self, reply: bytes, closes: bool) -> None:
         self.end = socket.create_server(("127.0.0.1", 0))
         self.port = self.end.getsockname()[1]
-        self._said, self._closes, self._kept = reply, closes, []
+        self._reply, self._closes, self._clients = reply, closes, []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -525,11 +525,11 @@ class Listener:
             while True:
                 client, _ = self.end.accept()
                 client.recv(65536)
-                client.sendall(self._said)
+                client.sendall(self._reply)
                 if self._closes:
                     client.close()
                 else:
-                    self._kept.append(client)
+                    self._clients.append(client)
 
     def __enter__(self) -> Listener:
         return self
@@ -538,7 +538,7 @@ class Listener:
         self.end.shutdown(socket.SHUT_RDWR)
         self.end.close()
         self._thread.join()
-        for client in self._kept:
+        for client in self._clients:
             client.close()
 
 

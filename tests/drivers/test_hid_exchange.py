@@ -53,8 +53,8 @@ class Board:
         assert size == buffer.nbytes
         return self.node.read(fd, address, size)
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.node.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.node.incoming += incoming
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 
@@ -101,8 +101,8 @@ def test_a_report_is_a_pose_in_the_world(length: float, board: Board) -> None:
 
 
 def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
-    comes = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
-    status, sample = board.read(comes[0], b"\x07not ours, and longer than ours is", comes[1], comes[2])
+    reports = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
+    status, sample = board.read(reports[0], b"\x07not ours, and longer than ours is", reports[1], reports[2])
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"reports": 3, "drained": 2, "foreign": 1}
     assert board.read()[0] == STALE
@@ -124,7 +124,7 @@ def test_a_report_of_another_length_is_a_fault(spoilt: Any, board: Board) -> Non
 
 
 def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
-    board.node.comes = [b""]
+    board.node.incoming = [b""]
     assert board.read()[0] == LOST
     board.node.error = EIO
     assert board.read()[0] == LOST

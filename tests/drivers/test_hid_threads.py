@@ -41,10 +41,10 @@ def no_thread_is_left() -> Iterator[None]:
 
 class ThreadedBoard:
     def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
 
         def note(data: bytes) -> bytes | None:
-            self.heard.append(data)
+            self.received.append(data)
             return answer(data)
 
         options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
@@ -56,7 +56,7 @@ class ThreadedBoard:
 
     def force(self, index: int = -1) -> tuple[int, ...]:
         """Return the force (mN) of a report sent to the device."""
-        return struct.unpack("<3i", self.heard[index][1:])
+        return struct.unpack("<3i", self.received[index][1:])
 
     def push(self, newtons: float) -> int:
         return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -72,7 +72,7 @@ class ThreadedBoard:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.api.held.set()
+        self.api.ready.set()
         self.device.close()
         self.answering.unplug()
 
@@ -104,16 +104,16 @@ def test_one_force_is_queued_behind_another() -> None:
     with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         statuses = [linked.push(0.1 * (n + 1)) for n in range(21)]
         assert statuses == [OK] * exchange.QUEUED_MAX + [HELD] * (21 - exchange.QUEUED_MAX)
         assert linked.device.counts()["held"] == 21 - exchange.QUEUED_MAX
         assert [linked.push(0.0) for _ in range(5)] == [OK] * 5
         assert linked.push(0.1) == HELD
-        known = len(linked.heard)
-        linked.api.held.set()
+        known = len(linked.received)
+        linked.api.ready.set()
         linked.answering.settle(linked.device)
-        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [100, 200, 0]
+        assert [linked.force(n)[0] for n in range(known, len(linked.received))] == [100, 200, 0]
 
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
@@ -122,7 +122,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         linked.push(2.0)
         assert linked.api.hung.wait(5.0)
         begun = time.monotonic()
@@ -142,7 +142,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         linked.push(2.0)
         assert linked.api.hung.wait(5.0)
         stop = threading.Event()
@@ -167,11 +167,11 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"
-        known = len(linked.heard)
-        linked.api.held.set()
+        known = len(linked.received)
+        linked.api.ready.set()
         until(lambda: linked.api.closed)
         linked.answering.unplug()
-        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [2000, 0, 0]
+        assert [linked.force(n)[0] for n in range(known, len(linked.received))] == [2000, 0, 0]
         if talkative:
             speaker.join()
 
@@ -262,14 +262,14 @@ def test_a_hanging_preset_raises_an_error() -> None:
     api = Api(fd)
 
     def answer(data: bytes) -> bytes:
-        api.held.clear()  # from the first answer on
+        api.ready.clear()  # from the first answer on
         return arm.answer(data)
 
     with Answering(end, answer):
         link = link_by_threads(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
             HidDevice(options, link.fd, link.threads)
-    api.held.set()  # after the last answer, which would clear it again
+    api.ready.set()  # after the last answer, which would clear it again
 
 
 @pytest.mark.parametrize("cause", ["unplugged", "read", "write"])

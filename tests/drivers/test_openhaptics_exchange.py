@@ -57,13 +57,13 @@ class Library(FarEnd):
         self.output, self.refuses = 0, False
         self.errors: list[tuple[int, int, int]] = []
         """(code, internal, device), the last is popped first."""
-        self.asked: list[Any] = []
+        self.calls: list[Any] = []
 
     def _call(self, address: int, arguments: tuple[Any, ...]) -> Any:
         name = LIBRARY_FUNCTIONS[int(address) - 100]
         parameter = int(arguments[0]) if arguments else 0
         assert all(isinstance(argument, np.int32) for argument in arguments[:1])
-        self.asked.append((name, parameter) if arguments else name)
+        self.calls.append((name, parameter) if arguments else name)
         if name == "get_error":
             code, internal, device = self.errors.pop() if self.errors else (0, 0, NOBODY)
             return code | internal << 32, device | 0x5A << 32  # unused parts of the struct are undefined
@@ -75,7 +75,7 @@ class Library(FarEnd):
         elif name == "get_booleans":
             ctypes.c_uint8.from_address(arguments[1]).value = self.switch
         elif name == "set_doubles":
-            self.asked[-1] = (name, parameter, tuple((ctypes.c_double * 3).from_address(arguments[1])))
+            self.calls[-1] = (name, parameter, tuple((ctypes.c_double * 3).from_address(arguments[1])))
         elif name in ("enable", "disable") and not self.refuses:
             self.output = int(name == "enable")
         return 0x5A00 | self.output if name == "is_enabled" else None  # a char, in an int
@@ -91,7 +91,7 @@ class Library(FarEnd):
         self.block.fixed = [
             (AT.reads, AT.frame_timespec), (AT.servo_timespec, AT.position), (AT.read_pose, AT.read_wrench)
         ]  # fmt: skip
-        self.asked.clear()
+        self.calls.clear()
         return self.block.call(exchange.callback)
 
     def read(self) -> tuple[int, np.ndarray]:
@@ -106,7 +106,7 @@ class Library(FarEnd):
 
     def displayed_force(self, parameter: int = FORCE) -> list[float]:
         """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
-        (vector,) = [call[2] for call in self.asked if call[:2] == ("set_doubles", parameter)]
+        (vector,) = [call[2] for call in self.calls if call[:2] == ("set_doubles", parameter)]
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
@@ -137,13 +137,13 @@ def library(opening: Library) -> Library:
 
 def test_the_order_of_a_frame(library: Library) -> None:
     library.frame()
-    assert [call if isinstance(call, str) else call[:2] for call in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.calls] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("get_booleans", INKWELL), ("set_doubles", FORCE), ("set_doubles", TORQUE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
     library.word[AT.has_torque] = library.word[AT.has_inkwell] = 0
     library.frame()
-    assert [call if isinstance(call, str) else call[:2] for call in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.calls] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("set_doubles", FORCE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
@@ -154,7 +154,7 @@ def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
 
     def frame() -> None:
         opening.frame()
-        switches.append([call[0] for call in opening.asked if call[1:] == (OUTPUT,)])
+        switches.append([call[0] for call in opening.calls if call[1:] == (OUTPUT,)])
 
     frame()
     frame()
@@ -218,8 +218,8 @@ def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
     frames, inkwell = [], []
     for number in range(301):
         opening.frame()
-        frames += [number] if ("get_doubles", TEMPERATURE) in opening.asked else []
-        inkwell += [] if ("get_booleans", INKWELL) in opening.asked else [number]
+        frames += [number] if ("get_doubles", TEMPERATURE) in opening.calls else []
+        inkwell += [] if ("get_booleans", INKWELL) in opening.calls else [number]
     assert frames == [1, 99, 199, 299] and inkwell == [1]
     for temperatures, wanted in (
         ([0.1, 0.25, 0.05, 0.0, 0.0, 0.0], 250), ([0.0] * 5 + [0.75], 750), ([nan, 0.5, inf, -inf, 0.25, 0.0], 500),
@@ -230,10 +230,10 @@ def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
         assert opening.word[AT.temperature] == wanted
     opening.word[AT.has_temperature], opening.word[AT.frames] = 0, 99
     opening.frame()
-    assert ("get_doubles", TEMPERATURE) not in opening.asked
+    assert ("get_doubles", TEMPERATURE) not in opening.calls
     opening.word[AT.frames] = 1
     opening.frame()
-    assert ("get_doubles", TEMPERATURE) not in opening.asked
+    assert ("get_doubles", TEMPERATURE) not in opening.calls
 
 
 # --- forces ---
@@ -383,7 +383,7 @@ def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> Non
 def test_a_closed_device_is_not_called(library: Library) -> None:
     library.word[AT.open] = 0
     assert library.frame() == OVER
-    assert library.asked == []
+    assert library.calls == []
     assert library.read()[0] == LOST
 
 
@@ -483,7 +483,7 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     library.read()
     library.errors = [(code, 7, DEVICE)]
     library.frame()
-    assert library.asked[-2:] == ["get_error"] * 2
+    assert library.calls[-2:] == ["get_error"] * 2
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [status, code, 7]
     assert library.read()[0] == status
     assert library.counts()["errors"] == 1

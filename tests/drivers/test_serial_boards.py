@@ -166,7 +166,7 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
         known = fresh(servo)
         board.angles = [140.0, 40.0]
-        port.says = spoil
+        port.spoil = spoil
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
         until = time.monotonic() + 0.1
         while time.monotonic() < until:
@@ -176,10 +176,10 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
             servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
             time.sleep(0.001)
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
-        port.says = bytes
+        port.spoil = bytes
         assert fresh(servo)[:3] != known[:3]
         assert device.reason() == ""
-        port.says = spoil
+        port.spoil = spoil
         while (status := servo.read()[0]) >= 0:
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             time.sleep(0.001)

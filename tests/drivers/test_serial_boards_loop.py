@@ -59,13 +59,13 @@ def test_a_late_board_continues() -> None:
                 time.sleep(late)
                 return answer
 
-            port.says = wait
+            port.spoil = wait
             if stays:
                 time.sleep(0.3)
                 assert force_of(board)[2] > 0.1
             else:
                 assert settled(lambda: any(board.torques), lambda on: not on) is False
-        port.says = bytes
+        port.spoil = bytes
         assert settled(lambda: force_of(board)[2], lambda up: up > 0.1) > 0.1
         daemon.stop()
         daemon.wait(20.0)
@@ -89,7 +89,7 @@ def command(
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:
     until = time.monotonic() + 120.0
-    while board.taken < 50:
+    while board.commands < 50:
         assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
         time.sleep(0.01)
     for share in np.linspace(0.0, 1.0, 200):

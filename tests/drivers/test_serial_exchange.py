@@ -78,8 +78,8 @@ class Board:
             assert address + size <= self.word[AT.stream] + self.block._arrays[AT.stream].nbytes
         return self.port.read_waiting(fd, address, size, word)
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.port.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.port.incoming += incoming
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 

@@ -42,7 +42,7 @@ class Port:
         self.kind, self.per_ms, self.board = kind, per_ms, board
         self.waiting: list[tuple[int, int, int]] = []
         """Queued bytes: time of the write (ns), number of the write, value."""
-        self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
+        self.incoming, self.error, self.stalled, self.writes = b"", 0, False, 0
         self._credit = 0.0
 
     def advance(self, now: int) -> None:
@@ -50,14 +50,14 @@ class Port:
         while self.waiting and self._credit >= 1.0 and not self.stalled:
             written, _, byte = self.waiting.pop(0)
             self._credit -= 1.0
-            self.comes += self.board.take(byte, (now - written) / MS)
+            self.incoming += self.board.take(byte, (now - written) / MS)
         self._credit = min(self._credit, self.per_ms)
-        self.comes += self.board.streams()
+        self.incoming += self.board.streams()
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         if self.error:
             return -self.error
-        data, self.comes = self.comes[:size], self.comes[size:]
+        data, self.incoming = self.incoming[:size], self.incoming[size:]
         ctypes.memmove(address, data, len(data))
         return len(data)
 

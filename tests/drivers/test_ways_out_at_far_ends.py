@@ -82,13 +82,13 @@ class Fault(NamedTuple):
     """Action on a device in contact and error text; `zero` unless the device is then unreachable."""
 
     act: Callable[[Far], object]
-    says: str
+    message: str
     zero: bool = True
     brief: bool = False
 
 
 def answers(spoil: Callable[[bytes], bytes]) -> Callable[[Far], object]:
-    return lambda far: setattr(far.device, "spoil" if hasattr(far.device, "spoil") else "says", spoil)
+    return lambda far: setattr(far.device, "spoil", spoil)
 
 
 def late(answer: bytes) -> bytes:
@@ -168,4 +168,4 @@ def test_a_fault_in_contact_ends_the_run_without_force(
     stderr = capsys.readouterr().err
     assert acted and code == 4, stderr
     errors: list[Any] = [line for line in stderr.splitlines() if line.startswith("softfinger: ")]
-    assert len(errors) == 1 and re.search(case.says, errors[0]), stderr
+    assert len(errors) == 1 and re.search(case.message, errors[0]), stderr

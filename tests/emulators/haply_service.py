@@ -122,7 +122,7 @@ class Service:
         for device in grips:
             group, _, name = device.partition(":")
             self.grips.setdefault(group, {})[name] = _grip(group)
-        self.gone: set[str] = set()
+        self.absent: set[str] = set()
         """Ids removed from the list."""
         self.sessions = 0
         self.filters: dict[int, dict[str, Any]] = {}
@@ -152,11 +152,11 @@ class Service:
         """If set, it sends a state per millisecond while `deaf`."""
         self.pages: dict[str, str] = {}
         """Bodies that replace those of HTTP, by path."""
-        self.asked: list[str] = []
+        self.http_requests: list[str] = []
         """HTTP request lines with their bodies."""
-        self.heard = 0
+        self.message_count = 0
         """Number of messages from clients."""
-        self.said: list[str] = []
+        self.sent: list[str] = []
         """First message of each session."""
         self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
         """Received forces (N) with their times (s, monotonic clock), in order, by device; without ends of sessions."""
@@ -182,7 +182,7 @@ class Service:
     def hear(self, session: int, text: str) -> None:
         with self.lock:
             message, now = json.loads(text), time.monotonic()
-            self.heard += 1
+            self.message_count += 1
             for group, devices in self.devices.items():
                 for entry in message.get(group, []):
                     device = devices.get(entry.get("device_id"))
@@ -191,7 +191,7 @@ class Service:
                         continue
                     force_n = (force["x"], force["y"], force["z"])
                     self.commands.setdefault(device.name, []).append((now, force_n))
-                    if device.name not in self.gone:
+                    if device.name not in self.absent:
                         device.take(session, force_n, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
@@ -203,19 +203,19 @@ class Service:
                     {"device_id": device.name, "state": device.state(now), "status": device.status}
                     | ({"config": self._config(group, device, session)} if whole else {})
                     for device in devices.values()
-                    if device.name not in self.gone
+                    if device.name not in self.absent
                 ]
             for group, grips in self.grips.items():
                 shown[group] = [
                     {"device_id": name, "state": state, "status": {"ready": True}}
                     for name, state in grips.items()
-                    if name not in self.gone
+                    if name not in self.absent
                 ]
             return json.dumps(shown).replace("Infinity", "null").replace("NaN", "null")  # as the maker's JSON library
 
     def answer_http(self, method: str, path: str, body: str) -> tuple[int, str]:
         with self.lock:
-            self.asked.append(f"{method} {path} {body}".strip())
+            self.http_requests.append(f"{method} {path} {body}".strip())
             if path in self.pages:
                 return 200, self.pages[path]
             path = path.partition("?")[0]
@@ -333,7 +333,7 @@ class Connection:
                     elif isinstance(event, Frame) and event.opcode is Opcode.TEXT:
                         text = bytes(event.data).decode()
                         if first:
-                            service.said.append(text)
+                            service.sent.append(text)
                         first = False
                         service.hear(session, text)
                         if service.late_s:
@@ -397,12 +397,12 @@ class Desk:
                             group[line["id"]] |= line["to"]
                 case "vanish":
                     now = time.monotonic()
-                    service.gone.add(line["id"])
+                    service.absent.add(line["id"])
                     for device in service.all():  # its motors have no power
                         for session in [*device.requests] if device.name == line["id"] else []:
                             device.leave(session, now)
                 case "return":
-                    service.gone.discard(line["id"])
+                    service.absent.discard(line["id"])
                 case "force":
                     return self._device(line["id"]).force(time.monotonic())
                 case "log":
@@ -414,9 +414,9 @@ class Desk:
                     return self._device(line["id"]).settings
                 case "seen":
                     return {
-                        "asked": service.asked,
-                        "said": service.said,
-                        "heard": service.heard,
+                        "asked": service.http_requests,
+                        "said": service.sent,
+                        "heard": service.message_count,
                         "sessions": service.sessions,
                     }
         return None

@@ -215,8 +215,8 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         def received() -> NDArray[np.float64]:
             written = device.counts()["written"]
             described_boards.settled(
-                lambda: firmware.taken,
-                lambda written_bytes: written_bytes >= written or at_rest(lambda: firmware.taken),
+                lambda: firmware.commands,
+                lambda written_bytes: written_bytes >= written or at_rest(lambda: firmware.commands),
             )
             return rows(firmware.sent_torques.times, firmware.sent_torques)
 

@@ -115,14 +115,14 @@ class FarEnd:
 class File:
     """A scripted file descriptor of the system.
 
-    comes  results of the reads, in order; of bytes in a stream a read returns as many as it requests
-    room   bytes that it accepts; None: any number; below 0: none, and it returns 0 instead of the error
-    error  of the system, for reads and writes; 0: none
+    incoming  results of the reads, in order; of bytes in a stream a read returns as many as it requests
+    room      bytes that it accepts; None: any number; below 0: none, and it returns 0 instead of the error
+    error     of the system, for reads and writes; 0: none
     """
 
     def __init__(self, number: int, packets: bool = False) -> None:
         self.number, self._packets = number, packets
-        self.comes: list[bytes] = []
+        self.incoming: list[bytes] = []
         self.room: int | None = None
         self.error = 0
         self.sent: list[bytes] = []
@@ -134,17 +134,17 @@ class File:
         self.reads += 1
         if self.error:
             return -self.error
-        if not self.comes:
+        if not self.incoming:
             return -EAGAIN
-        data, rest = self.comes[0][:size], self.comes[0][size:]
+        data, rest = self.incoming[0][:size], self.incoming[0][size:]
         ctypes.memmove(address, data, len(data))
-        self.comes[:1] = [rest] if rest and not self._packets else []
+        self.incoming[:1] = [rest] if rest and not self._packets else []
         return len(data)
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         """Like the function of this name."""
         count = self.read(fd, address, size)
-        ctypes.c_int64.from_address(word).value = len(b"".join(self.comes)) + max(count, 0)
+        ctypes.c_int64.from_address(word).value = len(b"".join(self.incoming)) + max(count, 0)
         return -EIO if count == 0 else max(count, 0) if count == -EAGAIN else count
 
     def write(self, fd: int, address: int, size: int) -> int:
