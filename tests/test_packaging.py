@@ -98,7 +98,7 @@ def sources(package: str) -> Iterator[Path]:
             yield path.relative_to(ROOT)
 
 
-def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_contains_every_source_file_and_nothing_else(wheel: Path) -> None:
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     shipped = {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
     moved = {"softfinger/config/package.py", "softfinger/config/py.typed"}
@@ -334,7 +334,7 @@ def test_kernels_import_only_numerics_and_each_other() -> None:
         assert extra <= KERNEL_STANDARD_LIBRARY.get(path.name, set()), f"{path.name} imports {sorted(extra)}"
 
 
-def test_the_import_linter_sees_every_module() -> None:
+def test_the_import_linter_covers_every_module() -> None:
     """The graph of import-linter contains all our modules: an empty graph would satisfy every contract."""
     code = "import grimp, json; print(json.dumps(sorted(grimp.build_graph('softfinger', cache_dir=None).modules)))"
     modules = set(json.loads(run(sys.executable, "-c", code, cwd=ROOT).stdout))

@@ -25,7 +25,7 @@ def test_imports_of_vm_programs_exist(program: Path) -> None:
                     importlib.import_module(f"{node.module}.{alias.name}")
 
 
-def test_its_command_is_one_that_pytest_takes() -> None:
+def test_pytest_accepts_its_command() -> None:
     guest = {key: value for key, value in run.guest_environment().items() if key.startswith("PYTEST_")}
     assert guest
     command = run.tests(["--collect-only", "-q", str(Path(__file__).relative_to(ROOT))], systemd=False)

@@ -143,7 +143,7 @@ def test_every_shipped_file_loads_and_survives_a_round_trip(kind: type[Scene | R
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*/*.toml")), ids=lambda path: path.stem)
-def test_shipped_values_say_their_reason(path: Path) -> None:
+def test_shipped_values_have_a_reason(path: Path) -> None:
     for line in path.read_text("utf-8").splitlines():
         match = re.match(r'(\w+) = ((?:"[^"]*"|[^#"])*?)\s*(#.*)?$', line)
         if match is None or match[2].startswith('"'):

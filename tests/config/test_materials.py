@@ -168,7 +168,7 @@ def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
         tip_of({"pad": "x"})
 
 
-def test_a_described_scene_does_not_ask_the_library() -> None:
+def test_a_described_scene_does_not_read_the_library() -> None:
     mapping = describe(scene_of({"name": "rubber", "torsion": None}))
     assert build(Scene, mapping, "again").object[0].material.torsion is None
     mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}

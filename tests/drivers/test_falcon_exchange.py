@@ -305,7 +305,7 @@ def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
     assert usb.counts() == {"replies": 6, "passed": 3}
 
 
-def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
+def test_a_flood_does_not_delay_the_loop(usb: Usb) -> None:
     assert usb.read(*[reply(n) for n in range(20)])[0] == OK
     assert usb.counts() == {"replies": 8, "passed": 7}
 
@@ -504,7 +504,7 @@ def test_no_force_during_a_silence(usb: Usb) -> None:
     assert usb.write(*PULL) == WITHHELD
 
 
-def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
+def test_only_an_armed_device_applies_a_force(usb: Usb) -> None:
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
         usb.word[AT.unanswered] = 0

@@ -138,7 +138,7 @@ def test_faults_leave_no_transfer_pending(
         assert not any(stub.motors())
 
 
-def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
+def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
     with open_device(options(), RATE_HZ) as device:
         servo = Servo(device, arm=False)
         servo.read()

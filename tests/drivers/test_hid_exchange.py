@@ -111,7 +111,7 @@ def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
     assert board.counts() == {"reports": 4, "drained": 2, "foreign": 2}
 
 
-def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
     """A tick reads at most 256 reports, four times the kernel's queue of a node."""
     assert board.read(*[report(1.0, 0.0, 0.0)] * 600)[0] == OK
     assert board.counts() == {"reports": 256, "drained": 255}
@@ -165,7 +165,7 @@ def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
     assert board.sent() == [force_report(0, 0, 0)]  # each report triggers an answer, which the loop needs
 
 
-def test_a_force_that_its_field_cannot_hold_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_force_beyond_the_range_of_its_field_is_clamped(monkeypatch: pytest.MonkeyPatch) -> None:
     reports = described()["reports"]
     fields = [{"meaning": f"force_{k}", "offset": n, "type": "int8", "scale": 100.0} for n, k in enumerate("xyz")]
     fields += [{"meaning": "constant", "offset": 3, "type": "int8", "scale": 9.0}]

@@ -510,7 +510,7 @@ def test_the_first_of_two_errors_is_reported(library: Library) -> None:
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [PROTOCOL, 0x402, 3]
 
 
-def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
+def test_errors_of_other_devices_are_ignored(library: Library) -> None:
     library.errors = [(COMM_ERROR, 1, OTHER)] * 2
     library.frame()
     assert library.read()[0] == OK

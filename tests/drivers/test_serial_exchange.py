@@ -136,7 +136,7 @@ def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
     assert board.counts() == {"bytes": 192 + 7 + 64, "frames": 4, "drained": 2}
 
 
-def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
     """A tick reads at most 16 kB, four times the kernel's queue of a port; the rest is read in the next tick."""
     assert board.read(b" " * 40_000)[0] == STALE
     assert board.counts() == {"bytes": 16 * 1024}

@@ -282,7 +282,7 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
 @pytest.mark.parametrize(
     "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.Touching(1.0))]
 )
-def test_vibration_begins_anew_with_each_touch(effect: Any) -> None:
+def test_vibration_restarts_with_each_touch(effect: Any) -> None:
     touches = [1.0] * 3 + [0.0] + [1.0] * 3
     forces = run(effect, iter([moment(normal=UP, touched=touched) for touched in touches]))[:, 2]
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(3))

@@ -93,7 +93,7 @@ def path(count: int) -> Any:
 
 
 @pytest.mark.parametrize("friction", [False, True])
-def test_a_stiff_body_is_felt_as_the_rigid_mesh(tmp_path: Path, friction: bool) -> None:
+def test_a_stiff_body_has_the_force_of_the_rigid_mesh(tmp_path: Path, friction: bool) -> None:
     stiff = scene(friction, youngs_pa=1e15)
     surface = body_of(stiff.object[0]).surface
     lines = ["v {!r} {!r} {!r}".format(*row) for row in surface.vertices.tolist()]
@@ -295,7 +295,7 @@ def test_the_surface_below_a_free_finger_is_searched_once_a_tick_and_only_while_
     assert len(searches) == count
 
 
-def test_two_fingers_feel_each_other_through_the_body() -> None:
+def test_two_fingers_displace_each_other_through_the_body() -> None:
     engine = Engine(scene(fingers=2))
     pressed, pressing, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
     records = engine.run({"a": np.tile(pressed, (10, 1)), "b": np.array([away] * 5 + [pressing] * 5)})

@@ -287,7 +287,7 @@ def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> N
         build(Scene, paper_mapping(material={"friction": friction}), "test scene")
 
 
-def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
     assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
     assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
     stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})

@@ -269,7 +269,7 @@ class Planted:
 
 
 @as_root
-def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> None:
+def test_a_kernel_planted_by_another_user_is_not_run(scripts: Path, tmp_path: Path) -> None:
     """A pickle with a valid checksum under the name of a kernel is executed only if file and folder belong to the
     current user.
 

@@ -128,7 +128,7 @@ ARRAYS = {"a": np.arange(100.0), "b": np.arange(30, dtype=np.int32).reshape(-1, 
 KEY = "ab" * 32
 
 
-def test_arrays_come_back_as_they_were(folder: Folder) -> None:
+def test_arrays_are_restored_unchanged(folder: Folder) -> None:
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1, "count": 3}), folder)
     entry = array_cache.load(KEY, folder)
     assert entry is not None and entry.values == {"size": 0.1, "count": 3}
@@ -142,7 +142,7 @@ def test_arrays_come_back_as_they_were(folder: Folder) -> None:
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
+def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
     file = only_file(folder)
     whole = file.read_bytes()
@@ -188,7 +188,7 @@ def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: py
     assert list((tmp_path / "open").iterdir()) == []
 
 
-def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_recently_used_file_is_removed(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     some = array_cache.CachedArrays({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):

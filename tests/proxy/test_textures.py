@@ -486,7 +486,7 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
     assert message in refusal(lambda: build_scene(scene(OBLIQUE.samples(), changes)))
 
 
-def test_files_are_beside_the_scene_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The documented array and scene, saved in one folder, load from another working directory, and the summary of
     `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")

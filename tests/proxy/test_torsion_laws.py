@@ -167,7 +167,7 @@ def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> Non
         build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
 
 
-def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
         (None, None),

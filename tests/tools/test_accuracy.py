@@ -129,7 +129,7 @@ def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
     assert classical["without_step_bound"]["evaluations_per_step"] < 61
 
 
-def test_classical_way_on_a_torus() -> None:
+def test_classical_method_on_a_torus() -> None:
     at = montana.Coordinates(0.0, 0.0, 0.3, 0.4, 0.2)
     here = montana.chart(TORUS, at.u_o, at.v_o)
     center, w = np.array(here.point) + R * np.array(here.z), np.array([3.0, 2.0, 5.0])

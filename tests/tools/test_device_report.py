@@ -248,7 +248,7 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     assert not force[-1].any()
 
 
-def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
+def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
     main, side = pty.openpty()
@@ -297,7 +297,7 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
         ("devices --probe --rig no-such-rig", ["no-such-rig"]),
     ],
 )
-def test_bad_words_give_one_clear_error(
+def test_invalid_arguments_give_one_clear_error(
     words: str, pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(home)

@@ -110,7 +110,7 @@ def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> Non
     assert f"p99 {servo['late']['p99'] * 1e6:.0f} us" in named(result, "wake-up lateness")["seen"]
 
 
-def test_settings_are_really_made_and_given_back() -> None:
+def test_settings_are_applied_and_restored() -> None:
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
     checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}

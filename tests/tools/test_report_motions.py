@@ -103,7 +103,7 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
         ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass, which must be held for an answer
     ],
 )  # fmt: skip
-def test_a_push_tells_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
+def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
     for sign, motion in ((1.0, plus), (-1.0, minus)):
         result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
         assert result is not None
