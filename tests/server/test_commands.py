@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers import raw_peers
-from helpers.called import Done, called
+from helpers.called import VerbResult, called
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
@@ -860,7 +860,7 @@ def test_stop_ends_a_daemon_process(tmp_path):
                 lines.append(daemon.stderr.readline())
                 assert lines[-1]
 
-            def ctl(*arguments: str) -> Done:
+            def ctl(*arguments: str) -> VerbResult:
                 return called("ctl", *arguments, "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "240")
 
             state = ctl("get_state", "--json")
