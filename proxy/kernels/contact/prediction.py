@@ -14,6 +14,7 @@ from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
 from softfinger.proxy.kernels.query.objects import curvature_of
@@ -33,6 +34,21 @@ class Shear(NamedTuple):
     free: Vec3
     blocked: Vec3
     center: Vec3
+
+
+class ContactRoll(NamedTuple):
+    """Roll of one contact in a tick.
+
+    proxy  (3,) m  motion of the proxy
+    probe  (3,) m  motion of a probe that winds up nothing
+    spin   rad     rotation about the normal
+    theta  rad     roll angle
+    """
+
+    proxy: Vec3
+    probe: Vec3
+    spin: float
+    theta: float
 
 
 class Lever(NamedTuple):
@@ -139,26 +155,37 @@ def apply_lever(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
 
 
 @jit
-def predict(
-    method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, shear: Shear
-) -> tuple[Prediction, Vec3, float]:
+def roll_contact(
+    method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, turn: Quaternion
+) -> ContactRoll:
+    """Roll a contact by the rotation `turn` of the fingertip in this tick, in its tangent plane."""
+    if contact.body < 0.0:
+        return ContactRoll(ZERO, ZERO, 0.0, 0.0)
+    normal, carried = contact.normal, carry(objects, contact.body)
+    rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, turn))
+    motion_of_probe = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
+    return ContactRoll(rolled.motion, motion_of_probe, rolled.spin, rolled.theta)
+
+
+@jit
+def predict(objects: Any, contact: ContactState, shear: Shear, roll: ContactRoll, tilted: Vec3) -> Prediction:
     """Compute the deflection of a sticking contact after the motions of probe, object and fingertip.
 
-    returns  Prediction, motion (3,) m of the proxy by the roll, roll angle, rad
+    tilted  (3,) m  displacement of the proxy as its normals at the other contacts rotate, see `tilt_of`
 
-    e <- e - (dx - do) + (1 - d W) r theta (a x n), all in the tangent plane: x the probe, including the change of its
-    displacement by the pushes, o the object at the probe, d the depth, W = dn/dp of the surface on which the proxy
-    moves. If the proxy rolls by u and the probe moves by (1 - d W) u, nothing is wound up.
+    e <- e - (dx - do) + (1 - d W) r theta (a x n) - sum d_j W_j u_j, all in the tangent plane: x the probe, including
+    the change of its displacement by the pushes, o the object at the probe, d the depth, W = dn/dp of the surface on
+    which the proxy moves, and j the other contacts. If the proxy rolls by u on all of them and the probe moves by
+    u - sum d_j W_j u, nothing is wound up.
     The part of the probe's motion that the proxy could not follow counts only if it unwinds e. So the contact
     returns no more work to the hand than its spring stores, independent of the other contacts.
     """
     if contact.body < 0.0:
-        return NO_PREDICTION, (0.0, 0.0, 0.0), 0.0
+        return NO_PREDICTION
     normal, carried = contact.normal, carry(objects, contact.body)
-    rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, shear.turn))
     object_motion = vec3.sub(move_point(carried, shear.center), shear.center)
     shear_motion = vec3.reject(vec3.sub(shear.free, object_motion), normal)
-    roll_motion = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
+    roll_motion = vec3.sub(roll.probe, vec3.reject(tilted, normal))
     deflection = vec3.add(vec3.sub(contact.deflection, shear_motion), roll_motion)
     blocked = vec3.reject(shear.blocked, normal)
     square = vec3.dot(blocked, blocked)
@@ -166,7 +193,13 @@ def predict(
         share = min(max(vec3.dot(deflection, blocked) / square, 0.0), 1.0)
         deflection = vec3.add_scaled(deflection, -share, blocked)
     contact_with_roll = replace(contact, "rolled_part", vec3.add(contact.rolled_part, roll_motion))
-    return Prediction(contact_with_roll, deflection, rolled.spin, False), rolled.motion, rolled.theta
+    return Prediction(contact_with_roll, deflection, roll.spin, False)
+
+
+@jit
+def tilt_of(roll: ContactRoll) -> Vec3:
+    """Return d W u (3,) m: the displacement of the proxy from the probe as its normal rotates in a roll by u."""
+    return vec3.sub(roll.proxy, roll.probe)
 
 
 @jit
@@ -180,17 +213,21 @@ def continue_several(
     active, _ = solve_tangent_planes(shapes, radius, base, center, constraints_of_contacts(last))
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
-    one, roll1, theta = predict(scene.rolling, shapes, radius, center, contacts[0], shear)
-    two, roll2, _ = predict(scene.rolling, shapes, radius, center, contacts[1], shear)
-    three, roll3, _ = predict(scene.rolling, shapes, radius, center, contacts[2], shear)
-    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1), contacts[1].share, roll2)
+    roll1 = roll_contact(scene.rolling, shapes, radius, center, contacts[0], shear.turn)
+    roll2 = roll_contact(scene.rolling, shapes, radius, center, contacts[1], shear.turn)
+    roll3 = roll_contact(scene.rolling, shapes, radius, center, contacts[2], shear.turn)
+    tilt1, tilt2, tilt3 = tilt_of(roll1), tilt_of(roll2), tilt_of(roll3)
+    one = predict(shapes, contacts[0], shear, roll1, vec3.add(tilt2, tilt3))
+    two = predict(shapes, contacts[1], shear, roll2, vec3.add(tilt1, tilt3))
+    three = predict(shapes, contacts[2], shear, roll3, vec3.add(tilt1, tilt2))
+    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1.proxy), contacts[1].share, roll2.proxy)
     return Approach(
         start=state.center,
         outside=center,
-        center=vec3.add_scaled(rolled, contacts[2].share, roll3),
+        center=vec3.add_scaled(rolled, contacts[2].share, roll3.proxy),
         active=active,
         predicted=(one, two, three),
-        rolled=state.rolled + theta,
+        rolled=state.rolled + roll1.theta,
         strays=True,
         single=False,
         began=False,

@@ -23,11 +23,15 @@ from softfinger.proxy.kernels.shapes.composite import (
     shade_normal,
 )
 from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
-from softfinger.proxy.kernels.shapes.mesh.triangle import closest_on_triangle, nearer_neighbour, shaded_normal
+from softfinger.proxy.kernels.shapes.mesh.triangle import (
+    closest_on_triangle,
+    nearer_neighbour,
+    offset_curvature_on_triangle,
+    shaded_normal,
+)
 from softfinger.proxy.kernels.shapes.protocol import (
     NO_HIT,
     X_AXIS,
-    any_tangent,
     closest,
     closest_or_bound,
     curvature,
@@ -129,8 +133,9 @@ def closest_on_facet(shape: Facet, x: Vec3) -> tuple[float, Vec3, Vec3]:
 
 @curvature.of(Facet)
 def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Flat: at an edge the fingertip rolls from one tangent plane to the next."""
-    return 0.0, 0.0, any_tangent(normal)
+    return offset_curvature_on_triangle(
+        shape.mesh, shape.number, radius, vec3.add_scaled(point, radius, normal), normal
+    )
 
 
 @closest_or_bound.of(Mesh)

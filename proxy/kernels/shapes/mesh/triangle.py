@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
 
 FACE = 6
 """Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
@@ -203,6 +203,26 @@ def nearer_neighbour(whole: Mesh, number: float, x: Vec3) -> float:
     corner = corner_near(corners, foot)
     nearer = nearer_round_corner(mesh, k, corner, x, foot.square) if corner >= 0 else -1
     return number if nearer < 0 else float(nearer)
+
+
+@outlined
+def offset_curvature_on_triangle(
+    whole: Mesh, number: float, radius: float, x: Vec3, normal: Vec3
+) -> tuple[float, float, Vec3]:
+    """Return both curvatures of the surface on which a centre at `x` (3,) m moves, 1/m, and the tangent of the first.
+
+    It is a plane over the face, a cylinder round an edge, and a sphere round a corner, with the fingertip's radius.
+    """
+    mesh, k = whole.row[0], int(number)
+    corners = corners_of(mesh, k)
+    feature = foot_on(corners, x).feature
+    if feature == FACE:
+        return 0.0, 0.0, any_tangent(normal)
+    if feature >= 3:
+        return 1.0 / radius, 1.0 / radius, any_tangent(normal)
+    first, second = corners[feature], corners[(feature + 1) % 3]
+    _, across = direction(vec3.cross(normal, vec3.sub(second, first)), any_tangent(normal))
+    return 1.0 / radius, 0.0, across
 
 
 @outlined
