@@ -71,11 +71,11 @@ def serial() -> Iterator[Line]:
 
 @contextmanager
 def hid(through: str) -> Iterator[Line]:
-    given: list[tuple[int, ...]] = []
+    torques: list[tuple[int, ...]] = []
     wait = [0.0]
 
     def answer(report: bytes) -> bytes:
-        given.append(struct.unpack("<3i", report[1:]))
+        torques.append(struct.unpack("<3i", report[1:]))
         time.sleep(wait[0])
         return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 1, 0, 0, 0, 0, 0)
 
@@ -96,7 +96,7 @@ def hid(through: str) -> Iterator[Line]:
             def late(by_s: float) -> None:
                 wait[0] = by_s
 
-            yield Line(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
+            yield Line(device, lambda: np.array(torques).reshape(-1, 3) * 1e-3, stall, late)
 
 
 @contextmanager
