@@ -72,8 +72,8 @@ JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
 
 # Indices of the words shared with the loop.
-_ENOUGH: Final = 0  # ends everything
-_NEXT: Final = 1  # ends waiting, for the next part
+_ENOUGH: Final = 0  # stops the loop
+_NEXT: Final = 1  # ends the wait for the next part
 _TICKS: Final = 2
 
 
