@@ -139,9 +139,10 @@ def build_changed(
     struct_type: type[T], table: Mapping[str, Any], where: str, overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> T:
     """Convert a mapping with overrides by dotted key, which have the origins `sources`; raises as `build`."""
-    mapping, origins, homeless = change_values(table, overrides, sources)
+    mapping, origins, override_faults = change_values(table, overrides, sources)
     value, faults = examine(struct_type, mapping, where, origins)
-    return _check_scene(struct_type, value, faults or homeless)  # a fault of the file may be why a place does not exist
+    # A fault of the file may be the cause of faults of overrides.
+    return _check_scene(struct_type, value, faults or override_faults)
 
 
 def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:

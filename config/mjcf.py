@@ -127,7 +127,7 @@ def _compile(path: str, root: str | None) -> CompiledModel:
             _remove_pictures(spec)
             files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]
             states = {file: _state(file) for file in files}
-            package.mj_clearCache(package.mj_getCache())  # which misses that a file changed within a second
+            package.mj_clearCache(package.mj_getCache())  # the cache does not notice changes within a second
             model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {_line(error)}") from error

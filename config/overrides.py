@@ -21,14 +21,14 @@ _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 class OverriddenMapping(NamedTuple):
     """Mapping with overrides.
 
-    mapping   a copy of the given one, with the new values
-    origins   source of each key that has a new value
-    homeless  faults of overrides of places that do not exist
+    mapping          copy of the original, with the new values
+    origins          source of each key that has a new value
+    override_faults  faults of overrides with unknown keys
     """
 
     mapping: dict[str, Any]
     origins: dict[str, str]
-    homeless: list[Fault]
+    override_faults: list[Fault]
 
 
 def change_values(
@@ -36,21 +36,21 @@ def change_values(
 ) -> OverriddenMapping:
     """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
 
-    Raises ConfigError for a value that is given twice.
+    Raises ConfigError for a value that is set twice.
     """
-    mapping, origins, homeless = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
-    ways = {dotted: index_entries(mapping, dotted) for dotted in overrides}
-    if len(set(ways.values())) < len(ways):
-        source = sources.get(next(iter(ways)), "override")
+    mapping, origins, override_faults = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
+    indexed_keys = {dotted: index_entries(mapping, dotted) for dotted in overrides}
+    if len(set(indexed_keys.values())) < len(indexed_keys):
+        source = sources.get(next(iter(indexed_keys)), "override")
         raise ConfigError(f"{source}: a value is set twice, by name and by index")
     for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
         source = sources.get(dotted, "override")
         try:
-            for key in _for_each_device(mapping, ways[dotted]):
+            for key in _for_each_device(mapping, indexed_keys[dotted]):
                 _override(mapping, key, overrides[dotted], source, origins)
         except LookupError as error:
-            homeless.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
-    return OverriddenMapping(mapping, origins, homeless)
+            override_faults.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
+    return OverriddenMapping(mapping, origins, override_faults)
 
 
 def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:

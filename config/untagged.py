@@ -17,12 +17,12 @@ Read = Callable[[inspect.Type, object, str, FaultCollector], Any]
 class TableKinds(NamedTuple):
     """Kinds of a table.
 
-    every  all kinds that it may have
-    meant  those that it is likely to have: one with a similar name, or all
+    all_kinds  all kinds that it may have
+    likely     those that it is likely to have: one with a similar name, or all
     """
 
-    every: list[inspect.StructType]
-    meant: list[inspect.StructType]
+    all_kinds: list[inspect.StructType]
+    likely: list[inspect.StructType]
 
 
 def read_untagged(
@@ -33,25 +33,25 @@ def read_untagged(
     Returns the class for the checks across tables, and its values; a missing key is UNSET. The class is the kind if
     only one is meant, else the base class of all kinds, None if they share no key.
     """
-    keys = {field.encode_name for kind in kinds.every for field in kind.fields}
-    has_further_keys = any(getattr(kind.cls, "gathers", None) for kind in kinds.every)
+    keys = {field.encode_name for kind in kinds.all_kinds for field in kind.fields}
+    has_further_keys = any(getattr(kind.cls, "gathers", None) for kind in kinds.all_kinds)
     for name in table:
-        if name != kinds.every[0].tag_field and name not in keys and not has_further_keys:
+        if name != kinds.all_kinds[0].tag_field and name not in keys and not has_further_keys:
             dotted = join_key(key, name)
             report.add(dotted, f"{dotted} is not a key here{near(name, sorted(keys))}")
     values: dict[str, Any] = {}
-    for field in (field for kind in kinds.meant for field in kind.fields):
+    for field in (field for kind in kinds.likely for field in kind.fields):
         name, dotted = field.encode_name, join_key(key, field.encode_name)
         if field.name in values:
             continue
         if name in table:
-            types = [same.type for kind in kinds.meant for same in kind.fields if same.encode_name == name]
+            types = [same.type for kind in kinds.likely for same in kind.fields if same.encode_name == name]
             values[field.name] = _read_as_one(types, table[name], dotted, report, read)
         elif field.required:
             values[field.name] = UNSET
-            if len(kinds.every) > 1 and all(_requires(kind, name) for kind in kinds.every):
+            if len(kinds.all_kinds) > 1 and all(_requires(kind, name) for kind in kinds.all_kinds):
                 report.add(dotted, missing(field.type, dotted, name))
-    cls = kinds.meant[0].cls if len(kinds.meant) == 1 else _shared_base(kinds.every)
+    cls = kinds.likely[0].cls if len(kinds.likely) == 1 else _shared_base(kinds.all_kinds)
     shared = () if cls is None else cls.__struct_fields__
     return cls, {name: value for name, value in values.items() if name in shared}
 

@@ -68,12 +68,12 @@ class RigidBodies:
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
         self._fault: Final = np.zeros(2, np.int64)
         self._last: Final = (np.zeros_like(self.data.xpos), np.zeros_like(self.data.xquat))
-        self._said = ""
+        self._message = ""
         self._connect()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits; MuJoCo pickles its data with the model."""
-        fields = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
+        fields = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_message")
         return {name: vars(self)[name] for name in fields}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -125,7 +125,7 @@ class RigidBodies:
         try:
             (package.mj_step1 if half == at.FIRST_HALF else package.mj_step2)(self.model, self.data)
         except package.FatalError as error:
-            self._said = " ".join(str(error).split())
+            self._message = " ".join(str(error).split())
             return True
         return False
 
@@ -150,7 +150,7 @@ class RigidBodies:
             kind = int(np.flatnonzero(counted.number)[0])
             message = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
         else:
-            message = self._said or words_in(self._rescue)
+            message = self._message or words_in(self._rescue)
         return SafetyStop(f"{text}: MuJoCo said: {message}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
@@ -191,7 +191,7 @@ class RigidBodies:
                 '"tick"'
             )
         self._fault[:] = 0
-        self._said = ""
+        self._message = ""
         try:
             package.mj_resetData(self.model, self.data)
             if self._key is not None:

@@ -77,7 +77,7 @@ def progress(
         operation = _Operation(show)
         operations.append(operation)
         try:
-            yield operation.set_done
+            yield operation.set_count
         finally:
             operations.remove(operation)
 
@@ -86,15 +86,15 @@ class _Operation:
     """Count of an operation that never decreases: a step may contain several operations."""
 
     def __init__(self, show: Callable[[float], None]) -> None:
-        self._show, self._done, self._largest = show, 0, 0.0
+        self._show, self._count, self._largest = show, 0, 0.0
 
-    def set_done(self, number: int) -> None:
-        self._done = number
+    def set_count(self, number: int) -> None:
+        self._count = number
         self.advance(0.0)
 
     def advance(self, share: float) -> None:
         """Set the share of the current step."""
-        self._largest = max(self._largest, self._done + share)
+        self._largest = max(self._largest, self._count + share)
         self._show(self._largest)
 
 

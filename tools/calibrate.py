@@ -61,7 +61,7 @@ class HoldController:
         self._integral, self._speed = np.zeros(3), np.zeros(3)
         self._exchange(self._read, self._sample, "read")
         self._place = self._last = self._sample[:3].copy()
-        self._then = time.monotonic()
+        self._sampled_at = time.monotonic()
         self.record: list[tuple[float, float]] = []
 
     def tick(self) -> None:
@@ -71,7 +71,7 @@ class HoldController:
         now, place = time.monotonic(), self._sample[:3].copy()
         if not np.isfinite(place).all():
             place = self._last
-        dt = now - self._then
+        dt = now - self._sampled_at
         self._speed += 0.3 * ((place - self._last) / dt - self._speed)  # encoder counts give a noisy slope
         deviation = self._place - place
         if np.linalg.norm(deviation) > ESCAPE_M:
@@ -83,7 +83,7 @@ class HoldController:
         force = SPRING_N_PER_M * deviation - DAMPER_NS_PER_M * self._speed + self._integral
         self._wrench[:3] = force * min(1.0, FORCE_MAX_N / max(float(np.linalg.norm(force)), 1e-9))
         self._exchange(self._write, self._wrench, "write")
-        self._then, self._last = now, place
+        self._sampled_at, self._last = now, place
         self.record.append((now, float(self._wrench[2])))
 
     def run(self, seconds: float) -> None:

@@ -72,8 +72,8 @@ JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
 
 # Indices of the words shared with the loop.
-_ENOUGH: Final = 0  # ends everything
-_NEXT: Final = 1  # ends waiting, for the next part
+_ENOUGH: Final = 0  # stops the loop
+_NEXT: Final = 1  # ends the wait for the next part
 _TICKS: Final = 2
 
 
@@ -289,7 +289,7 @@ class Exchange:
         self._devices = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
         self._scratch = make_scratch()
         self._armed = False
-        self._over = threading.Event()
+        self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
     def record(self, seconds: float, push: Push = NO_PUSH, operation: str = "the exchange with the device") -> Array:
@@ -315,7 +315,7 @@ class Exchange:
         self._words[_NEXT] = 1
         watchdog = Watchdog()
         while not part.finished.wait(STALL_POLL_S):
-            if self._over.is_set():
+            if self._stop_event.is_set():
                 break
             ticks = int(self._words[_TICKS])
             advance(ticks - first)
@@ -358,7 +358,7 @@ class Exchange:
         )
         if self.ended is None and failed is not None:
             self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
-        self._over.set()
+        self._stop_event.set()
 
     def _arguments(self, part: _RecordedPart) -> tuple[Any, ...]:
         return (*self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows)
@@ -376,7 +376,7 @@ class Exchange:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._words[_ENOUGH] = 1
-        if not self._over.wait(JOIN_S):
+        if not self._stop_event.wait(JOIN_S):
             shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=error)
         elif error is None:
             self._raise_crash()

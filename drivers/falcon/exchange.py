@@ -303,7 +303,8 @@ def _write_locked(handle: int, wrench: Any) -> int:
         word[AT.held] += 1
     if status < 0:
         return status
-    # In a silence a zero also counts as withheld, because the hand may move anywhere; not when disarmed: the loop ends.
+    # During a silence a zero also counts as withheld, because the hand may move anywhere. When disarmed, it does not,
+    # because the loop is ending.
     if not may_send and (not zero or armed):
         return WITHHELD
     if status == HELD:

@@ -80,7 +80,7 @@ class ForceDimension(BlockDevice):
     def arm(self) -> None:
         block = self._block.handle
         if not exchange.lock.ctypes(block):
-            return  # the lock's owner is stopping the device, and that is final
+            return  # a stop has the lock; after a stop the device must not be armed
         try:
             self._switch_force_on()
         finally:

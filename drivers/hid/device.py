@@ -91,7 +91,7 @@ class HidDevice(BlockDevice):
         self._read_fresh_report()
 
     def stop(self) -> None:
-        # For repeated calls the full wait applies once to a write in progress.
+        # Repeated calls wait only once for the full time for a write in progress.
         hang_s = 0.0 if self.threads is None else self.threads.hang_duration_s()
         until = time.monotonic() + STOP_WAIT_S - hang_s
         was_logged, self._zero_failure = bool(self._zero_failure), ""

@@ -169,7 +169,7 @@ class SerialDevice(BlockDevice):
         """Drop unsent bytes, then send a zero and wait until it is sent."""
         if self._block.word[BOARD.fd] < 0:
             return
-        # For repeated calls the full wait applies once to a port that sends nothing.
+        # Repeated calls wait only once for the full time for a port that sends nothing.
         was_logged = bool(self._zero_failure)
         self._zero_failure = self._stop(STOP_AGAIN_S if was_logged else STOP_WAIT_S)
         if self._zero_failure and not was_logged:

@@ -54,21 +54,21 @@ class _Memory:
     """Least-recently-used cache of at most `most` values, for several threads."""
 
     def __init__(self, most: int) -> None:
-        self._made: OrderedDict[Any, Any] = OrderedDict()
+        self._entries: OrderedDict[Any, Any] = OrderedDict()
         self._most = most
         self._lock = threading.Lock()
 
     def get(self, key: Any) -> Any:
         with self._lock:
-            if key in self._made:
-                self._made.move_to_end(key)
-            return self._made.get(key)
+            if key in self._entries:
+                self._entries.move_to_end(key)
+            return self._entries.get(key)
 
     def put(self, key: Any, value: Any) -> None:
         with self._lock:
-            self._made[key] = value
-            while len(self._made) > self._most:
-                self._made.popitem(last=False)
+            self._entries[key] = value
+            while len(self._entries) > self._most:
+                self._entries.popitem(last=False)
 
 
 _abouts: Final = _Memory(ABOUTS)

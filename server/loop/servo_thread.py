@@ -78,7 +78,7 @@ class ServoThread:
         self._ended: LoopEnd | None = None
         self._armed = self._stopping = False
         self._handover: Handover | None = None
-        self._done = threading.Event()
+        self._finished = threading.Event()
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset is valid for the run.
         self._epoch_ns = _epoch_offset_ns()
         self.switch: Final = make_switch() if switch is None else switch
@@ -166,7 +166,7 @@ class ServoThread:
                 self._ended = LoopEnd(CRASHED, end.status, failed)
             else:  # the reason for the end is the first error
                 log.error("%s", failed)
-        self._done.set()
+        self._finished.set()
         self.records.end()
 
     def _arm(self) -> None:
@@ -238,7 +238,7 @@ class ServoThread:
         while not step.wait(HANDOVER_POLL_S):
             if self._ended is not None and self._ended.error is not None:
                 raise self._ended.error
-            if self._done.is_set() or time.monotonic() > until:
+            if self._finished.is_set() or time.monotonic() > until:
                 raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
 
     def check_running(self) -> None:
@@ -278,13 +278,13 @@ class ServoThread:
     def join(self, timeout_s: float | None = None) -> LoopEnd | None:
         """Wait for the end and return it; None after a timeout."""
         # Not Thread.join: in Python 3.11 an interrupt inside it marks a live thread as finished.
-        if not self._done.wait(timeout_s):
+        if not self._finished.wait(timeout_s):
             return None
         return self._ended
 
     @property
     def is_running(self) -> bool:
-        return not self._done.is_set()
+        return not self._finished.is_set()
 
     @property
     def is_ticking(self) -> bool:

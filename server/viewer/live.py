@@ -51,7 +51,7 @@ class LivePage:
         self._page = page
         self._telemetry = TelemetryReceiver(daemon.telemetry, keys)
         self._commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
-        # Separate, so that the hand moves, and the force can be switched off, while the answer to another is awaited.
+        # Separate queues: the hand moves, and the force can be switched off, while another command is pending.
         self._scene_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
         self._force_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
         self._description: dict[str, Any] | None = None

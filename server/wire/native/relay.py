@@ -193,8 +193,8 @@ class Relay:
         """Ring on which the thread sleeps while there is no servo."""
         self._asleep_on = self._idle_feed.wake_fd
         self._source: RecordSource | None = None
-        self._done, self._failed, self._closing = (threading.Event() for _ in range(3))
-        self.tap: Final = Tap(self._state.readers, bell, self._done, self._failed)
+        self._finished, self._failed, self._closing = (threading.Event() for _ in range(3))
+        self.tap: Final = Tap(self._state.readers, bell, self._finished, self._failed)
         self._compile()
         self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
         self._thread.start()
@@ -280,7 +280,7 @@ class Relay:
             self._end()
 
     def _end(self) -> None:
-        self._done.set()
+        self._finished.set()
         self.tap.wake()
 
 
