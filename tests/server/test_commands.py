@@ -25,13 +25,15 @@ import pytest
 import zmq
 from helpers import raw_peers
 from helpers.called import Done, called
+from helpers.daemons import QUIET, subscribed
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
+from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program, run_program
 from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
-from helpers.waits import eventually, repeated
+from helpers.waits import WAIT_S, eventually, repeated
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
@@ -58,10 +60,7 @@ from softfinger.server.wire.control import AsyncControl, Control
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 RAMP_S, SLEW = 0.05, 200.0
-WAIT_S = 120.0
-"""Generous bound: a compilation on a busy machine."""
 ROUNDING = 1e-12
 """Relative; a force results from about ten operations on numbers of similar size."""
 
@@ -96,11 +95,11 @@ class RecordSink:
 def rig(monkeypatch):
     """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
     registered(monkeypatch)
-    quiet = {
-        "device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off",
-        "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0, "commands.ramp_s": 0.0,
+    pressing = {
+        "device.driver": "faulty", "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0,
+        "commands.ramp_s": 0.0,
     }  # fmt: skip
-    return lambda **changes: load_rig("replay", quiet | changes)
+    return lambda **changes: load_rig("replay", QUIET | pressing | changes)
 
 
 @contextlib.contextmanager
@@ -118,10 +117,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
 
 @contextlib.contextmanager
 def events(daemon: Daemon) -> Iterator[Any]:
-    with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
-        subscriber.linger, subscriber.rcvtimeo = 0, 60_000
-        subscriber.subscribe("event")
-        subscriber.connect(daemon.publisher.endpoint)
+    with subscribed(daemon.publisher.endpoint, "event") as subscriber:
         assert eventually(lambda: daemon.publisher.subscribers == 1)
 
         def next_event(kind: str) -> dict[str, Any]:
@@ -403,8 +399,8 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
             answer = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
             assert answer.active_field == f"number {number}"
             assert eventually(lambda: recorder.force_n > 0.85)
-            begun = recorder.since(answer.tick - 1)
-            assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == answer.tick
+            first_rows = recorder.since(answer.tick - 1)
+            assert not first_rows[0, AT.force : AT.force + 3].any() and first_rows[1, AT.tick] == answer.tick
         rows = recorder.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
     # without the last zero, of a stop in contact
@@ -495,12 +491,12 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    doing = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
+    actions = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []
     for body, too_much in ((b"\xc1", False), (None, False), (unknown, False), (good, True), (good, False)):
-        commands = CommandService("ipc:///nowhere", rendering, doing, "none")  # no request received so far
+        commands = CommandService("ipc:///nowhere", rendering, actions, "none")  # no request received so far
         reasons.clear()
         assert commands._receive(b"client", body, too_much) is not None
         commands._check_heartbeat()
@@ -609,7 +605,7 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
+def test_a_scene_that_is_compiled_delays_nothing(rig, slow_compiler):
     words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
         running(rig()) as (daemon, control, recorder),
@@ -739,13 +735,12 @@ def test_a_flooding_client_gets_busy_and_other_clients_are_answered(rig):
     assert errors == {None, "busy"} and sent > BURST
 
 
-QUIET = {"telemetry.every": 1000}
+FEW_MESSAGES = {"telemetry.every": 1000}
 """Publish few messages: the publisher buffers the latest ones, 40 MB after 40 s."""
 
 
 def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
+    return read_memory(os.getpid()) / 1e6
 
 
 def deep(levels: int, inner: bytes = b"\x90") -> bytes:
@@ -783,7 +778,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 @pytest.mark.scaled
 def test_bad_messages_change_nothing(rig, cases):
     clients, per_client = cases(4, 20), cases(500, 5000)
-    with running(rig(**QUIET)) as (daemon, control, recorder), zmq.Context() as context:
+    with running(rig(**FEW_MESSAGES)) as (daemon, control, recorder), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
         # The clients' threads are in this process; measure once all of them run.
         at_work = threading.Barrier(clients + 1)
@@ -829,7 +824,7 @@ RAW_S = 0.4
 
 
 def test_raw_peers_do_not_affect_memory_or_ticks(rig):
-    with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
+    with running(rig(**FEW_MESSAGES, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
         wanted = control.describe()["rig"]
         first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), recorder.megabytes
         # In a separate process, because they would use the CPU time of the daemon's threads and of the clients.

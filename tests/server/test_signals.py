@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers.called import called
+from helpers.processes import COMMAND, find_child
 from helpers.programs import Program, run_program
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
@@ -27,7 +28,6 @@ from softfinger.server import signals
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 ZERO = (0.0, 0.0, 0.0)
 FORCE_N = 0.5
 """Below the force of the hand's spring at this depth, so it can only be a contact force."""
@@ -89,16 +89,7 @@ OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal
 
 
 def find_watcher(process: subprocess.Popen[str]) -> int:
-    """Return the process id of a daemon's watcher, its only child except the publisher."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-
-    def watchers() -> list[int]:
-        pids = map(int, children.read_text().split())
-        return [child for child in pids if b"socket_process" not in Path(f"/proc/{child}/cmdline").read_bytes()]
-
-    until(lambda: bool(watchers()), END_S, "the watcher")
-    (watcher,) = watchers()
-    return watcher
+    return find_child(process.pid, b"watcher.py\0")
 
 
 def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> None:

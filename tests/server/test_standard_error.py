@@ -8,6 +8,8 @@ import select
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from io import FileIO
 
 import pytest
 
@@ -16,45 +18,43 @@ from softfinger.server.standard_error import write_line
 pytestmark = pytest.mark.plain
 
 
-def test_the_last_line_waits_for_its_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def full_pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[FileIO]:
+    """Replace the standard error by a full pipe; yield its end for reading."""
     reader, writer = os.pipe()
     for end in (reader, writer):
-        os.set_blocking(end, False)
+        os.set_blocking(end, False)  # a write that would wait raises instead
     with open(reader, "rb", buffering=0) as log_file, open(writer, "w") as stream:
         monkeypatch.setattr(sys, "stderr", stream)
         with contextlib.suppress(BlockingIOError):
             while True:
                 os.write(writer, bytes(select.PIPE_BUF))
-
-        def resume() -> None:
-            time.sleep(0.1)  # the line is waiting by then, usually
-            log_file.read(16 * select.PIPE_BUF)
-
-        resuming = threading.Thread(target=resume)
-        resuming.start()
-        write_line("last", wait_s=20.0)
-        resuming.join()
-        assert (log_file.read(32 * select.PIPE_BUF) or b"").endswith(b"last\n")
+        yield log_file
 
 
-def test_lines_that_nobody_reads_are_dropped_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)  # a write that would wait raises instead
-    with open(reader, "rb", buffering=0) as heard, open(writer, "w") as stream:
-        monkeypatch.setattr(sys, "stderr", stream)
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                os.write(writer, bytes(select.PIPE_BUF))
-        write_line("first")
-        write_line("second", wait_s=0.01)
-        while select.select([heard], [], [], 0.0)[0]:
-            heard.read(select.PIPE_BUF)
-        write_line("third")
-        assert heard.read(200) == b"(2 lines are missing here: they were not read in time)\nthird\n"
-        write_line(1_000_000 * "x")  # longer than the pipe, such as a traceback
-        while select.select([heard], [], [], 0.0)[0]:
-            heard.read(select.PIPE_BUF)
-        write_line("fourth")
-        assert heard.read(200) == b"(1 lines are missing here: they were not read in time)\nfourth\n"
-        write_line("fourth")
-        assert heard.read(200) == b"fourth\n"
+def test_the_last_line_waits_for_its_reader(full_pipe: FileIO) -> None:
+    def resume() -> None:
+        time.sleep(0.1)  # the line is waiting by then, usually
+        full_pipe.read(16 * select.PIPE_BUF)
+
+    resuming = threading.Thread(target=resume)
+    resuming.start()
+    write_line("last", wait_s=20.0)
+    resuming.join()
+    assert (full_pipe.read(32 * select.PIPE_BUF) or b"").endswith(b"last\n")
+
+
+def test_unread_lines_are_dropped_and_counted(full_pipe: FileIO) -> None:
+    write_line("first")
+    write_line("second", wait_s=0.01)
+    while full_pipe.read(select.PIPE_BUF):
+        pass
+    write_line("third")
+    assert full_pipe.read(200) == b"(2 lines are missing here: they were not read in time)\nthird\n"
+    write_line(1_000_000 * "x")  # longer than the pipe, such as a traceback
+    while full_pipe.read(select.PIPE_BUF):
+        pass
+    write_line("fourth")
+    assert full_pipe.read(200) == b"(1 lines are missing here: they were not read in time)\nfourth\n"
+    write_line("fourth")
+    assert full_pipe.read(200) == b"fourth\n"

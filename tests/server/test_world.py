@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,9 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.allocations import HAS_COMPILER, counted
+from helpers.daemons import QUIET
 from helpers.key_world import KEY, ROLLING, key_world
+from helpers.processes import COMMAND
 
 from softfinger.config import schema
 from softfinger.config.load import apply_overrides, load_rig, load_scene
@@ -47,8 +48,7 @@ def scene(tmp_path: Path) -> schema.Scene:
 
 
 def make_rig(**changes: Any) -> schema.Rig:
-    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
-    return load_rig("replay", keys | {"device.recording": "tap", **changes})
+    return load_rig("replay", QUIET | {"commands.endpoint": "off", "device.recording": "tap"} | changes)
 
 
 def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
@@ -153,8 +153,7 @@ def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) -> None:
     words = ["--duration", "5.4", "--realtime", "off", "--commands", "off", "--endpoint", f"ipc://{tmp_path}/t"]
-    command = [sys.executable, "-m", "softfinger.server.cli"]
-    process = subprocess.Popen([*command, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
+    process = subprocess.Popen([*COMMAND, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
     top = turned = 0.0
     with subscribe(f"ipc://{tmp_path}/t", ("world",), timeout_s=300.0) as samples:
         for sample in samples:
@@ -167,7 +166,7 @@ def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) ->
     assert top == pytest.approx(0.12, abs=0.003)  # less the sag of springs and hands
     assert math.degrees(turned) < 5.0
     assert box.position[2] == pytest.approx(0.02, abs=2e-4)  # MuJoCo's soft floor
-    subprocess.run([*command, "replay", str(tmp_path / "a.mcap")], check=True)
+    subprocess.run([*COMMAND, "replay", str(tmp_path / "a.mcap")], check=True)
 
 
 HOME = """
@@ -185,7 +184,7 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
     with Daemon(make_rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
         samples = receive_heights(running.publisher.endpoint)
-        begun = [height for _, height in itertools.islice(samples, 5)]
+        start_heights = [height for _, height in itertools.islice(samples, 5)]
         bodies = running.servo.tuning.scene.bodies
         assert bodies is not None
         bodies.block.owner.data.ctrl[0] = 0.0
@@ -194,7 +193,7 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
             tick = control.reset_world().tick
         after = [height for at, height in itertools.islice(samples, 60) if at >= tick]
         assert len(after) > 10
-        assert begun + after == pytest.approx([-0.025] * len(begun + after), abs=1e-9)
+        assert start_heights + after == pytest.approx([-0.025] * len(start_heights + after), abs=1e-9)
 
 
 def next_fault(events: Subscription) -> str:
